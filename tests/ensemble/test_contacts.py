@@ -139,7 +139,8 @@ def test_open_contacts_do_not_count():
         assert float(part.stick_time) == end
 
 
-@pytest.mark.parametrize("way", [jax.jacfwd, pytest.param(jax.grad, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("way", [jax.jacfwd, jax.grad])
 def test_the_arrest_of_a_chain_has_its_derivative(way):
     """When three blocks on the floor come to rest: contacts.md's number, and its derivative by mu by differences."""
     chain = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
@@ -157,13 +158,17 @@ def test_the_arrest_of_a_chain_has_its_derivative(way):
 
 
 def test_a_contact_is_a_system_like_others(many, tmp_path):
-    """Files, more samples, joining, batches of simulations."""
+    """Files and joining."""
     part = many.of_contact(1)
     back = ss.load(part.save(tmp_path / "part.nc"))
     assert back.system.counted_contact == 1
     np.testing.assert_array_equal(back.flat_sticks.numbers, part.flat_sticks.numbers)
     with pytest.raises(ValueError, match="same contact whose sticks are counted"):
         ss.concatenate([part, many.of_contact(0)])
+
+
+@pytest.mark.slow
+def test_batches_of_simulations(many):
     keys = jax.vmap(lambda i: jax.random.fold_in(KEY, i))(jnp.arange(6))
 
     def one(key):
@@ -172,7 +177,7 @@ def test_a_contact_is_a_system_like_others(many, tmp_path):
 
     batch = jax.vmap(one)(keys)
     found = ss.Ensemble.from_simulations(batch.of_contact(1)).flat_sticks
-    np.testing.assert_allclose(found.start, part.flat_sticks.head(6).start, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.start, many.of_contact(1).flat_sticks.head(6).start, rtol=0, atol=1e-9)
     together = ss.Ensemble.from_simulations(batch.of_all_contacts()).flat_sticks
     np.testing.assert_allclose(together.start, many.of_all_contacts().flat_sticks.head(6).start, rtol=0, atol=1e-9)
     with pytest.raises(ValueError, match="sticks of one contact"):
@@ -261,6 +266,7 @@ class Tracked(Users):
     counted: int = 5
 
 
+@pytest.mark.slow
 def test_fields_of_a_user_hide_nothing():
     plain, named = (
         ss.simulate(system.of_contact(1), LAW.sample(KEY, 10.0), t1=10.0) for system in (Users(0.3), Tracked(0.3))

@@ -128,7 +128,9 @@ UNCERTAIN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", UNCERTAIN)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in ("rate", "steps") else name for name in UNCERTAIN]
+)
 def test_uncertain_models(name):
     system, law, y0 = UNCERTAIN[name]
     some = ss.simulate_ensemble(
@@ -138,6 +140,7 @@ def test_uncertain_models(name):
         assert some.output_values["peak"][i] == pytest.approx(float(one_of(some, i).peak("velocity")), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_samples_that_need_more_steps_get_them(monkeypatch):
     """Under jit the number of steps is fixed; those for whom it is too small are simulated again."""
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8), damping=0.1)

@@ -15,6 +15,8 @@ METHODS = {
     "fixed steps": ss.Regularized(0.01, step=0.01),
     "adaptive steps": ss.Regularized(0.01),
 }
+COMPILED_LONGEST = "adaptive steps"
+QUICK = [pytest.param(name, marks=pytest.mark.slow) if name == COMPILED_LONGEST else name for name in METHODS]
 
 
 class Refusing(SlipDisplacement):
@@ -32,7 +34,7 @@ def ensemble(method, keep, t1):
     )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", QUICK)
 def test_totals_compute_no_quantity(monkeypatch, method):
     monkeypatch.setitem(QUANTITIES, "slip_displacement", Refusing())
     jax.clear_caches()
@@ -42,7 +44,7 @@ def test_totals_compute_no_quantity(monkeypatch, method):
     jax.clear_caches()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", QUICK)
 def test_a_displacement_is_from_stick_to_stick(method):
     """The first one is from the start; each later one from where the mass was released, found from its path."""
     many = ensemble(METHODS[method], "sticks", 12.0)

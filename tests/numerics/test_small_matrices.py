@@ -166,7 +166,7 @@ def test_no_library_of_linear_algebra(build, method):
     assert not calls_a_library(final, 1.0)
 
 
-@pytest.mark.parametrize("size", [2, WRITTEN_OUT + 1])
+@pytest.mark.parametrize("size", [pytest.param(2, marks=pytest.mark.slow), WRITTEN_OUT + 1])
 def test_what_has_a_loop_is_compiled_once(size, caplog):
     """Outside a program too, where an ensemble begins: a loop that is compiled anew took seconds of each call."""
     matrix = jnp.eye(size) * 2

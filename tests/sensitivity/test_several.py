@@ -140,6 +140,7 @@ def test_parameters_that_act_through_their_ratio_are_told():
     assert "through their ratio mu / speed" in told
 
 
+@pytest.mark.slow
 def test_the_mean_of_a_peak_in_closed_form():
     """The first maximum of a free vibration is ``-a + hypot(a, v / omega)`` with a = mu / 4, here v is uniform."""
     peak = ss.Output(lambda one: one.maximum("position"), name="peak displacement", unit="m")

@@ -153,6 +153,7 @@ def test_statistics_may_be_chosen():
     assert not {"stick_fraction", "duration_mean"} & set(few)
 
 
+@pytest.mark.slow
 def test_one_compilation_serves_all_points(caplog):
     arguments = {"over": {"mu": MU, "rate": RATE, "stiffness": [3.0, 4.0]}, "samples": 700}
 

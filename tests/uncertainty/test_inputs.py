@@ -131,6 +131,7 @@ def test_correlated_inputs():
     assert st.kstest(drawn["mu"], st.uniform(0.2, 0.8).cdf).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_other_values_and_distributions_compile_nothing(caplog):
     def compiled(system, t1):
         caplog.clear()

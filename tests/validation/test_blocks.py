@@ -82,6 +82,7 @@ def test_a_mass_without_a_spring_slides_on_a_base_as_newmark_says(share):
     assert float(one.sticks.start[np.asarray(one.sticks.mask)][-1]) == pytest.approx(DURATION / share, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_slope_of_a_mass_without_a_spring():
     """Other limits up the slope and down: a constant force; `Block` is the same without a `MassSpring`."""
     w, g, share = 2 * math.pi, 9.81, 0.3
