@@ -41,6 +41,18 @@ def test_of_a_system_that_nothing_drives():
     assert section.time.dims == ("start", "event")
 
 
+@pytest.mark.parametrize("time", [7.3, 20.0])
+def test_goes_on_from_any_state_and_time(time):
+    """The drive's phase says at which time a motion goes on: in a slip, and in a stick of the mass."""
+    drive = ss.Harmonic(1.0, 0.4)
+    one = ss.simulate(SYSTEM, drive, t1=80.0, y0=(0.3, -0.2))
+    state = tuple(float(number) for number in one.evaluate(time))
+    later = ss.Harmonic(1.0, 0.4, phase=0.4 * time)
+    section = nonlinear.event_section(SYSTEM, later, "stick_end", y0=state, transient=0, kept=4, progress=False)
+    ends = np.asarray(one.sticks.end)[np.asarray(one.sticks.mask)]
+    np.testing.assert_allclose(section.time + time, ends[ends > time][:4], rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("direction", [1, -1, 0])
 def test_coordinate_through_a_value(direction):
     crossing = nonlinear.Crossing("position", 0.25, direction)
