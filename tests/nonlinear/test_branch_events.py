@@ -128,3 +128,21 @@ def test_branch_of_several_contacts():
     branch = nonlinear.continue_orbit(orbit, "angular_frequency", until=0.6)
     assert branch.ending == "angular_frequency reached 0.6"
     _same_when_simulated(branch, system, ss.Harmonic(1.0, 0.6))
+
+
+@pytest.mark.slow
+def test_motor_and_cart_stop_going_round_at_a_fold():
+    """Where the branch of the motor's running orbit turns round, simulated motors find no orbit any more."""
+    voltage, state = ss.SourceVoltage(), (1.419904861957889, 4.1644170780506125, 2.530596050930892)
+    orbit = nonlinear.periodic_orbit(ss.MotorCart(mu=0.2), voltage, y0=state)
+    branch = nonlinear.continue_orbit(orbit, "mu", until=0.5, step=0.05)
+    (fold,) = branch.events
+    assert (fold.kind, branch.ending) == ("fold", "mu reached 0.2")
+    points = branch.points
+    np.testing.assert_array_equal(points.is_stable, np.arange(points.sizes["point"]) <= fold.point)
+    _same_when_simulated(branch, ss.MotorCart(mu=0.2), voltage)
+    section = nonlinear.stroboscopic_section(
+        ss.MotorCart(), voltage, y0=state, over={"mu": fold.parameter + np.array([-1e-4, 1e-4])}, transient=400,
+        kept=2, progress=False,
+    )  # fmt: skip
+    np.testing.assert_array_equal(section.recurrence, [1, 0])
