@@ -115,6 +115,12 @@ from ._statistics.verdicts import HypothesisTest as HypothesisTest, Verdict as V
 from ._status import Ending as Ending, Status as Status
 from ._sweep.errors import SweepError as SweepError
 from ._sweep.sweep import Sweep as Sweep
+from ._systems.composed_friction import (
+    Ageing as Ageing,
+    Directional as Directional,
+    ExponentialGrowth as ExponentialGrowth,
+    LogarithmicGrowth as LogarithmicGrowth,
+)
 from ._systems.friction import (
     Coulomb as Coulomb,
     FrictionCurve as FrictionCurve,

@@ -44,7 +44,7 @@ class FrictionLaw(Checked):
     rests_on: ClassVar = {
         "constant": ("kinetic", "in_direction"),
         "speed_scale": ("kinetic", "in_direction"),
-        "static_exceeds_kinetic": ("static", "kinetic", "in_direction"),
+        "static_exceeds_kinetic": ("static", "static_after", "kinetic", "in_direction"),
     }
 
     @property
@@ -70,6 +70,23 @@ class FrictionLaw(Checked):
     @abc.abstractmethod
     def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
         """Kinetic friction coefficient at the relative speed `speed` (m/s, zero or positive)."""
+
+    def static_after(self, age: FloatArray | float) -> Scalar | FloatArray:
+        """Static friction coefficient of a stick that has lasted `age` (s); here `static`, whatever the age.
+
+        Where a law has another, it must not fall with the age, and be `static` at the age zero.
+        """
+        return self.static
+
+    @property
+    def grows(self) -> bool:
+        """Whether static friction may grow while a stick lasts."""
+        return type(self).static_after is not FrictionLaw.static_after
+
+    @property
+    def growth_time(self) -> Scalar | None:
+        """The shortest age (s) at which static friction has grown noticeably; None if it is not known."""
+        return None
 
     def in_direction(self, velocity: FloatArray) -> "FrictionLaw":
         """The law for slips in one direction, and for sticks that would break into them.
@@ -246,7 +263,7 @@ class Stribeck(FrictionLaw):
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-power) + self.viscous * speed
 
 
-def _traceable(curve: PyTree) -> PyTree:
+def traceable(curve: PyTree) -> PyTree:
     """A plain function as a pytree without leaves, so that it can be part of a system that JAX transforms."""
     is_plain = callable(curve) and not isinstance(curve, type) and jax.tree.leaves(curve) == [curve]
     return jax.tree_util.Partial(curve) if is_plain else curve
@@ -264,7 +281,7 @@ class FrictionCurve(FrictionLaw):
         ValueError: For a curve that cannot be called, or coefficients that are negative or do not fit.
     """
 
-    curve: Callable[[FloatArray], FloatArray] = eqx.field(converter=_traceable)
+    curve: Callable[[FloatArray], FloatArray] = eqx.field(converter=traceable)
     holds_users_code = True
     mu_static: Annotated[Number | None, Quantity(meaning=_STATIC_OR_CURVE, at_least=0)] = None
 

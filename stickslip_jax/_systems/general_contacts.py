@@ -3,6 +3,7 @@
 from functools import partial
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -24,6 +25,10 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
     smooth: Signal | None
     solver: ExplicitSolver
     fastest: FloatScalar
+    age: FloatArray | None = None
+
+    def at_age(self, age: FloatArray) -> "GeneralContactsModel":
+        return eqx.tree_at(lambda model: model.age, self, age, is_leaf=lambda leaf: leaf is None)
 
     @property
     def contacts(self) -> int:
@@ -82,7 +87,8 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
 
     def limits(self, forcing: GeneralForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
         normal = self._normal_forces(forcing, tau, y)
-        static = normal * jnp.broadcast_to(jnp.asarray(self.system.static_ratio, normal.dtype), normal.shape)
+        ratio = self.system.static_ratio if self.age is None else self.system.static_ratio_after(self.age)
+        static = normal * jnp.broadcast_to(jnp.asarray(ratio, normal.dtype), normal.shape)
         return Limits(normal, normal, static, static)
 
     @property

@@ -7,6 +7,7 @@ friction laws each step is one Runge-Kutta step.
 
 import math
 from contextlib import suppress
+from functools import partial
 from typing import Annotated, Any, ClassVar, NamedTuple, cast
 
 import equinox as eqx
@@ -28,7 +29,9 @@ from .._numerics.known import NotKnown
 from .._numerics.rotation import responses
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
 from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver, State
+from .ageing_model import AgeingContact, AgeingContacts, with_ages
 from .built_in import is_built_in
+from .composed_friction import AtAge
 from .contact import Contact
 from .friction import FrictionLaw, times_of_slips
 from .normal_force import NormalForceQuantity, is_function, recorded_in
@@ -36,7 +39,7 @@ from .one_contact import OneContactModel
 from .steady_response import check_no_resonance, steady_response
 from .structure import LinearStructure, StructureModel
 from .switched_model import Base, FloatPair, Segments, base_motion, with_change
-from .system import PERIOD, SOFT, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
+from .system import AGE, PERIOD, SOFT, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)
@@ -145,7 +148,11 @@ class MassSpring(System):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return Coordinate("position", "m", "x"), Coordinate("velocity", "m/s", r"\dot x")
+        return Coordinate("position", "m", "x"), Coordinate("velocity", "m/s", r"\dot x"), *self.ages
+
+    @property
+    def ages(self) -> tuple[Coordinate, ...]:
+        return (AGE,) if self.friction.grows else ()
 
     @property
     def stick_position(self) -> Coordinate:
@@ -186,15 +193,17 @@ class MassSpring(System):
 
     def switched_model(
         self, smooth: Signal | None, solver: ExplicitSolver | None
-    ) -> "OscillatorModel | StructureModel":
+    ) -> "OscillatorModel | StructureModel | AgeingContact | AgeingContacts":
         structure = self._as_structure
         if structure is not None:
             return structure.switched_model(smooth, solver)
         if solver is None and self.has_closed_form:
-            return OscillatorModel(self, smooth)
-        # A solver that the user gives takes the given steps, unless the friction law is the user's too.
-        controlled = solver is None or not is_built_in(self)
-        return SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
+            model = OscillatorModel(self, smooth)
+        else:
+            # A solver that the user gives takes the given steps, unless the friction law is the user's too.
+            controlled = solver is None or not is_built_in(self)
+            model = SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
+        return with_ages(model, 2, self.friction.grows, self.friction.growth_time)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         structure = self._as_structure
@@ -228,7 +237,7 @@ class MassSpring(System):
             return structure.state_scales(excitation)
         speed, _ = self.contact_scales
         assert speed is not None
-        return speed * self._clock, speed
+        return speed * self._clock, speed, *(self._clock for _ in self.ages)
 
     @property
     def _clock(self) -> Scalar:
@@ -248,7 +257,8 @@ class MassSpring(System):
 
     @property
     def slip_center(self) -> Scalar | None:
-        if not self.friction.constant or self.force is not None or _is_zero(self.stiffness):
+        friction = self.friction
+        if not friction.constant or friction.depends_on_direction or self.force is not None or _is_zero(self.stiffness):
             return None
         if is_function(self.normal_force):
             return None
@@ -279,8 +289,14 @@ class MassSpring(System):
             normal = jax.vmap(normal.value)(times)
         # An open contact holds nothing: the band is empty there.
         closed = jnp.where(jnp.asarray(normal) > 0, normal, jnp.nan)
-        center, half_width = load / stiffness, self.friction.static * closed / stiffness
-        return center - half_width, center + half_width
+        ages = state[2] if self.friction.grows else jnp.zeros_like(times)
+        forward, backward = (jax.vmap(partial(self._limit_at, sign))(ages) for sign in (1.0, -1.0))
+        # A mass that lags behind the base once it is released needs a positive force.
+        return (load - forward * closed) / stiffness, (load + backward * closed) / stiffness
+
+    def _limit_at(self, sign: float, age: FloatScalar) -> FloatArray:
+        """The largest friction coefficient of a stick of this age that would break into a slip of this sign."""
+        return jnp.asarray(AtAge(self.friction, age).stick_limit(jnp.full_like(age, sign)), age.dtype)
 
 
 class OscillatorForcing(NamedTuple):
@@ -319,6 +335,9 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         by = responses(0 if c is None else c / (2 * m), jnp.asarray(k / m, h.dtype), h)
         x = y[0] + (x1 - x0) + speed * by.impulse + first * by.step + slope * by.ramp
         return x, p1 + speed * by.rate + first * by.impulse + slope * by.step
+
+    def at_age(self, age: FloatArray) -> "OscillatorModel":
+        return eqx.tree_at(lambda model: model.system.friction, self, AtAge(self.friction, age))
 
     def stick(self, forcing: OscillatorForcing, y: State, h: FloatScalar) -> State:
         travel = h * (forcing.base + 0.5 * h * forcing.base_slope)

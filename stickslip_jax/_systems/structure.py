@@ -16,13 +16,15 @@ from .._fields import with_fields
 from .._numerics.primal import without_derivatives
 from .._numerics.small_matrices import WRITTEN_OUT, dense, largest_eigenvalue, linear_solve
 from .._types import ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
+from .ageing_model import AgeingContacts, with_ages
+from .composed_friction import least
 from .contact import Contact, entries_of, numbers_of
 from .contact_forces import Uncoupled
 from .normal_force import NormalForce, largest_of, periods_of, recorded_in
 from .structure_arcs import ArcsModel
 from .structure_checks import check_structure, is_uncoupled
 from .structure_model import Matrices, StructureModel
-from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, shortest_period
+from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, ages_of, shortest_period
 from .with_contacts import WithContacts
 
 
@@ -93,7 +95,12 @@ class LinearStructure(WithContacts):
         rate = "angular velocity" if self.rotates else "velocity"
         numbers = range(1, self.size + 1)
         positions = [Coordinate(f"{name} {i}", unit, f"{symbol}_{{{i}}}") for i in numbers]
-        return (*positions, *(Coordinate(f"{rate} {i}", f"{unit}/s", rf"\dot {symbol}_{{{i}}}") for i in numbers))
+        rates = (Coordinate(f"{rate} {i}", f"{unit}/s", rf"\dot {symbol}_{{{i}}}") for i in numbers)
+        return *positions, *rates, *self.ages
+
+    @property
+    def ages(self) -> tuple[Coordinate, ...]:
+        return ages_of(len(self.contacts)) if any(contact.friction.grows for contact in self.contacts) else ()
 
     @property
     def stick_position(self) -> Coordinate:
@@ -101,11 +108,13 @@ class LinearStructure(WithContacts):
             return super().stick_position
         return Coordinate("relative displacement when the stick starts", "m")
 
-    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel":
+    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel | AgeingContacts":
         kind = ArcsModel if solver is None and self._has_arcs(smooth) else StructureModel
         solver = diffrax.Dopri8() if solver is None else solver
         matrices = self.matrices
-        return kind(solver=solver, smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest)
+        model = kind(solver=solver, smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest)
+        times = [contact.friction.growth_time for contact in self.contacts if contact.friction.grows]
+        return with_ages(model, 2 * self.size, bool(times), least(*times))
 
     def _has_arcs(self, smooth: Signal | RandomSignal | None) -> bool:
         """Whether every mode is linear with constant coefficients, under forces of which power series are known."""
@@ -200,7 +209,9 @@ class LinearStructure(WithContacts):
         speed, _ = self.contact_scales
         if speed is None:
             return super().state_scales(excitation)
-        return (jnp.max(speed * self._clocks),) * self.size + (jnp.max(speed),) * self.size
+        clocks = self._clocks
+        ages = (jnp.max(clocks),) * len(self.ages)
+        return (jnp.max(speed * clocks),) * self.size + (jnp.max(speed),) * self.size + ages
 
     @property
     def body_name(self) -> str:

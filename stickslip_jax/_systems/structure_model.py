@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,7 @@ from .._excitation.segments import Segment, added
 from .._excitation.smooth import Signal
 from .._numerics.small_matrices import Matrix, by_bands, dense, linear_solve, magnitudes, times
 from .._types import DType, FloatArray, FloatScalar, Number, State
+from .composed_friction import AtAge
 from .contact_forces import Gain, Limits
 from .contacts_model import ContactsModel, Instant
 from .friction import FrictionLaw
@@ -89,6 +91,11 @@ class StructureModel(ContactsModel[StructureForcing]):
             matrix = matrix + weight * dense(of.damping)
         velocity = linear_solve(matrix, of_velocity - weight * times(of.stiffness, of_position))
         return of_position + weight * velocity, velocity
+
+    def at_age(self, age: FloatArray) -> "StructureModel":
+        laws = [contact.friction for contact in self.structure.contacts]
+        aged = [AtAge(law, age[i]) for i, law in enumerate(laws)]
+        return eqx.tree_at(lambda model: [contact.friction for contact in model.structure.contacts], self, aged)
 
     def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
         size = self.structure.size

@@ -124,6 +124,10 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """The numbers of the state `y`, one for each coordinate of the system."""
         return y
 
+    def at_age(self, age: FloatArray) -> "SwitchedModel[F]":
+        """The same model where sticks have lasted `age` (s), of each contact; asked only where friction grows so."""
+        raise NotImplementedError("of models whose friction does not grow with the age of a stick")
+
     def stuck(self, sign: FloatArray) -> BoolArray:
         """What sticks in the mode `sign`: of several contacts (contacts + 1,), each, and last all that are closed."""
         return sign == 0

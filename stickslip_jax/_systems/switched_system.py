@@ -10,6 +10,7 @@ import abc
 from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,11 +25,12 @@ from .._excitation.smooth import Signal
 from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
 from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, InitialState, Number, Scalar, Solver, State
+from .ageing_model import AgeingContact, AgeingContacts, with_ages
 from .friction import Coulomb, FrictionLaw
 from .general_contacts import GeneralContactsModel
 from .one_contact import OneContactModel
 from .switched_model import FloatPair, Segments, with_change
-from .system import SHORTEST_TIME, SOLVED, Coordinate, TimeScale, shortest_period
+from .system import AGE, SHORTEST_TIME, SOLVED, Coordinate, TimeScale, ages_of, shortest_period
 from .user_contacts_checks import check_contacts
 from .user_system_checks import check_fields, check_ground, check_motion
 from .users_forcing import GeneralForcing, UsersBase, records_in
@@ -164,6 +166,14 @@ class SwitchedSystem(WithContacts):
         """Largest static friction force over the kinetic one at vanishing speed, ``mu_static / mu``; at least 1."""
         return 1.0
 
+    def static_ratio_after(self, age: FloatArray | float) -> Scalar | FloatArray:
+        """The `static_ratio` of a stick that has lasted `age` (s); of several contacts both are arrays (contacts,).
+
+        Overridden: the ages of sticks are part of the state, after the numbers that `state_names` lists; `rates` and
+        the other methods do not see them. It must not fall with the age.
+        """
+        return self.static_ratio
+
     @property
     def shortest_time(self) -> Scalar | None:
         """The shortest time scale, s: the shortest natural period, or 2 pi times a shorter time constant.
@@ -183,7 +193,13 @@ class SwitchedSystem(WithContacts):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return tuple(map(Coordinate.of, self.state_names))
+        return *map(Coordinate.of, self.state_names), *self.ages
+
+    @property
+    def ages(self) -> tuple[Coordinate, ...]:
+        if type(self).static_ratio_after is SwitchedSystem.static_ratio_after:
+            return ()
+        return (AGE,) if self.contacts is None else ages_of(self.contacts)
 
     @property
     def contact_count(self) -> int | None:
@@ -196,13 +212,22 @@ class SwitchedSystem(WithContacts):
 
     @property
     def static_exceeds_kinetic(self) -> bool:
+        if self.ages:
+            return True
         ratio = self.static_ratio
         # Not by jnp.max: under jit that would trace a number that is known.
         return bool(np.any(np.asarray(ratio) > 1)) if np.ndim(ratio) else float(ratio) > 1
 
     def switched_model(
         self, smooth: Signal | None, solver: ExplicitSolver | None
+    ) -> "GeneralModel | GeneralContactsModel | AgeingContact | AgeingContacts":
+        model = self.model_without_ages(smooth, solver)
+        return with_ages(model, len(self.state_names), bool(self.ages), None)
+
+    def model_without_ages(
+        self, smooth: Signal | None, solver: ExplicitSolver | None
     ) -> "GeneralModel | GeneralContactsModel":
+        """The `switched_model` of sticks that never grow stronger."""
         solver = diffrax.Dopri8() if solver is None else solver
         if self.contacts is not None:
             shortest = self.shortest_time
@@ -227,10 +252,10 @@ class SwitchedSystem(WithContacts):
         check_fields(self)
 
     def check_state(self, y0: tuple[Number, ...]) -> None:
-        (check_motion if self.contacts is None else check_contacts)(self, y0)
+        (check_motion if self.contacts is None else check_contacts)(self, y0[: len(self.state_names)])
 
     def differs_between(self, y0: InitialState, times: np.ndarray, others: np.ndarray) -> bool:
-        return differs_between(self, y0, times, others)
+        return differs_between(self, y0[: len(self.state_names)], times, others)
 
     def check_excitation(self, excitation: Excitation) -> None:
         super().check_excitation(excitation)
@@ -273,6 +298,14 @@ class GeneralModel(OneContactModel[GeneralForcing]):
     system: SwitchedSystem
     smooth: Signal | None
     solver: ExplicitSolver
+    age: FloatScalar | None = None
+
+    def at_age(self, age: FloatArray) -> "GeneralModel":
+        return eqx.tree_at(lambda model: model.age, self, age, is_leaf=lambda leaf: leaf is None)
+
+    @property
+    def _static_ratio(self) -> Scalar | FloatArray:
+        return self.system.static_ratio if self.age is None else self.system.static_ratio_after(self.age)
 
     def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
         return GeneralForcing.of(t, segments)
@@ -329,8 +362,7 @@ class GeneralModel(OneContactModel[GeneralForcing]):
 
         def share_of(t, y, base):
             contact = self._contact(forcing, t, base, y)
-            ratio = jnp.asarray(self.system.static_ratio, t.dtype)
-            return contact.share / ratio, contact.has_effect
+            return contact.share / jnp.asarray(self._static_ratio, t.dtype), contact.has_effect
 
         held = self.stick_rates(forcing, tau, y)
         share, share_rate, has_effect = jax.jvp(share_of, (t, y, base), (one, held, base_rates), has_aux=True)
@@ -356,7 +388,7 @@ class GeneralModel(OneContactModel[GeneralForcing]):
 
     def can_stick(self, forcing: GeneralForcing, y: State) -> BoolScalar:
         contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
-        return contact.has_effect & (jnp.abs(contact.share) <= self.system.static_ratio)
+        return contact.has_effect & (jnp.abs(contact.share) <= self._static_ratio)
 
     def release_sign(self, forcing: GeneralForcing, y: State) -> FloatScalar:
         # Without friction the relative velocity would change faster than friction can prevent.

@@ -62,6 +62,14 @@ class Coordinate(NamedTuple):
         return f"{self.name}{symbol}{more}{unit}"
 
 
+AGE = Coordinate("age of the stick", "s", r"\tau")
+
+
+def ages_of(contacts: int) -> tuple[Coordinate, ...]:
+    """The ages of the sticks of each contact of a list."""
+    return tuple(Coordinate(f"age of stick {i}", "s", rf"\tau_{{{i}}}") for i in range(1, contacts + 1))
+
+
 class StepCount(NamedTuple):
     """Number of time steps in one time scale: by default, and at least."""
 
@@ -106,6 +114,11 @@ class System(Checked):
             smooth: The smooth part of the excitation, None if there is none.
             solver: What integrates slips; None for the closed form where there is one.
         """
+
+    @property
+    def ages(self) -> tuple[Coordinate, ...]:
+        """The ages of sticks, of each contact, where friction depends on them: the last of its `coordinates`."""
+        return ()
 
     def ready(self) -> "System":
         """The same system, with what its `switched_model` needs of linear algebra done: for loops that make it in each

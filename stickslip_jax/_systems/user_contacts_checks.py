@@ -45,7 +45,7 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
         found = [rates(friction) for friction in (0 * units[0], np.ones(contacts), *units, *-units)]
     check_rates(kind, found[0], len(y))
     check_traceable(system, ("rates",), zero, y, base, jnp.zeros(contacts))
-    model: Any = system.switched_model(None, None)
+    model: Any = system.model_without_ages(None, None)
     gain = model.instant(model.forcing(zero, _NOTHING), zero, y).gain
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((found, gain))):
         return

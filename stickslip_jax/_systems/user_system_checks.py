@@ -64,11 +64,31 @@ def check_fields(system: Any) -> None:
             f"Argument static_ratio must be at least 1, but {ratio} was given: a stick holds at least as "
             "well as a slip."
         )
+    if system.ages:
+        _check_ages(system)
     for name in ("shortest_time", "speed_scale"):
         with _checks.traceable(f"The property {name} of {kind}"):
             value = getattr(system, name)
         if value is not None:
             _checks.positive(name, value)
+
+
+def _check_ages(system: Any) -> None:
+    """Check `static_ratio_after` and the coordinates of a system whose friction grows with the ages of sticks."""
+    kind, shape = type(system).__name__, () if system.contacts is None else (system.contacts,)
+    if system.coordinates[len(system.state_names) :] != system.ages:
+        raise ValueError(
+            f"Argument coordinates of a {kind} must end with the ages of its sticks, because it has a "
+            "static_ratio_after: add *self.ages."
+        )
+    with _checks.traceable(f"The method static_ratio_after of {kind}"):
+        jax.make_jaxpr(system.static_ratio_after)(jnp.zeros(shape))
+    now, later = (np.asarray(system.static_ratio_after(jnp.full(shape, age))) for age in (0.0, 1.0))
+    if not np.all(np.isfinite(later) & (later >= now) & (now >= 1)):
+        raise ValueError(
+            f"Argument static_ratio_after of a {kind} must return finite numbers, at least 1, that do not fall with "
+            f"the age, but {_checks.show(now)} was returned for the age 0 s, and {_checks.show(later)} for 1 s."
+        )
 
 
 def check_motion(system: Any, y0: tuple[Number, ...]) -> None:

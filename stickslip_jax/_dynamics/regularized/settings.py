@@ -27,6 +27,11 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
 
     Raises ValueError where an option is needed because the system's scales are not known.
     """
+    if system.ages:
+        raise ValueError(
+            "Argument method must be Exact(...) for friction that grows while a stick lasts, but "
+            f"{_checks.show(method)} was given: smoothed friction has no stick whose age is known."
+        )
     check_contacts(system, method)
     width = jnp.asarray(method.width, dtype)
     speed, deceleration = system.contact_scales

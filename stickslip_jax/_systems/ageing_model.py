@@ -1,0 +1,176 @@
+"""Systems whose contacts remember how long they have stuck: the ages of sticks as further numbers of the state.
+
+An age grows at the rate 1 in a stick, and is zero in a slip. What a stick can hold depends on it; nothing else does.
+"""
+
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._types import Array, BoolArray, BoolScalar, DType, FloatArray, FloatScalar, Number, Scalar, State
+from .friction import FrictionLaw
+from .one_contact import OneContactModel
+from .switched_model import Decision, F, Guard, Question, SwitchedModel
+
+_SHARE = 0.5  # of a stick's age, and of the growth time of its law, that a step may last: a logarithm grows so
+_IN_A_STEP = 1 / 16  # of a step: the growth time of a law that does not say it
+
+M = TypeVar("M", bound=SwitchedModel)
+
+
+def with_ages(model: SwitchedModel, size: int, grows: bool, growth_time: Scalar | None) -> Any:
+    """The `model`, of `size` numbers, with ages of its sticks, if they matter: if the static friction `grows`."""
+    if not grows:
+        return model
+    kind = AgeingContact if isinstance(model, OneContactModel) else AgeingContacts
+    return kind(model, size, growth_time)
+
+
+class _WithAges(SwitchedModel[F]):
+    """The model `inner` with `size` numbers in its state, whose sticks grow stronger over the `growth_time` (s)."""
+
+    inner: Any  # a SwitchedModel
+    size: int = eqx.field(static=True)
+    growth_time: Scalar | None
+
+    @property
+    def steps_may_be_long(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances
+        return self.inner.steps_may_be_long
+
+    @property
+    def contacts(self) -> int | None:
+        return self.inner.contacts
+
+    @property
+    def coupled(self) -> bool:
+        return self.inner.coupled
+
+    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+        inner = self.inner.start(y0[: self.size], dtype)
+        count = self.contacts or 1
+        ages = jnp.stack([jnp.asarray(age, dtype) for age in (*y0[self.size :], *(0.0,) * count)][:count])
+        return *inner, ages if self.contacts else ages[0]
+
+    def numbers(self, y: State) -> State:
+        ages = (y[-1],) if self.contacts is None else tuple(y[-1][i] for i in range(self.contacts))
+        return *self.inner.numbers(y[:-1]), *ages
+
+    def stuck(self, sign: FloatArray) -> BoolArray:
+        return self.inner.stuck(sign)
+
+    def stick_position(self, y: State) -> FloatArray:
+        return self.inner.stick_position(y[:-1])
+
+    def forcing(self, t: FloatScalar, segments: Any) -> F:
+        return self.inner.forcing(t, segments)
+
+    def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
+        return *self.inner.rates(forcing, tau, y[:-1], sign), self._stuck(sign).astype(y[0].dtype)
+
+    def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
+        return self.inner.relative_velocity(forcing, tau, y[:-1])
+
+    def at_rest(self, forcing: F, y: State) -> BoolArray:
+        return self.inner.at_rest(forcing, y[:-1])
+
+    def noise(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
+        return self.inner.noise(forcing, y[:-1], sign)
+
+    def after(
+        self, forcing: F, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
+    ) -> tuple[FloatArray, BoolArray, BoolArray]:
+        return self.inner.after(forcing, y[:-1], sign, landed, ended)
+
+    def slip_sign(self, forcing: F, y: State) -> FloatArray:
+        return self.inner.slip_sign(forcing, y[:-1])
+
+    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
+        def by_age(age: Array) -> Guard:
+            return self.inner.at_age(age).guard(forcing, tau, y[:-1], sign)
+
+        (guard, rate), (growth, _) = jax.jvp(by_age, (y[-1],), (self._stuck(sign).astype(y[0].dtype),))
+        return guard, rate + growth
+
+    def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
+        return self.inner.guard_scale(forcing, y[:-1], sign)
+
+    def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
+        return *self.inner.at_base_velocity(forcing, y[:-1], resting), y[-1]
+
+    def step_limit(self, age: FloatArray, step: FloatScalar, y: State, sign: FloatArray) -> FloatScalar:
+        time = _IN_A_STEP * step if self.growth_time is None else self.growth_time
+        longest = jnp.where(self._stuck(sign), _SHARE * (y[-1] + time), jnp.inf)
+        return jnp.minimum(self.inner.step_limit(age, step, y[:-1], sign), jnp.min(longest))
+
+    def _stuck(self, sign: FloatArray) -> BoolArray:
+        """Which contacts stick."""
+        stuck = self.inner.stuck(sign)
+        return stuck if self.contacts is None else stuck[:-1]
+
+    def _aged(self, y: State, h: FloatScalar, sign: FloatArray) -> FloatArray:
+        """The ages after the time `h` (s)."""
+        return jnp.where(self._stuck(sign), y[-1] + h, 0)
+
+
+class AgeingContacts(_WithAges[F]):
+    """A system with several contacts, and ages (contacts,) of their sticks."""
+
+    def flow(self, forcing: F, y: State, h: FloatScalar, sign: FloatArray) -> State:
+        return *self.inner.flow(forcing, y[:-1], h, sign), self._aged(y, h, sign)
+
+    def flow_and_error(
+        self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
+    ) -> tuple[State, FloatScalar | None]:
+        reached, error = self.inner.flow_and_error(forcing, y[:-1], h, sign)
+        return (*reached, self._aged(y, h, sign)), error
+
+    def decided(self, forcing: F, y: State, question: Question) -> Decision:
+        return self.inner.at_age(y[-1]).decided(forcing, y[:-1], question)
+
+
+class AgeingContact(_WithAges[F], OneContactModel[F]):  # pyright: ignore[reportIncompatibleVariableOverride] - as above
+    """A system with one contact, and the age of its stick."""
+
+    def slip(self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar) -> State:
+        return *self.inner.slip(forcing, y[:-1], h, sign), jnp.zeros_like(y[-1])
+
+    def slip_and_error(
+        self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar
+    ) -> tuple[State, FloatScalar | None]:
+        slid, error = self.inner.slip_and_error(forcing, y[:-1], h, sign)
+        return (*slid, jnp.zeros_like(y[-1])), error
+
+    def stick(self, forcing: F, y: State, h: FloatScalar) -> State:
+        return *self.inner.stick(forcing, y[:-1], h), y[-1] + h
+
+    def stick_and_error(self, forcing: F, y: State, h: FloatScalar) -> tuple[State, FloatScalar | None]:
+        held, error = self.inner.stick_and_error(forcing, y[:-1], h)
+        return (*held, y[-1] + h), error
+
+    def on_base(self, forcing: F, y: State) -> State:
+        return *self.inner.on_base(forcing, y[:-1]), y[-1]
+
+    def can_stick(self, forcing: F, y: State) -> BoolScalar:
+        return self.inner.at_age(y[-1]).can_stick(forcing, y[:-1])
+
+    def release_sign(self, forcing: F, y: State) -> FloatScalar:
+        return self.inner.release_sign(forcing, y[:-1])
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        return self.inner.time_scales_are_known
+
+    @property
+    def friction(self) -> FrictionLaw:
+        return self.inner.friction
+
+    def rates_under(self, forcing: F, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
+        return *self.inner.rates_under(forcing, tau, y[:-1], coefficient), jnp.zeros_like(y[-1])
+
+    def slip_direction(self, y: State, sign: FloatScalar) -> FloatScalar:
+        return self.inner.slip_direction(y[:-1], sign)
+
+    def relative_acceleration(self, forcing: F, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
+        return self.inner.relative_acceleration(forcing, tau, y[:-1], rates[:-1])
