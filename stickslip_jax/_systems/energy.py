@@ -1,13 +1,14 @@
 """Friction forces and energies of the built-in systems: what is stored, supplied and dissipated."""
 
 from functools import singledispatch
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
 from .. import _checks
 from .._claims import keeps
 from .._types import FloatScalar, Scalar, State
+from .ageing_model import AgeingContact
 from .mass_spring import OscillatorForcing, OscillatorModel
 from .motor_cart import CartModel, MotorCart
 from .one_contact import OneContactModel
@@ -45,6 +46,7 @@ def powers(model: OneContactModel[F], forcing: F, y: State, force: FloatScalar) 
 
 def require_known(system: System, model: OneContactModel, name: str) -> None:
     """Check that friction forces of `system` are known in newtons, not only as shares. Raises ValueError otherwise."""
+    model = model.inner if isinstance(model, AgeingContact) else model
     if not any(keeps(model, kind, "rates", "rates_under") for kind in (OscillatorModel, CartModel)):
         raise ValueError(
             f"{name} needs a MassSpring or a MotorCart, but a simulation of {_checks.show(system)} was given: the "
@@ -63,6 +65,7 @@ def require_energy(system: System) -> None:
 
 def fastest_decay(model: OneContactModel) -> Scalar:
     """The rate at which the fastest motion in a slip may die out within a step, 1/s; 0 where steps are shorter."""
+    model = model.inner if isinstance(model, AgeingContact) else model
     if not isinstance(model, OscillatorModel) or model.system.damping is None:
         return 0.0
     return model.system.damping / model.system.mass
@@ -111,3 +114,18 @@ def _(model: CartModel, forcing: FloatScalar, y: State, force: FloatScalar) -> P
     friction = force * system.eccentricity * jnp.sin(angle) * speed
     heat = {"friction": friction, "damping": system.motor_damping * speed * speed}
     return Powers({"voltage": voltage * current}, heat | {"resistance": system.resistance * current * current})
+
+
+@friction_force.register
+def _(model: AgeingContact, y: State, coefficient: FloatScalar) -> FloatScalar:
+    return friction_force(model.inner, y[:-1], coefficient)
+
+
+@stored_energies.register
+def _(model: AgeingContact, y: State) -> Terms:
+    return stored_energies(model.inner, y[:-1])
+
+
+@powers.register
+def _(model: AgeingContact, forcing: Any, y: State, force: FloatScalar) -> Powers:
+    return powers(model.inner, forcing, y[:-1], force)
