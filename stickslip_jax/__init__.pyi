@@ -121,6 +121,14 @@ from ._systems.composed_friction import (
     ExponentialGrowth as ExponentialGrowth,
     LogarithmicGrowth as LogarithmicGrowth,
 )
+from ._systems.dynamic_friction import (
+    BoucWen as BoucWen,
+    Dahl as Dahl,
+    DieterichRuina as DieterichRuina,
+    DynamicFriction as DynamicFriction,
+    ElastoPlastic as ElastoPlastic,
+    LuGre as LuGre,
+)
 from ._systems.friction import (
     Coulomb as Coulomb,
     FrictionCurve as FrictionCurve,

@@ -3,7 +3,7 @@
 import abc
 import math
 from collections.abc import Callable
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -15,7 +15,12 @@ from jaxtyping import PyTree
 from .. import _checks
 from .._fields import Checked, Quantity, varies_within
 from .._types import FloatArray, Number, Scalar
+from .prescribed import force_of_law
 from .tabulated_curve import TabulatedCurve
+
+if TYPE_CHECKING:
+    from .._excitation.recorded import Recorded
+    from .._excitation.smooth import Signal
 
 _STATIC = "friction coefficient of a stick"
 # Sphinx cannot read formatted strings in annotations, and would show no sources of this file.
@@ -127,6 +132,41 @@ class FrictionLaw(Checked):
         """The largest friction coefficient of a stick that would break into a slip with the sign of `velocity`."""
         return self.in_direction(velocity).static
 
+    def force(
+        self,
+        times: npt.ArrayLike,
+        velocity: "npt.ArrayLike | Recorded | Signal",
+        normal_force: Any = 1.0,
+        *,
+        series_stiffness: Number | None = None,
+        backlash: Number = 0.0,
+    ) -> FloatArray:
+        """The friction force under a prescribed motion, as a test rig measures it.
+
+        Args:
+            times: s, increasing, (times,), at least 2.
+            velocity: At these times, m/s, (times,), joined by straight lines; or a `Recorded` or `Signal` such as
+                `Harmonic`. The relative velocity; with a spring, that of the end of the spring.
+            normal_force: N, zero or positive; one number, or without a spring one for each time.
+            series_stiffness: N/m, of a spring in front of the contact, for laws with one constant coefficient in either
+                direction. Its deflection is zero at the first time.
+            backlash: The free play in front of the spring, m: there is no force while the deflection is within half of
+                it either way.
+
+        Returns:
+            The force at these times, N, (times,), positive against a positive velocity. Without a spring that of a
+            slip; NaN where the velocity is zero, since a stick has any force up to its limit.
+
+        Raises:
+            ValueError: For times that do not increase, velocities of another length, numbers out of range, and a spring
+                in front of a law whose coefficient depends on the speed or on the stick.
+
+        >>> times = np.array([0.0, 1.0, 2.0, 3.0])
+        >>> print(ss.Coulomb(0.3).force(times, [0.1, 0.1, -0.1, -0.1], 10.0, series_stiffness=40.0))
+        [0. 3. 3. -1.]
+        """
+        return force_of_law(self, times, velocity, normal_force, series_stiffness, backlash)
+
     def check_relations(self) -> None:
         owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("static", "kinetic")]
         if any(kind.__module__ != __name__ for kind in owners):  # the laws of this module check what they are made of
@@ -140,7 +180,7 @@ class FrictionLaw(Checked):
         for sign, way in ((1.0, "forward"), (-1.0, "backward")):
             law, kind = self.in_direction(jnp.full((), sign)), type(self).__name__
             _check_at_rest(kind, law, f" of {way} slips")
-            _static_at_least(
+            static_at_least(
                 law.static, self.static, f"The property static of {kind}", f"that of {way} slips", _ROUND_OFF
             )
 
@@ -163,7 +203,7 @@ class Coulomb(FrictionLaw):
     constant = True
 
     def check_relations(self) -> None:
-        _static_at_least(self.mu, self.mu_static)
+        static_at_least(self.mu, self.mu_static)
         FrictionLaw.check_relations(self)
 
     @property
@@ -235,7 +275,7 @@ class Stribeck(FrictionLaw):
     viscous: Annotated[Number, Quantity("s/m", "times the speed", at_least=0)] = 0.0
 
     def check_relations(self) -> None:
-        _static_at_least(self.mu, self.mu_static)
+        static_at_least(self.mu, self.mu_static)
         FrictionLaw.check_relations(self)
 
     @property
@@ -329,7 +369,7 @@ class FrictionCurve(FrictionLaw):
         _check_traceable(self.curve, "Argument curve of FrictionCurve")
         at_rest = self.curve(jnp.zeros(()))
         _checks.non_negative("curve(0)", at_rest)
-        _static_at_least(at_rest, self.mu_static, of="curve(0)")
+        static_at_least(at_rest, self.mu_static, of="curve(0)")
         FrictionLaw.check_relations(self)
 
     @property
@@ -385,10 +425,10 @@ def _check_at_rest(kind: str, law: FrictionLaw, slips: str) -> None:
                 "given: friction acts against the slip; turn its sign round, or look for a division by zero."
             )
     # Both may be the same number, rounded twice.
-    _static_at_least(kinetic, static, f"The static friction coefficient{slips} of {kind}", "kinetic(0)", _ROUND_OFF)
+    static_at_least(kinetic, static, f"The static friction coefficient{slips} of {kind}", "kinetic(0)", _ROUND_OFF)
 
 
-def _static_at_least(
+def static_at_least(
     kinetic: Number, static: Number | None, name: str = "Argument mu_static", of: str = "mu", slack: float = 0.0
 ) -> None:
     """Check that the `static` coefficient, if given, is at least the `kinetic` one, called `of`, but for `slack`."""

@@ -1,0 +1,334 @@
+"""Friction laws with an inner state: bristles that bend, asperities that age. They are smooth, and have no exact stick.
+
+The friction coefficient follows from the relative velocity v and the inner state z, whose rate follows from both.
+"""
+
+import abc
+from typing import Annotated
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy.typing as npt
+
+from .. import _checks
+from .._excitation.recorded import Recorded
+from .._excitation.smooth import Signal
+from .._fields import Checked, Choice, Quantity
+from .._types import FloatArray, FloatScalar, Number, Scalar
+from .friction import static_at_least
+from .prescribed import force_of_dynamic
+
+_MU = "friction coefficient of a fast slip"
+_STATIC = "largest friction coefficient of a slow slip, at least mu"
+_BRISTLES = "of the bristles: friction coefficient per deflection"
+
+
+class DynamicFriction(Checked):
+    """Base class of friction laws with one inner state. Subclass it for one of your own.
+
+    The inner state is zero at rest, unless `initial_state` says otherwise.
+    """
+
+    @abc.abstractmethod
+    def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        """The time derivative of the inner state `z` at the relative `velocity` (m/s)."""
+
+    @abc.abstractmethod
+    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        """The friction coefficient, with the sign of a force against a positive relative velocity."""
+
+    @abc.abstractmethod
+    def steady(self, velocity: FloatArray) -> FloatArray:
+        """The friction coefficient of a slip that has long had this relative velocity (m/s, not zero)."""
+
+    @property
+    def initial_state(self) -> Scalar:
+        """The inner state of a contact at rest."""
+        return 0.0
+
+    def force(
+        self,
+        times: npt.ArrayLike,
+        velocity: npt.ArrayLike | Recorded | Signal,
+        normal_force: Number = 1.0,
+        *,
+        initial_state: Number | None = None,
+        rtol: float = 1e-8,
+        max_steps: int | None = None,
+        adjoint: object = None,
+    ) -> FloatArray:
+        """The friction force under a prescribed motion, as a test rig measures it.
+
+        Args:
+            times: s, increasing, (times,), at least 2.
+            velocity: The relative velocity at these times, m/s, (times,), joined by straight lines; or a `Recorded` or
+                `Signal` such as `Harmonic`, of the same times.
+            normal_force: N, positive.
+            initial_state: The inner state at the first time; by default that at rest.
+            rtol: Relative tolerance of the integration, by diffrax' ``Kvaerno5``, implicit and of fifth order. The
+                absolute one is as small a part of the inner state at which the law slips steadily.
+            max_steps: The largest number of steps; by default 4096 and 64 for each time.
+            adjoint: How diffrax differentiates: by default ``RecursiveCheckpointAdjoint()``, for ``grad``;
+                ``ForwardMode()`` for ``jvp`` and ``jacfwd``.
+
+        Returns:
+            The force at these times, N, (times,), positive against a positive relative velocity; NaN after the time at
+            which the steps were used up.
+
+        Raises:
+            ValueError: For times that do not increase, velocities of another length, and numbers out of range; and
+                where the steps were used up, unless JAX traces the numbers.
+        """
+        start = self.initial_state if initial_state is None else initial_state
+        return force_of_dynamic(self, times, velocity, normal_force, start, rtol, max_steps, adjoint)
+
+    @property
+    def state_scale(self) -> Scalar:
+        """A typical size of the inner state: that of its errors where it is small."""
+        return 1.0
+
+
+class _Bristles(DynamicFriction):
+    """Bristles whose deflection z (m) follows the motion, up to that of a steady slip."""
+
+    @abc.abstractmethod
+    def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
+        """The friction coefficient of the bristles in a steady slip at this speed."""
+
+    @property
+    @abc.abstractmethod
+    def state_scale(self) -> Scalar:
+        """The deflection of a steady slip, m."""
+
+
+class Dahl(_Bristles):
+    """Dahl's friction: a spring that yields gradually. ``z' = v |1 - s|^exponent sign(1 - s)``, ``s = stiffness z
+    sign(v) / mu``; friction coefficient ``stiffness z``.
+
+    Source: Dahl 1968, A solid friction model, Aerospace Corporation TOR-0158(3107-18)-1.
+
+    Args:
+        mu: The friction coefficient of a steady slip, positive.
+        stiffness: Friction coefficient per deflection, 1/m, positive.
+        exponent: How sharply it yields, positive; 1 in most uses.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
+    """
+
+    mu: Annotated[Number, Quantity(meaning="friction coefficient of a steady slip", above=0)]
+    stiffness: Annotated[Number, Quantity("1/m", "friction coefficient per deflection", above=0)]
+    exponent: Annotated[Number, Quantity(meaning="how sharply the spring yields", above=0)] = 1.0
+
+    def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
+        return self.mu
+
+    @property
+    def state_scale(self) -> Scalar:
+        return self.mu / self.stiffness
+
+    def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        left = 1 - self.stiffness * z * jnp.sign(velocity) / self.mu
+        if not _checks.is_traced(self.exponent) and self.exponent == 1:
+            return velocity * left
+        size = jnp.abs(left)
+        power = jnp.where(size > 0, jnp.where(size > 0, size, 1) ** self.exponent, 0)
+        return velocity * jnp.sign(left) * power
+
+    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        return self.stiffness * z
+
+    def steady(self, velocity: FloatArray) -> FloatArray:
+        return self.mu * jnp.sign(velocity)
+
+
+class BoucWen(_Bristles):
+    """The hysteresis of Bouc and Wen: ``z' = v (1 - |z / z_0|^exponent (1 - sharing + sharing sign(v z)))``.
+
+    With ``z_0 = mu / stiffness``; friction coefficient ``stiffness z``. The larger the exponent, the more suddenly it
+    yields: the limit is the elastic slider of `Coulomb` friction behind a spring.
+
+    Source: Wen 1976, Method for random vibration of hysteretic systems, J. Eng. Mech. Div. ASCE 102, 249.
+
+    Args:
+        mu: The friction coefficient of a steady slip, positive.
+        stiffness: Friction coefficient per deflection, 1/m, positive.
+        exponent: How suddenly it yields, at least 1.
+        sharing: Wen's ``beta / (beta + gamma)``, from 0 to 1: with 0.5 unloading has the stiffness of the beginning.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
+    """
+
+    mu: Annotated[Number, Quantity(meaning="friction coefficient of a steady slip", above=0)]
+    stiffness: Annotated[Number, Quantity("1/m", "friction coefficient per deflection", above=0)]
+    exponent: Annotated[Number, Quantity(meaning="how suddenly it yields", at_least=1)] = 2.0
+    sharing: Annotated[Number, Quantity(meaning="0.5: unloading is as stiff as the beginning", at_least=0)] = 0.5
+
+    def check_relations(self) -> None:
+        _checks.bounded("sharing", self.sharing, at_least=0, below=1 + 1e-12)
+
+    def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
+        return self.mu
+
+    @property
+    def state_scale(self) -> Scalar:
+        return self.mu / self.stiffness
+
+    def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        share = jnp.abs(z) * self.stiffness / self.mu
+        power = jnp.where(share > 0, jnp.where(share > 0, share, 1) ** self.exponent, 0)
+        return velocity * (1 - power * (1 - self.sharing + self.sharing * jnp.sign(velocity * z)))
+
+    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        return self.stiffness * z
+
+    def steady(self, velocity: FloatArray) -> FloatArray:
+        return self.mu * jnp.sign(velocity)
+
+
+class LuGre(_Bristles):
+    """The LuGre model: bristles with a damping, whose steady friction falls with the speed (Stribeck).
+
+    ``z' = v - stiffness |v| z / g(v)``, ``g(v) = mu + (mu_static - mu) exp(-(v / stribeck_speed)^2)``; friction
+    coefficient ``stiffness z + damping z' + viscous v``.
+
+    Source: Canudas de Wit, Olsson, Astrom and Lischinsky 1995, A new model for control of systems with friction, IEEE
+    Trans. Autom. Control 40, 419, equations 1 to 4. Their forces in N are these numbers times the normal force.
+
+    Args:
+        mu: The friction coefficient of the bristles in a fast slip, positive.
+        mu_static: That in a very slow one, at least `mu`.
+        stribeck_speed: The speed over which it falls, m/s, positive.
+        stiffness: Of the bristles: friction coefficient per deflection, 1/m, positive.
+        damping: Of the bristles: friction coefficient per rate of deflection, s/m, zero or positive.
+        viscous: Friction coefficient per speed, s/m, zero or positive.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
+    """
+
+    mu: Annotated[Number, Quantity(meaning=_MU, above=0)]
+    mu_static: Annotated[Number, Quantity(meaning=_STATIC, above=0)]
+    stribeck_speed: Annotated[Number, Quantity("m/s", above=0)]
+    stiffness: Annotated[Number, Quantity("1/m", _BRISTLES, above=0)]
+    damping: Annotated[Number, Quantity("s/m", "of the bristles", at_least=0)] = 0.0
+    viscous: Annotated[Number, Quantity("s/m", "times the speed", at_least=0)] = 0.0
+
+    def check_relations(self) -> None:
+        static_at_least(self.mu, self.mu_static)
+
+    def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
+        return self.mu + (self.mu_static - self.mu) * jnp.exp(-((speed / self.stribeck_speed) ** 2))
+
+    @property
+    def state_scale(self) -> Scalar:
+        return self.mu / self.stiffness
+
+    def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        return velocity - self.stiffness * jnp.abs(velocity) * z / self.limit(velocity)
+
+    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        return self.stiffness * z + self.damping * self.rate(z, velocity) + self.viscous * velocity
+
+    def steady(self, velocity: FloatArray) -> FloatArray:
+        return self.limit(velocity) * jnp.sign(velocity) + self.viscous * velocity
+
+
+class ElastoPlastic(LuGre):
+    """The elasto-plastic model: as `LuGre`, but bristles bent by less than a breakaway deflection do not creep.
+
+    ``z' = v (1 - alpha(z, v) z sign(v) / z_s)`` with ``z_s = g(v) / stiffness``; alpha is 0 while ``|z|`` is below
+    ``breakaway z_s`` or the bristles unbend, 1 beyond z_s, and joins these smoothly by half a wave of a sine.
+
+    Source: Dupont, Hayward, Armstrong and Altpeter 2002, Single state elastoplastic friction models, IEEE Trans.
+    Autom. Control 47, 787, equations 5, 6 and 14.
+
+    Args:
+        mu: As in `LuGre`.
+        mu_static: As in `LuGre`.
+        stribeck_speed: As in `LuGre`.
+        stiffness: As in `LuGre`.
+        damping: As in `LuGre`.
+        viscous: As in `LuGre`.
+        breakaway: The deflection at which the bristles begin to yield, as a share of that of a steady slip, from 0 to
+            below 1.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
+    """
+
+    breakaway: Annotated[Number, Quantity(meaning="deflection that yields, over that of a slip", at_least=0)] = 0.7
+
+    def check_relations(self) -> None:
+        LuGre.check_relations(self)
+        _checks.bounded("breakaway", self.breakaway, at_least=0, below=1)
+
+    def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        share = z * jnp.sign(velocity) * self.stiffness / self.limit(velocity)
+        middle, width = (1 + self.breakaway) / 2, 1 - self.breakaway
+        wave = jnp.clip((share - middle) / width, -0.5, 0.5)
+        alpha = 0.5 * (1 + jnp.sin(jnp.pi * wave))
+        return velocity * (1 - alpha * share)
+
+
+class DieterichRuina(DynamicFriction):
+    """Rate-and-state friction of Dieterich and Ruina: it grows with the logarithm of speed and of contact time.
+
+    With the state variable theta (s) and the inner state ``z = log(reference_speed theta / length)``,
+    ``coefficient = direct asinh(v / (2 reference_speed) exp((mu + evolution z) / direct))``, which for speeds that are
+    not tiny is ``mu + direct log(v / reference_speed) + evolution z``; ageing form: ``theta' = 1 - |v| theta /
+    length``; slip form: ``theta' = -(|v| theta / length) log(|v| theta / length)``.
+
+    Source: Ruina 1983, Slip instability and state variable friction laws, J. Geophys. Res. 88, 10359; the inverse
+    hyperbolic sine: Rice and Ben-Zion 1996, Proc. Natl. Acad. Sci. 93, 3811.
+
+    Args:
+        mu: The friction coefficient of a steady slip at the reference speed, positive.
+        direct: Ruina's a: the growth with the logarithm of the speed, positive.
+        evolution: Ruina's b: with that of the state, zero or positive.
+        length: D_c: the slip in which the state changes, m, positive.
+        reference_speed: m/s, positive.
+        form: "ageing" or "slip".
+
+    Raises:
+        ValueError: For numbers outside these bounds and another `form`.
+    """
+
+    mu: Annotated[Number, Quantity(meaning="friction coefficient at the reference speed", above=0)]
+    direct: Annotated[Number, Quantity(meaning="a: growth with the logarithm of the speed", above=0)]
+    evolution: Annotated[Number, Quantity(meaning="b: growth with the logarithm of the state", at_least=0)]
+    length: Annotated[Number, Quantity("m", "slip in which the state changes", above=0)]
+    reference_speed: Annotated[Number, Quantity("m/s", above=0)]
+    form: Annotated[str, Choice(("ageing", "slip"), "how the state follows the motion")] = eqx.field(
+        static=True, default="ageing"
+    )
+
+    def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        speed, per = jnp.abs(velocity), self.reference_speed / self.length
+        if self.form == "ageing":
+            return per * jnp.exp(-z) - speed / self.length
+        is_slip = speed > 0
+        log = jnp.log(jnp.where(is_slip, speed, 1) / self.reference_speed) + z
+        return jnp.where(is_slip, -speed / self.length * log, 0)
+
+    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        share = velocity / (2 * self.reference_speed)
+        exponent = jnp.asarray((self.mu + self.evolution * z) / self.direct)
+        most = 0.9 * jnp.log(jnp.finfo(exponent.dtype).max)
+        small = jnp.arcsinh(share * jnp.exp(jnp.minimum(exponent, most)))
+        # Beyond, the exponential would overflow: asinh x is log 2 x there.
+        size = jnp.where(share != 0, jnp.abs(share), 1)
+        large = jnp.where(share != 0, jnp.sign(share) * (jnp.log(2 * size) + exponent), 0)
+        return self.direct * jnp.where(exponent < most, small, large)
+
+    def steady(self, velocity: FloatArray) -> FloatArray:
+        """With the state of a steady slip, ``z = -log(|v| / reference_speed)``."""
+        z = -jnp.log(jnp.abs(velocity) / self.reference_speed)
+        return jax.vmap(self.coefficient)(z, velocity) if jnp.ndim(velocity) else self.coefficient(z, velocity)
+
+    @property
+    def initial_state(self) -> Scalar:
+        """That of a steady slip at the reference speed."""
+        return 0.0

@@ -1,0 +1,189 @@
+"""The force of a friction law by itself, under a motion that is prescribed."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from jax import lax
+
+from .. import _checks
+from .. import _diffrax as diffrax
+from .._excitation.recorded import Recorded
+from .._excitation.smooth import Signal
+from .._types import Array, FloatArray, Number
+
+if TYPE_CHECKING:
+    from .dynamic_friction import DynamicFriction
+    from .friction import FrictionLaw
+
+_FEW, _EACH = 4096, 64  # steps that are allowed, and those for each time
+_HALVES = 40  # of the time between two instants, until the turn between them is known
+
+
+def force_of_dynamic(
+    law: "DynamicFriction",
+    times: npt.ArrayLike,
+    velocity: npt.ArrayLike | Recorded | Signal,
+    normal_force: Any,
+    start: Number,
+    rtol: float,
+    max_steps: int | None,
+    adjoint: Any,
+) -> FloatArray:
+    """See `DynamicFriction.force`."""
+    times, motion = _checked(times, velocity)
+    normal = _normal(normal_force, times)
+    _checks.numeric("initial_state", start)
+    _checks.positive("rtol", rtol)
+    most = _FEW + _EACH * len(times) if max_steps is None else _checks.whole_number("max_steps", max_steps)
+    if adjoint is not None and not isinstance(adjoint, diffrax.AbstractAdjoint):
+        raise _checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", adjoint)
+    adjoint = diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint
+    states, done = _states(law, times, motion, jnp.asarray(start, times.dtype), jnp.asarray(rtol), most, adjoint)
+    if not _checks.is_traced(done) and not bool(done):
+        raise ValueError(
+            f"Argument max_steps must be larger, or rtol: {most} steps do not follow the motion to its end at "
+            f"rtol = {rtol:g}."
+        )
+    return normal * jax.vmap(law.coefficient)(states, _velocities(motion, times))
+
+
+@jax.jit
+def _velocities(motion: Any, times: Array) -> FloatArray:
+    return jax.vmap(lambda t: jnp.asarray(_velocity_at(motion, t), times.dtype))(times)
+
+
+def _velocity_at(motion: Any, t: FloatArray) -> FloatArray:
+    """The prescribed velocity at one time."""
+    return jnp.interp(t, *motion) if isinstance(motion, tuple) else motion.value(t)
+
+
+@jax.jit(static_argnames=("most", "adjoint"))
+def _states(
+    law: "DynamicFriction", times: Array, motion: Any, start: FloatArray, rtol: FloatArray, most: int, adjoint: Any
+) -> tuple[FloatArray, Array]:
+    """The inner states at `times`, and whether the integration reached the last of them; NaN beyond."""
+
+    def rates(t, z, _):
+        return law.rate(z, jnp.asarray(_velocity_at(motion, t), times.dtype))
+
+    tolerance = rtol.astype(times.dtype)
+    control = diffrax.PIDController(rtol=tolerance, atol=tolerance * law.state_scale)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(rates), diffrax.Kvaerno5(), times[0], times[-1], None, start,
+        saveat=diffrax.SaveAt(ts=times), max_steps=most, adjoint=adjoint, throw=False,
+        # Steps end at every time: velocities have kinks there, and states between steps are less accurate.
+        stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=times[1:-1]),
+    )  # fmt: skip
+    done = solution.result == diffrax.RESULTS.successful
+    states = jnp.asarray(solution.ys)
+    return jnp.where(jnp.isfinite(states), states, jnp.nan), done
+
+
+def force_of_law(
+    law: "FrictionLaw",
+    times: npt.ArrayLike,
+    velocity: npt.ArrayLike | Recorded | Signal,
+    normal_force: Any,
+    series_stiffness: Number | None,
+    backlash: Number,
+) -> FloatArray:
+    """See `FrictionLaw.force`."""
+    times, motion = _checked(times, velocity)
+    velocities = _velocities(motion, times)
+    if series_stiffness is None:
+        _checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
+        coefficients = jax.vmap(law.slip_coefficient)(velocities)
+        return _normal(normal_force, times) * jnp.where(velocities == 0, jnp.nan, jnp.sign(velocities) * coefficients)
+    _checks.positive("series_stiffness", series_stiffness, "N/m")
+    _checks.bounded("backlash", backlash, "m", at_least=0)
+    _checks.positive("normal_force", normal_force, "N")
+    if not law.constant or law.static_exceeds_kinetic:
+        raise ValueError(
+            "Argument series_stiffness must be None for a friction coefficient that depends on the speed, or that is "
+            f"larger in a stick, but {_checks.show(series_stiffness)} was given: such a slider jumps. Give it a mass: "
+            "write mass, spring and backlash as a SwitchedSystem."
+        )
+    moves = _moves_of_signal(motion, times) if isinstance(motion, Signal) else _moves(times, velocities)
+    most, least = (jnp.asarray(law.slip_coefficient(jnp.full((), sign))) * normal_force for sign in (1.0, -1.0))
+    return _behind_a_spring(moves, most, least, jnp.asarray(series_stiffness), jnp.asarray(backlash) / 2)
+
+
+def _moves(times: Array, velocities: Array) -> Array:
+    """The displacements between two times before and after the instant where a velocity passes zero, (times - 1, 2)."""
+    first, last, h = velocities[:-1], velocities[1:], jnp.diff(times)
+    turns = first * last < 0
+    share = jnp.where(turns, first / jnp.where(turns, first - last, 1), 1)
+    before = jnp.where(turns, first / 2, (first + last) / 2) * share * h
+    return jnp.stack([before, jnp.where(turns, last / 2 * (1 - share) * h, 0)], axis=1)
+
+
+@jax.jit
+def _moves_of_signal(motion: Signal, times: Array) -> Array:
+    """The same of a signal; times must be dense enough that it turns at most once between two."""
+
+    def of_one(t: FloatArray, h: FloatArray) -> FloatArray:
+        first = jnp.asarray(motion.value(t))
+
+        def halved(ends: tuple[FloatArray, FloatArray], _: None) -> tuple[tuple[FloatArray, FloatArray], None]:
+            low, high = ends
+            middle = (low + high) / 2
+            before = jnp.asarray(motion.value(t + middle)) * first > 0
+            return (jnp.where(before, middle, low), jnp.where(before, high, middle)), None
+
+        # Where it does not turn, this ends at h. Near a turn the displacement is flat: its instant need not be exact.
+        (turn, _), _ = lax.scan(halved, (jnp.zeros_like(h), h), None, length=_HALVES)
+        turn = lax.stop_gradient(turn)
+        return jnp.stack([jnp.asarray(part) for part in (motion.integral(t, turn), motion.integral(t + turn, h - turn))])
+
+    return jax.vmap(of_one)(times[:-1], jnp.diff(times))
+
+
+@jax.jit
+def _behind_a_spring(
+    moves: Array, most: FloatArray, least: FloatArray, stiffness: FloatArray, play: FloatArray
+) -> FloatArray:
+    """The force of an elastic slider with a free play of `play` (m) either way: its deflection stops at the limits."""
+
+    def moved(deflection: FloatArray, step: FloatArray) -> tuple[FloatArray, FloatArray]:
+        for part in step:
+            deflection = jnp.clip(deflection + part, -least / stiffness - play, most / stiffness + play)
+        return deflection, deflection
+
+    start = jnp.zeros((), moves.dtype)
+    _, deflections = lax.scan(moved, start, moves)
+    deflections = jnp.append(start, deflections)
+    return stiffness * (deflections - jnp.clip(deflections, -play, play))
+
+
+def _checked(times: npt.ArrayLike, velocity: Any) -> tuple[Array, Any]:
+    """The times, and the motion: a `Recorded`, a `Signal`, or times and velocities at them."""
+    _checks.numeric("times", times, ndim=1)
+    array = jnp.asarray(times, float)
+    if not _checks.is_traced(array) and (len(array) < 2 or np.any(np.diff(array) <= 0)):
+        raise _checks.refused("times", "increase, and be at least 2 (in s)", times)
+    if isinstance(velocity, Signal):
+        return array, velocity
+    if isinstance(velocity, Recorded):
+        if not _checks.is_traced(array) and not (array[0] >= 0 and float(array[-1]) <= velocity.covered_time):
+            raise _checks.refused("times", f"be within the record of {velocity.covered_time:g} s", times)
+        return array, velocity
+    _checks.numeric("velocity", velocity, ndim=1)
+    values = jnp.asarray(velocity, float)
+    if values.shape != array.shape:
+        raise ValueError(
+            f"Argument velocity must have one number for each of the {len(array)} times, but an array of shape "
+            f"{values.shape} was given."
+        )
+    return array, (array, values)
+
+
+def _normal(value: Any, times: Array) -> FloatArray:
+    """The normal force, one number or one for each of the times."""
+    _checks.numeric("normal_force", value, ndim=None)
+    array = jnp.asarray(value, times.dtype)
+    if array.shape not in ((), times.shape) or (not _checks.is_traced(array) and bool(jnp.any(array < 0))):
+        raise _checks.refused("normal_force", "be zero or positive (in N), one number or one for each time", value)
+    return array
