@@ -114,6 +114,26 @@ def test_irregular_motions_share_a_region():
     assert len(attractors) == 2
 
 
+def test_one_motion_far_away_does_not_join_the_others():
+    """What is near is judged by the range of nearly all of them, and by the size of the usual one."""
+    places = np.append(np.repeat([0.0, 1.0], 20), 1e6)
+    states = np.tile(places[:, None, None], (1, 4, 1))
+    labels, _ = matched(
+        states, sizes_of(states), np.ones(41, int), np.zeros(41, bool), lambda i: states[i], (None,), 1e-3, 10
+    )
+    np.testing.assert_array_equal(labels, np.append(np.repeat([0, 1], 20), 2))
+
+
+def test_round_off_does_not_part_motions():
+    """At rest they differ in their velocities of 1e-17 m/s, but these have been of 1 m/s."""
+    states = np.ones((3, 4, 2))
+    states[..., 1] = 1e-17 * np.arange(3)[:, None]
+    labels, _ = matched(
+        states, np.ones((3, 2)), np.ones(3, int), np.zeros(3, bool), lambda i: states[i], (None, None), 1e-3, 10
+    )
+    np.testing.assert_array_equal(labels, 0)
+
+
 def test_motions_that_ended_early_belong_to_none():
     states = np.zeros((3, 4, 2))
     states[1, 2:] = np.nan

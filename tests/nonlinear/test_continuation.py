@@ -6,9 +6,13 @@ import math
 import numpy as np
 import pytest
 from scipy.optimize import brentq, fsolve, minimize_scalar
+from support.turning import DRAG, FAR, Disc
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
+from stickslip_jax.nonlinear._branch_function import Equations, Evaluated
+from stickslip_jax.nonlinear._branch_points import Point, change_of_modes
+from stickslip_jax.nonlinear._continuation import _Branch
 from stickslip_jax.nonlinear._modes import Mode, sequence, stick_count
 
 BELT = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.5, mu_static=1.0, stribeck_speed=0.5), damping=0.1)
@@ -208,6 +212,50 @@ def test_flip_and_fold_of_a_spring_without_friction_are_none():
     np.testing.assert_allclose(branch.points.period, period, rtol=1e-12)
     size = np.hypot(branch.points.multiplier_real[:, 0], branch.points.multiplier_imag[:, 0])
     np.testing.assert_allclose(size, np.exp(-0.1 * period), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_branch_of_a_disc_that_turns():
+    """Its orbit closes after one turn, whatever the torque."""
+    orbit = nonlinear.periodic_orbit(Disc(3.0), FAR, y0=(0.5, 1.4), period=4.0)
+    branch = nonlinear.continue_orbit(orbit, "torque", until=3.1, step=0.5)
+    assert branch.ending == "torque reached 3.1"
+    np.testing.assert_allclose(branch.points.period, 2 * np.pi * DRAG / branch.points.torque, rtol=1e-12)
+
+
+class Circle(Equations):
+    """The unit circle of a number of the state and a parameter, in place of the equations of an orbit."""
+
+    modes = (Mode((1,), 0.0, 0.5), Mode((0,), 0.5, 1.0))
+
+    def __init__(self):
+        self.names, self.driven, self.itemsize = ("position",), True, 8
+
+    def at(self, unknowns, plane):
+        return Evaluated(np.array([np.dot(unknowns, unknowns) - 1]), 2 * unknowns[None], 1.0, self.modes, 1)
+
+    def point(self, angle):
+        """The point at an angle, its tangent toward larger ones."""
+        unknowns = np.array([math.cos(angle), math.sin(angle)])
+        return Point(unknowns, self.at(unknowns, None), np.array([-math.sin(angle), math.cos(angle)]), 1)
+
+
+def test_events_are_located_where_a_branch_turns_far_between_two_points():
+    """An event at a right angle, between points at 0 and 120 degrees: straight on from the first, nothing is found."""
+    circle = Circle()
+    branch = _Branch(circle, np.ones(2), "speed", np.array([1.0, 0.0]), 2.0, 0.1)
+    branch._moved(np.array([1.0, 0.0]))
+    found, text = branch._located(circle.point(0), circle.point(2 * math.pi / 3), lambda point: point.unknowns[0] > 0)
+    assert text == ""
+    np.testing.assert_allclose(found.unknowns, [0, 1], atol=1e-9)
+
+
+def test_a_mode_that_passes_the_begin_of_the_period_is_told():
+    """The sequence of modes remains, but that the period begins with another one is a corner of the branch."""
+    slips = Circle().point(0)
+    sticks = Point(slips.unknowns, slips.found._replace(modes=Circle.modes[::-1]), slips.tangent, 1)
+    assert change_of_modes(slips, sticks) is None
+    assert slips.order != sticks.order
 
 
 def test_sequence_of_modes():

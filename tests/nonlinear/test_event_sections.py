@@ -5,6 +5,7 @@ import math
 import jax
 import numpy as np
 import pytest
+from support.turning import FAR, Disc
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
@@ -123,6 +124,15 @@ def test_an_angle_passes_its_value_in_each_turn():
     turns = np.floor((np.asarray(one.evaluate(times)[0]) - 1.0) / period)
     passed = times[1:][np.diff(turns) > 0][1:7]
     np.testing.assert_allclose(section.time, passed, atol=2 * times[1])
+
+
+def test_an_angle_does_not_pass_its_value_half_a_turn_away():
+    """In either direction, a disc that turns evenly passes it once in each turn."""
+    section = nonlinear.event_section(
+        Disc(3.0), FAR, nonlinear.Crossing("angle", 1.0, 0), y0=(0.0, 1.5), transient=1, kept=3, progress=False
+    )
+    np.testing.assert_allclose(section.time, (1 + 2 * np.pi * np.arange(1, 4)) / 1.5, rtol=1e-12)
+    np.testing.assert_allclose(section.angle, 1.0, atol=1e-12)
 
 
 def test_events_that_are_missing_are_told():

@@ -9,6 +9,7 @@ import pytest
 from reference.event_driven import den_hartog_amplitude
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from support.turning import DRAG, FAR, Disc
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
@@ -147,6 +148,14 @@ def test_whole_turns_of_angles_do_not_count():
     np.testing.assert_array_equal(back, np.eye(3))
 
 
+def test_orbit_of_a_disc_that_turns():
+    """It closes after one turn, and a change of its rate decays as the drag has it."""
+    orbit = nonlinear.periodic_orbit(Disc(3.0), FAR, y0=(0.5, 1.4), period=4.0)
+    assert bool(orbit.converged)
+    assert float(orbit.period) == pytest.approx(2 * math.pi / 1.5, rel=1e-12)
+    np.testing.assert_allclose(orbit.multipliers, [1, math.exp(-DRAG * 2 * math.pi / 1.5)], atol=1e-11)
+
+
 METHOD = ss.Exact(max_steps=1024)
 
 
@@ -194,6 +203,13 @@ def test_a_bad_guess_of_the_period_gives_the_orbit_or_none(period):
     assert not bool(found.converged) or (turns > 0.5 and abs(turns - round(turns)) < 1e-9)
 
 
+def test_a_step_to_a_negative_period_is_shortened():
+    """After no time the motion is where it began, which is no orbit: Newton's method goes back to times that are."""
+    found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.3, -0.1), period=18.0)
+    assert bool(found.converged)
+    assert float(found.period) == pytest.approx(12.001031294829, abs=1e-10)
+
+
 @pytest.mark.parametrize("period", [2.0, 6.3, None])
 def test_an_equilibrium_is_no_orbit(period):
     # It comes back after any time, the unstable steady slip of the belt too.
@@ -210,6 +226,13 @@ def test_an_equilibrium_is_no_orbit(period):
 
 def test_an_orbit_that_takes_too_many_steps_is_not_taken_for_one():
     found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.0, 0.2), period=12.0, method=ss.Exact(max_steps=20))
+    assert not bool(found.converged)
+
+
+def test_a_part_of_the_period_of_the_drive_is_not_taken_for_all_of_it():
+    """The motion until the steps run out has a fixed point too."""
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.2), damping=5.0, force=ss.Harmonic(1.0, 0.7))
+    found = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(0.1, 0.05), method=ss.Exact(max_steps=2))
     assert not bool(found.converged)
 
 

@@ -124,6 +124,13 @@ def test_recurrence_is_judged_by_the_size_of_each_motion_alone():
     np.testing.assert_array_equal(recurrence(states[:1], np.array([[1.0]]), 1e-2, (None,)), [1])
 
 
+def test_round_off_of_a_small_number_does_not_hide_that_a_motion_recurs():
+    """A velocity of 1e-17 m/s beside a position of 0.5 m is zero."""
+    velocity = 1e-17 * np.random.default_rng(0).normal(size=8)
+    states = np.stack([np.full(8, 0.5), velocity], axis=1)[None]
+    np.testing.assert_array_equal(recurrence(states, np.zeros((1, 2)), 1e-6, (None, None)), [1])
+
+
 def test_subharmonic_motion_is_found():
     # Without friction and damping, released at rest with the force at a third of its frequency away from the mean.
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0))
