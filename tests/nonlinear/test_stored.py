@@ -136,6 +136,16 @@ def test_folders_that_hold_something_else_are_refused(tmp_path):
         CALLS["section"](folder="")
 
 
+def test_a_block_of_another_call_is_not_taken(tmp_path):
+    """It may have been copied into the folder, and has the name and the sizes of the one that it replaced."""
+    CALLS["section"](folder=tmp_path / "mine")
+    CALLS["section"](folder=tmp_path / "other", y0=(0.3, 0.2))
+    name = "block-000001.block"
+    (tmp_path / "mine" / name).write_bytes((tmp_path / "other" / name).read_bytes())
+    with pytest.raises(ss.SweepError, match=f"{name} cannot be read, or is of another call"):
+        CALLS["section"](folder=tmp_path / "mine")
+
+
 def test_a_folder_in_use_is_refused(tmp_path):
     from stickslip_jax._sweep.locking import locked  # noqa: PLC0415
 
