@@ -116,6 +116,11 @@ def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
     base = merged(base, t1)
     if isinstance(method, Regularized):
         return Smoothed(Arguments(system, base, method, t1))
+    if system.inner_states:
+        raise ValueError(
+            "Argument method must be Regularized() for friction laws with an inner state, but Exact() was given: they "
+            "have no exact stick. Their sticks are the times in which the relative velocity stays below a threshold."
+        )
     exact = Arguments(system, base, method, t1)
     is_steady = isinstance(base, Motion) and base.is_piecewise_constant
     if is_steady and system.has_interval_form and method.step is None and method.solver is None:

@@ -17,6 +17,7 @@ from .._dynamics.switched.run import Beginnings, state_in_step
 from .._events.sticks import Sticks
 from .._status import Ending
 from .._systems import energy
+from .._systems.inner_states import InnerStates
 from .._systems.one_contact import OneContactModel
 from .._systems.switched_model import F
 from .._types import Array, BoolScalar, FloatScalar, Scalar, State
@@ -80,10 +81,25 @@ def _sum(terms: energy.Terms) -> FloatScalar:
 
 def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float[Array, "*times"]:
     """The friction force of a `Simulation` at `times`; see there."""
+    inner = one.system.inner_model(one._path.smooth)
+    if inner is not None and inner.contacts is None:
+        found = _inner_forces(inner, one._path, one.time_reached, times.reshape(-1))
+        return found.reshape(times.shape)
     model = one.system.one_contact_model(one._path.smooth, None)
     energy.require_known(one.system, model, "friction_force")
     found = _forces(model, one._path, one.method, one.sticks, one.time_reached, times.reshape(-1))
     return found.reshape(times.shape)
+
+
+@jax.jit
+def _inner_forces(model: InnerStates, path: Path, last: FloatScalar, times: Times) -> Times:
+    def at(time: FloatScalar) -> FloatScalar:
+        y, forcing = path.state(time), model.forcing(time, path.segments(time))
+        coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
+        force = energy.friction_force(model.inner, y[:-1], coefficient)
+        return jnp.where((time >= 0) & (time <= last), force, jnp.nan)
+
+    return jax.vmap(at)(times)
 
 
 @jax.jit
@@ -93,6 +109,7 @@ def _forces(
     def at(time: FloatScalar) -> FloatScalar:
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
         if isinstance(method, Regularized):
+            assert method.width is not None
             speed = model.relative_velocity(forcing, jnp.zeros_like(time), y)
             coefficient = Switch(method.width, method.shape).coefficient(model.friction, speed)
         else:

@@ -125,6 +125,10 @@ class ContactsModel(SwitchedModel[F]):
         """The normal forces that vary, N; asked only where some do."""
         raise NotImplementedError("of models in which none does")
 
+    def normal_forces_at(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
+        """The normal forces of all contacts, N; asked only where friction laws have inner states."""
+        raise NotImplementedError("of models of friction laws with inner states")
+
     def normal_scale(self, forcing: F, y: State) -> FloatArray:
         """The sizes of the terms that add up to `varying_normal_forces`; asked only where some do."""
         raise NotImplementedError("of models in which none does")

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from .. import _checks
 from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
-from .._fields import Checked, Choice, Quantity
+from .._fields import Choice, Quantity
 from .._types import FloatArray, FloatScalar, Number, Scalar
-from .friction import static_at_least
+from .friction import FrictionLaw, static_at_least
 from .prescribed import force_of_dynamic
 
 _MU = "friction coefficient of a fast slip"
@@ -24,7 +24,7 @@ _STATIC = "largest friction coefficient of a slow slip, at least mu"
 _BRISTLES = "of the bristles: friction coefficient per deflection"
 
 
-class DynamicFriction(Checked):
+class DynamicFriction(FrictionLaw):
     """Base class of friction laws with one inner state. Subclass it for one of your own.
 
     The inner state is zero at rest, unless `initial_state` says otherwise.
@@ -47,7 +47,19 @@ class DynamicFriction(Checked):
         """The inner state of a contact at rest."""
         return 0.0
 
-    def force(
+    @property
+    def inner_state(self) -> str | None:
+        return "inner state"
+
+    def check_relations(self) -> None:
+        """Nothing, unless a law has something to check."""
+
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
+        """The coefficient of a steady slip at this speed; at the speed zero, the static one."""
+        moves = speed > 0
+        return jnp.where(moves, self.steady(jnp.where(moves, speed, 1)), self.static)
+
+    def force(  # pyright: ignore[reportIncompatibleMethodOverride] - other options than laws of the speed have
         self,
         times: npt.ArrayLike,
         velocity: npt.ArrayLike | Recorded | Signal,
@@ -92,14 +104,13 @@ class DynamicFriction(Checked):
 class _Bristles(DynamicFriction):
     """Bristles whose deflection z (m) follows the motion, up to that of a steady slip."""
 
+    @property
+    def inner_state(self) -> str | None:
+        return "deflection in m"
+
     @abc.abstractmethod
     def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
         """The friction coefficient of the bristles in a steady slip at this speed."""
-
-    @property
-    @abc.abstractmethod
-    def state_scale(self) -> Scalar:
-        """The deflection of a steady slip, m."""
 
 
 class Dahl(_Bristles):
@@ -122,6 +133,10 @@ class Dahl(_Bristles):
     exponent: Annotated[Number, Quantity(meaning="how sharply the spring yields", above=0)] = 1.0
 
     def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
+        return self.mu
+
+    @property
+    def static(self) -> Scalar:
         return self.mu
 
     @property
@@ -173,6 +188,10 @@ class BoucWen(_Bristles):
         return self.mu
 
     @property
+    def static(self) -> Scalar:
+        return self.mu
+
+    @property
     def state_scale(self) -> Scalar:
         return self.mu / self.stiffness
 
@@ -221,6 +240,10 @@ class LuGre(_Bristles):
 
     def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-((speed / self.stribeck_speed) ** 2))
+
+    @property
+    def static(self) -> Scalar:
+        return self.mu_static
 
     @property
     def state_scale(self) -> Scalar:
@@ -304,6 +327,11 @@ class DieterichRuina(DynamicFriction):
     form: Annotated[str, Choice(("ageing", "slip"), "how the state follows the motion")] = eqx.field(
         static=True, default="ageing"
     )
+
+    @property
+    def static(self) -> Scalar:
+        """The coefficient at the reference speed: this law has none of a stick."""
+        return self.mu
 
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         speed, per = jnp.abs(velocity), self.reference_speed / self.length

@@ -89,6 +89,11 @@ class FrictionLaw(Checked):
         return type(self).static_after is not FrictionLaw.static_after
 
     @property
+    def inner_state(self) -> str | None:
+        """Name and unit of the inner state, of laws that have one ("deflection in m"); None for all others."""
+        return None
+
+    @property
     def growth_time(self) -> Scalar | None:
         """The shortest age (s) at which static friction has grown noticeably; None if it is not known."""
         return None

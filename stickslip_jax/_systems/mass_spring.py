@@ -34,12 +34,24 @@ from .built_in import is_built_in
 from .composed_friction import AtAge
 from .contact import Contact
 from .friction import FrictionLaw, times_of_slips
+from .inner_states import InnerStates, inner_scales, with_inner_states
 from .normal_force import NormalForceQuantity, is_function, recorded_in
 from .one_contact import OneContactModel
 from .steady_response import check_no_resonance, steady_response
 from .structure import LinearStructure, StructureModel
 from .switched_model import Base, FloatPair, Segments, base_motion, with_change
-from .system import AGE, PERIOD, SOFT, SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period
+from .system import (
+    AGE,
+    PERIOD,
+    SOFT,
+    SOLVED,
+    Coordinate,
+    StepCount,
+    System,
+    TimeScale,
+    inner_states_of,
+    shortest_period,
+)
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)
@@ -148,7 +160,16 @@ class MassSpring(System):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return Coordinate("position", "m", "x"), Coordinate("velocity", "m/s", r"\dot x"), *self.ages
+        return (
+            Coordinate("position", "m", "x"),
+            Coordinate("velocity", "m/s", r"\dot x"),
+            *self.ages,
+            *self.inner_states,
+        )
+
+    @property
+    def inner_states(self) -> tuple[Coordinate, ...]:
+        return inner_states_of((self.friction,), listed=False)
 
     @property
     def ages(self) -> tuple[Coordinate, ...]:
@@ -205,6 +226,12 @@ class MassSpring(System):
             model = SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
         return with_ages(model, 2, self.friction.grows, self.friction.growth_time)
 
+    def inner_model(self, smooth: Signal | None) -> InnerStates | None:
+        structure = self._as_structure
+        if structure is not None:
+            return structure.inner_model(smooth)
+        return with_inner_states(SolverOscillatorModel(self, smooth, diffrax.Dopri8(), False), 2, (self.friction,))
+
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         structure = self._as_structure
         if structure is not None:
@@ -237,7 +264,7 @@ class MassSpring(System):
             return structure.state_scales(excitation)
         speed, _ = self.contact_scales
         assert speed is not None
-        return speed * self._clock, speed, *(self._clock for _ in self.ages)
+        return speed * self._clock, speed, *(self._clock for _ in self.ages), *inner_scales((self.friction,))
 
     @property
     def _clock(self) -> Scalar:

@@ -136,7 +136,9 @@ def _moves_of_signal(motion: Signal, times: Array) -> Array:
         # Where it does not turn, this ends at h. Near a turn the displacement is flat: its instant need not be exact.
         (turn, _), _ = lax.scan(halved, (jnp.zeros_like(h), h), None, length=_HALVES)
         turn = lax.stop_gradient(turn)
-        return jnp.stack([jnp.asarray(part) for part in (motion.integral(t, turn), motion.integral(t + turn, h - turn))])
+        return jnp.stack(
+            [jnp.asarray(part) for part in (motion.integral(t, turn), motion.integral(t + turn, h - turn))]
+        )
 
     return jax.vmap(of_one)(times[:-1], jnp.diff(times))
 

@@ -20,11 +20,12 @@ from .ageing_model import AgeingContacts, with_ages
 from .composed_friction import least
 from .contact import Contact, entries_of, numbers_of
 from .contact_forces import Uncoupled
+from .inner_states import InnerStates, inner_scales, with_inner_states
 from .normal_force import NormalForce, largest_of, periods_of, recorded_in
 from .structure_arcs import ArcsModel
 from .structure_checks import check_structure, is_uncoupled
 from .structure_model import Matrices, StructureModel
-from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, ages_of, shortest_period
+from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, ages_of, inner_states_of, shortest_period
 from .with_contacts import WithContacts
 
 
@@ -96,7 +97,11 @@ class LinearStructure(WithContacts):
         numbers = range(1, self.size + 1)
         positions = [Coordinate(f"{name} {i}", unit, f"{symbol}_{{{i}}}") for i in numbers]
         rates = (Coordinate(f"{rate} {i}", f"{unit}/s", rf"\dot {symbol}_{{{i}}}") for i in numbers)
-        return *positions, *rates, *self.ages
+        return *positions, *rates, *self.ages, *self.inner_states
+
+    @property
+    def inner_states(self) -> tuple[Coordinate, ...]:
+        return inner_states_of([contact.friction for contact in self.contacts], listed=True)
 
     @property
     def ages(self) -> tuple[Coordinate, ...]:
@@ -115,6 +120,13 @@ class LinearStructure(WithContacts):
         model = kind(solver=solver, smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest)
         times = [contact.friction.growth_time for contact in self.contacts if contact.friction.grows]
         return with_ages(model, 2 * self.size, bool(times), least(*times))
+
+    def inner_model(self, smooth: Signal | None) -> InnerStates | None:
+        matrices = self.matrices
+        model = StructureModel(
+            solver=diffrax.Dopri8(), smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest
+        )
+        return with_inner_states(model, 2 * self.size, tuple(contact.friction for contact in self.contacts))
 
     def _has_arcs(self, smooth: Signal | RandomSignal | None) -> bool:
         """Whether every mode is linear with constant coefficients, under forces of which power series are known."""
@@ -211,7 +223,12 @@ class LinearStructure(WithContacts):
             return super().state_scales(excitation)
         clocks = self._clocks
         ages = (jnp.max(clocks),) * len(self.ages)
-        return (jnp.max(speed * clocks),) * self.size + (jnp.max(speed),) * self.size + ages
+        return (
+            (jnp.max(speed * clocks),) * self.size
+            + (jnp.max(speed),) * self.size
+            + ages
+            + inner_scales(tuple(contact.friction for contact in self.contacts))
+        )
 
     @property
     def body_name(self) -> str:

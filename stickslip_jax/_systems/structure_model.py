@@ -147,6 +147,9 @@ class StructureModel(ContactsModel[StructureForcing]):
         now = self._normal_forces(forcing, jnp.zeros_like(forcing.t))
         return jnp.stack([size_of(self.structure.normal_forces[number], now[number]) for number in self.varying])
 
+    def normal_forces_at(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> FloatArray:
+        return self._normal_forces(forcing, tau)
+
     def _normal_forces(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
         recorded = forcing.normal + tau * forcing.normal_slope
         return values_at(self.structure.normal_forces, forcing.t + tau, recorded)

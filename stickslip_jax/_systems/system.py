@@ -2,6 +2,7 @@
 
 import abc
 import math
+from collections.abc import Sequence
 from typing import NamedTuple, TypeVar, cast
 
 import jax.numpy as jnp
@@ -16,6 +17,8 @@ from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Checked
 from .._types import AnyArray, Array, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
+from .friction import FrictionLaw
+from .inner_states import InnerStates
 from .one_contact import OneContactModel
 from .switched_model import SwitchedModel
 
@@ -63,6 +66,12 @@ class Coordinate(NamedTuple):
 
 
 AGE = Coordinate("age of the stick", "s", r"\tau")
+
+
+def inner_states_of(laws: Sequence[FrictionLaw], *, listed: bool) -> tuple[Coordinate, ...]:
+    """The inner states of these friction laws, of a list of contacts or of a single one."""
+    names = [Coordinate.of(law.inner_state) for law in laws if law.inner_state is not None]
+    return tuple(one._replace(name=f"{one.name} {i}") if listed else one for i, one in enumerate(names, start=1))
 
 
 def ages_of(contacts: int) -> tuple[Coordinate, ...]:
@@ -119,6 +128,17 @@ class System(Checked):
     def ages(self) -> tuple[Coordinate, ...]:
         """The ages of sticks, of each contact, where friction depends on them: the last of its `coordinates`."""
         return ()
+
+    @property
+    def inner_states(self) -> tuple[Coordinate, ...]:
+        """The inner states of friction laws that have one, of each contact: the last of its `coordinates`."""
+        return ()
+
+    def inner_model(self, smooth: Signal | None) -> InnerStates | None:
+        """The system under one realisation of the smooth excitation with the `inner_states` of its friction laws; None
+        if they have none.
+        """
+        return None
 
     def ready(self) -> "System":
         """The same system, with what its `switched_model` needs of linear algebra done: for loops that make it in each

@@ -54,7 +54,8 @@ class Regularized(eqx.Module):
     optimisers that need a smooth field. Errors and run times: ``docs/regularized.md``.
 
     - `width`: the relative velocity over which friction changes its sign, m/s, positive. For a `MotorCart`,
-      ``eccentricity`` times angular velocity; for a `SwitchedSystem`, in the unit of its relative velocity.
+      ``eccentricity`` times angular velocity; for a `SwitchedSystem`, in the unit of its relative velocity. None for
+      friction laws with an inner state such as `LuGre`, which are smooth by themselves: ``Regularized()``.
     - `shape`: "linear" (up to one width, then constant), "tanh", "rational" (``s/sqrt(1 + s^2)``) or "arctan"
       (``2/pi atan``), of ``s = v_rel / width``. "linear" is the most accurate and cheapest; the others are smooth.
     - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Of a `MotorCart`, a
@@ -72,7 +73,8 @@ class Regularized(eqx.Module):
       step under ``jit`` or ``grad`` where `t1` is traced.
     - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep velocity at which a
       mass is released: one width where static friction exceeds kinetic friction, else that or a little more
-      (`Switch.creep`).
+      (`Switch.creep`). Of laws with an inner state, a thousandth of what friction changes of the velocity in the time
+      of one radian.
     - `minimum_duration`: shortest time below the threshold that counts as a stick, s; by default ten times the time in
       which friction stops a mass at the threshold (a mass that passes through takes less), at least two fixed steps. Of
       several contacts it may be an array (contacts,), as the threshold; all at once stick for the longest of them.
@@ -84,7 +86,7 @@ class Regularized(eqx.Module):
     not positive, an unknown shape, an unsuitable solver, and options that exclude each other.
     """
 
-    width: Scalar
+    width: Scalar | None = None
     shape: str = eqx.field(static=True, default="linear")
     step: Scalar | None = eqx.field(default=None, kw_only=True)
     solver: Any = eqx.field(static=True, default=None, kw_only=True)
@@ -96,7 +98,8 @@ class Regularized(eqx.Module):
     adjoint: Any = eqx.field(static=True, default=None, kw_only=True)
 
     def __check_init__(self):
-        _checks.positive("width", self.width, "m/s")
+        if self.width is not None:
+            _checks.positive("width", self.width, "m/s")
         if not isinstance(self.shape, str) or self.shape not in SHAPES:
             near = difflib.get_close_matches(self.shape, SHAPES, 1, 0.4) if isinstance(self.shape, str) else []
             guess = f"; did you mean {near[0]!r}?" if near else "."

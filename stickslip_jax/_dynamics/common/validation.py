@@ -93,11 +93,12 @@ def check_method(method: object) -> None:
 
 
 def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
-    """The initial state `y0` of `system`, checked; zeros if `y0` is None, and for ages of sticks that it leaves out."""
-    meaning, ages = tuple(coordinate.meaning for coordinate in system.coordinates), len(system.ages)
+    """The initial state `y0` of `system`, checked; zeros if `y0` is None, and for ages and inner states left out."""
+    meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
+    remembered = len(system.ages) + len(system.inner_states)
     given = (0.0,) * len(meaning) if y0 is None else y0
-    without_ages = ages and hasattr(given, "__len__") and len(given) == len(meaning) - ages
-    entries = _checks.entries("y0", (*given, *(0.0,) * ages) if without_ages else given, meaning)
+    is_short = remembered and hasattr(given, "__len__") and len(given) == len(meaning) - remembered
+    entries = _checks.entries("y0", (*given, *(0.0,) * remembered) if is_short else given, meaning)
     check_fixed(y0=entries)
     numbers = _checks.state("y0", entries, meaning)
     system.check_state(numbers)

@@ -24,6 +24,7 @@ from ..common.tracks import of_track
 from ..common.varying import with_leaves
 from .contacts_field import ContactsField
 from .field import Field
+from .inner_field import InnerField
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of
 from .stepping import FixedLane, advance_fixed, start_fixed
 from .stick_detector import Criterion, StickDetector
@@ -68,7 +69,7 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
         words, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
         segment_states = tuple(first_segment(law, words, dtype) for law in segment_laws.all)
-        field = field_of(self.system, smooth, self.method)
+        field = switched_field(self.system, smooth, self.method)
         criterion = criterion_of(self.method)
         return smooth, start_fixed(field, segment_laws, criterion, segment_states, y0, dtype, self.quantities)
 
@@ -80,7 +81,7 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
     def step(
         self, shared: FixedShared, sample: Signal | None, motion: FixedLane, drawn: None
     ) -> tuple[FixedLane, StickRecord]:
-        lane, stick, _ = advance_fixed(field_of(self.system, sample, self.method), *shared, motion)
+        lane, stick, _ = advance_fixed(switched_field(self.system, sample, self.method), *shared, motion)
         return lane, of_track(stick, self.system)
 
     def ended(self, motion: FixedLane, before: FixedLane) -> BoolArray:
@@ -158,8 +159,15 @@ def solve_batch(
     return _results(detectors, batch.system, statuses), records
 
 
-def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field | ContactsField:
+def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field | ContactsField | InnerField:
     """The regularised field of `system` under a realised smooth excitation."""
+    inner = system.inner_model(smooth)
+    return switched_field(system, smooth, method) if inner is None else InnerField(inner)
+
+
+def switched_field(system: System, smooth: Signal | None, method: Regularized) -> Field | ContactsField:
+    """The same of friction laws without inner states, which fixed steps can follow too."""
+    assert method.width is not None
     model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
     if isinstance(model, ContactsModel):
         return ContactsField(model, switch, criterion_of(method).threshold, system.static_exceeds_kinetic)

@@ -28,7 +28,7 @@ from ..common.segments import SegmentLaws
 from ..common.stopping_scan import padded_length, stopping_scan
 from ..common.time_scales import max_steps_advice, step_for
 from ..common.tracks import sticks_and_totals
-from .engine import criterion_of, field_of
+from .engine import criterion_of, field_of, switched_field
 from .settings import as_arrays, fixed_steps, resolved
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of, table_sizes
 from .stepping import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
@@ -136,7 +136,7 @@ def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRe
     system, excitation, method, t1, y0 = setting
     dtype = t1.dtype
     field, segment_laws, criterion = (
-        field_of(system, excitation.signal, method),
+        switched_field(system, excitation.signal, method),
         SegmentLaws.of(system, excitation),
         criterion_of(method),
     )

@@ -20,6 +20,7 @@ from .switch import Switch
 
 _MOST_ADAPTIVE_STEPS = 16384
 _TRIES, _FEW = 2, 256  # of shortened steps
+_SLOW = 1e-3  # of the velocity that friction changes: the threshold of laws with an inner state
 
 
 def resolved(system: System, excitation: Excitation, method: Regularized, dtype) -> Regularized:
@@ -33,10 +34,13 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             f"{_checks.show(method)} was given: smoothed friction has no stick whose age is known."
         )
     check_contacts(system, method)
-    width = jnp.asarray(method.width, dtype)
+    inner = bool(system.inner_states)
+    _check_width(method, inner)
+    width = None if method.width is None else jnp.asarray(method.width, dtype)
     speed, deceleration = system.contact_scales
     # Static friction above kinetic friction holds a mass up to one width.
-    scales = {"threshold": width if system.static_exceeds_kinetic else speed, "minimum_duration": deceleration}
+    known = width if system.static_exceeds_kinetic and not inner else speed
+    scales = {"threshold": known, "minimum_duration": deceleration}
     for name, known in scales.items():
         if getattr(method, name) is None and known is None:
             own = "; or give it the properties speed_scale and shortest_time" if hasattr(system, "speed_scale") else ""
@@ -46,7 +50,11 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             )
     threshold = method.threshold
     if threshold is None:
-        threshold = width if system.static_exceeds_kinetic else Switch(width, method.shape).creep(jnp.asarray(speed))
+        if width is None:
+            threshold = _SLOW * jnp.asarray(speed)
+        else:
+            held = system.static_exceeds_kinetic
+            threshold = width if held else Switch(width, method.shape).creep(jnp.asarray(speed))
     duration = method.minimum_duration
     if duration is None:
         assert deceleration is not None
@@ -75,6 +83,20 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         minimum_duration=jnp.asarray(duration, dtype),
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,
     )
+
+
+def _check_width(method: Regularized, inner: bool) -> None:
+    """Check the width, and the step of laws with an inner state. Raises ValueError for what does not fit."""
+    if inner and (method.width is not None or method.step is not None):
+        raise ValueError(
+            "Argument method must be Regularized() without a width and a step for friction laws with an inner state, "
+            f"which are smooth by themselves and stiff, but {_checks.show(method)} was given."
+        )
+    if not inner and method.width is None:
+        raise ValueError(
+            "Argument width must be positive (in m/s), but None was given; only friction laws with an inner state, "
+            "such as LuGre, need none."
+        )
 
 
 def check_contacts(system: System, method: Regularized) -> None:

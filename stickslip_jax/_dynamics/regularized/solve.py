@@ -21,6 +21,7 @@ from ..common.segments import SegmentLaws
 from .contacts_field import ContactsField
 from .controller import step_control
 from .field import Field
+from .inner_field import InnerField
 from .stepping import Passage
 from .stick_detector import Criterion, StickDetector
 
@@ -114,7 +115,12 @@ class Solution(NamedTuple):
 
 
 def solve_adaptive(
-    field: Field | ContactsField, tables: Tables, t1: FloatArray, y0: tuple[Number, ...], how: Solver, max_steps: int
+    field: Field | ContactsField | InnerField,
+    tables: Tables,
+    t1: FloatArray,
+    y0: tuple[Number, ...],
+    how: Solver,
+    max_steps: int,
 ) -> Solution:
     """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, accepted or not."""
     dtype = t1.dtype
@@ -143,7 +149,11 @@ def solve_adaptive(
 
 
 def start_detection(
-    field: Field | ContactsField, tables: Tables, criterion: Criterion, y: Array, quantities: tuple[str, ...]
+    field: Field | ContactsField | InnerField,
+    tables: Tables,
+    criterion: Criterion,
+    y: Array,
+    quantities: tuple[str, ...],
 ) -> StickDetector:
     """The stick detector at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
     zero = jnp.zeros((), y.dtype)
@@ -152,7 +162,7 @@ def start_detection(
 
 
 def detect_in_step(
-    field: Field | ContactsField,
+    field: Field | ContactsField | InnerField,
     tables: Tables,
     criterion: Criterion,
     t1: FloatArray,

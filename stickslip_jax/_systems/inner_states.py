@@ -1,0 +1,107 @@
+"""Systems whose contacts have friction laws with inner states, which are further numbers of the state.
+
+Such friction is smooth: the rates of the state follow from it everywhere, and there are no modes.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._types import Array, DType, FloatArray, FloatScalar, Number, Scalar, State
+from .contacts_model import ContactsModel
+from .dynamic_friction import DynamicFriction
+from .friction import FrictionLaw
+from .one_contact import OneContactModel
+
+
+def with_inner_states(
+    model: OneContactModel | ContactsModel, size: int, laws: tuple[FrictionLaw, ...]
+) -> "InnerStates | None":
+    """The `model`, of `size` numbers, with the inner states of these `laws`; None if they have none.
+
+    Raises ValueError where some have and others do not.
+    """
+    dynamic = tuple(law for law in laws if isinstance(law, DynamicFriction))
+    if not dynamic:
+        return None
+    if len(dynamic) < len(laws):
+        raise ValueError(
+            f"Argument contacts must all have friction laws with an inner state, or none, but {len(dynamic)} of "
+            f"{len(laws)} have one: a mass that rubs on two of them sticks exactly, or it does not."
+        )
+    return InnerStates(model, dynamic, size)
+
+
+def inner_scales(laws: tuple[FrictionLaw, ...]) -> tuple[Scalar, ...]:
+    """The typical sizes of the inner states of these laws."""
+    return tuple(law.state_scale for law in laws if isinstance(law, DynamicFriction))
+
+
+class InnerStates(eqx.Module):
+    """The model `inner` with `size` numbers in its state, followed by the inner states of the `laws` of its contacts.
+
+    With several contacts they are one array (contacts,), with one contact a scalar.
+    """
+
+    inner: OneContactModel | ContactsModel
+    laws: tuple[DynamicFriction, ...]
+    size: int = eqx.field(static=True)
+
+    @property
+    def contacts(self) -> int | None:
+        """As of every model."""
+        return self.inner.contacts
+
+    @property
+    def varying(self) -> tuple[int, ...]:
+        """The contacts of a list whose normal forces vary."""
+        return self.inner.varying if isinstance(self.inner, ContactsModel) else ()
+
+    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+        """The state with these numbers; inner states that are left out are those at rest."""
+        left = [law.initial_state for law in self.laws][len(y0) - self.size :]
+        states = jnp.stack([jnp.asarray(value, dtype) for value in (*y0[self.size :], *left)])
+        return *self.inner.start(y0[: self.size], dtype), states if self.contacts else states[0]
+
+    def numbers(self, y: State) -> State:
+        """The numbers of the state `y`, one for each coordinate of the system."""
+        states = (y[-1],) if self.contacts is None else tuple(y[-1][i] for i in range(len(self.laws)))
+        return *self.inner.numbers(y[:-1]), *states
+
+    def forcing(self, t: FloatScalar, segments: Any) -> Any:
+        """The excitation from time t (s) on, until a segment ends."""
+        return self.inner.forcing(t, segments)
+
+    def stick_position(self, y: State) -> FloatArray:
+        """What is recorded as the position of a stick."""
+        return self.inner.stick_position(y[:-1])
+
+    def relative_velocity(self, forcing: Any, tau: FloatScalar, y: State) -> FloatArray:
+        """The relative velocity of each contact, m/s."""
+        return self.inner.relative_velocity(forcing, tau, y[:-1])
+
+    def varying_normal_forces(self, forcing: Any, tau: FloatScalar, y: State) -> FloatArray:
+        """The normal forces that vary, N."""
+        assert isinstance(self.inner, ContactsModel)
+        return self.inner.varying_normal_forces(forcing, tau, y[:-1])
+
+    def coefficients(self, forcing: Any, tau: FloatScalar, y: State) -> Array:
+        """The friction coefficient in each contact."""
+        velocity = self.relative_velocity(forcing, tau, y)
+        if self.contacts is None:
+            return jnp.asarray(self.laws[0].coefficient(y[-1], velocity))
+        return jnp.stack([law.coefficient(y[-1][i], velocity[i]) for i, law in enumerate(self.laws)])
+
+    def rates(self, forcing: Any, tau: FloatScalar, y: State) -> State:
+        """The time derivative of the state."""
+        velocity, coefficients = self.relative_velocity(forcing, tau, y), self.coefficients(forcing, tau, y)
+        if isinstance(self.inner, OneContactModel):
+            rates = self.inner.rates_under(forcing, tau, y[:-1], coefficients)
+            return *rates, jnp.asarray(self.laws[0].rate(y[-1], velocity))
+        now = self.inner.instant(forcing, tau, y[:-1])
+        # An open contact has no friction; its inner state goes on with the motion.
+        force = coefficients * jnp.maximum(self.inner.normal_forces_at(forcing, tau, y[:-1]), 0)
+        by_friction = self.inner.effect(forcing, tau, y[:-1], force)
+        inner_rates = jnp.stack([law.rate(y[-1][i], velocity[i]) for i, law in enumerate(self.laws)])
+        return *(a + b for a, b in zip(now.rates, by_friction, strict=True)), inner_rates
