@@ -29,6 +29,7 @@ FIGURES = {
     "scaling": 2,
     "structures": 5,
     "nonlinear": 5,
+    "measured_friction": 2,
 }
 """And how many figures each draws."""
 PRINTED = {
@@ -148,6 +149,12 @@ PRINTED = {
         r"floating: .* by lsim the same within 1e-8 m: True",
         r"all runs finished: True",
         r"falls from each friction coefficient to the next: True",
+    ),
+    "measured_friction": (
+        r"0\.5 Hz, 25 mm: error 0\.03\d of the force",
+        r"stiffness_forward: [34]\.\d+e\+11 \+- \d\S*e\+0?9 N/m\^3 .* \(made with 4e\+11\)",
+        r"growth_length: 0\.00[23]\d* \+- \S+ m .* \(made with 0\.003\)",
+        r"2 Hz, 12 mm: error 0\.0[34]\d* of the force, predicted with the fitted numbers",
     ),
     "nonlinear": (
         r"period 12\.001031295 s, multipliers \[1\. 0\.\]",  # Leine and others 1998
