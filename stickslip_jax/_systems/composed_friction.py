@@ -256,6 +256,8 @@ class AtAge(FrictionLaw):
 def _require_law(name: str, value: object) -> None:
     if not isinstance(value, FrictionLaw):
         raise _checks.refused(name, "be a friction law such as Coulomb(mu=0.3)", value)
+    if value.inner_state is not None:
+        raise _checks.refused(name, "be a friction law without an inner state, such as Coulomb(mu=0.3)", value)
 
 
 def least(*values: Scalar | None) -> Scalar | None:

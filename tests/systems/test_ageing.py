@@ -278,6 +278,11 @@ def test_what_does_not_fit_is_told(annotations_unchecked):
     for make, message in (
         (lambda: ss.Ageing(0.3, LOGARITHMIC), "Argument law must be a friction law"),
         (lambda: ss.Directional(ss.Coulomb(0.3), 0.2), "Argument backward must be a friction law"),
+        (
+            lambda: ss.Directional(ss.Dahl(0.3, 1e3), ss.Coulomb(0.2)),
+            "Argument forward must be a friction law without an",
+        ),
+        (lambda: ss.Ageing(ss.Dahl(0.3, 1e3), LOGARITHMIC), "Argument law must be a friction law without an inner"),
         (lambda: ss.Ageing(ss.Coulomb(0.3), 0.1), "Argument growth must be a LogarithmicGrowth, or a function"),
         (lambda: ss.Ageing(ss.Coulomb(0.3), lambda age: 0.1 + age), r"Argument growth\(0\) must"),
         (lambda: ss.Ageing(ss.Coulomb(0.3), lambda age: -age), r"Argument growth\(1e-09\) must be zero or positive"),
