@@ -271,10 +271,10 @@ class ElastoPlastic(LuGre):
     Args:
         mu: As in `LuGre`.
         mu_static: As in `LuGre`.
-        stribeck_speed: As in `LuGre`.
-        stiffness: As in `LuGre`.
-        damping: As in `LuGre`.
-        viscous: As in `LuGre`.
+        stribeck_speed: As in `LuGre`, m/s.
+        stiffness: As in `LuGre`, 1/m.
+        damping: As in `LuGre`, s/m.
+        viscous: As in `LuGre`, s/m.
         breakaway: The deflection at which the bristles begin to yield, as a share of that of a steady slip, from 0 to
             below 1.
 

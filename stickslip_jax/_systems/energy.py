@@ -9,9 +9,9 @@ from .. import _checks
 from .._claims import keeps
 from .._types import FloatScalar, Scalar, State
 from .ageing_model import AgeingContact
-from .mass_spring import OscillatorForcing, OscillatorModel
 from .motor_cart import CartModel, MotorCart
 from .one_contact import OneContactModel
+from .oscillator_model import OscillatorForcing, OscillatorModel
 from .switched_model import F
 from .system import System
 

@@ -1,6 +1,6 @@
 """The force of a friction law by itself, under a motion that is prescribed."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,16 +14,12 @@ from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._types import Array, FloatArray, Number
 
-if TYPE_CHECKING:
-    from .dynamic_friction import DynamicFriction
-    from .friction import FrictionLaw
-
 _FEW, _EACH = 16384, 64  # steps that are allowed, and those for each time
 _HALVES = 40  # of the time between two instants, until the turn between them is known
 
 
 def force_of_dynamic(
-    law: "DynamicFriction",
+    law: Any,
     times: npt.ArrayLike,
     velocity: npt.ArrayLike | Recorded | Signal,
     normal_force: Any,
@@ -62,7 +58,7 @@ def _velocity_at(motion: Any, t: FloatArray) -> FloatArray:
 
 @jax.jit(static_argnames=("most", "adjoint"))
 def _states(
-    law: "DynamicFriction", times: Array, motion: Any, start: FloatArray, rtol: FloatArray, most: int, adjoint: Any
+    law: Any, times: Array, motion: Any, start: FloatArray, rtol: FloatArray, most: int, adjoint: Any
 ) -> tuple[FloatArray, Array]:
     """The inner states at `times`, and whether the integration reached the last of them; NaN beyond."""
 
@@ -83,7 +79,7 @@ def _states(
 
 
 def force_of_law(
-    law: "FrictionLaw",
+    law: Any,
     times: npt.ArrayLike,
     velocity: npt.ArrayLike | Recorded | Signal,
     normal_force: Any,

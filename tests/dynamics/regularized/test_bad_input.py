@@ -71,8 +71,9 @@ def test_numbers_that_must_be_positive(name, value, reason):
 
 
 def test_none_is_no_width():
-    with pytest.raises(ValueError, match=r"\AArgument width must be a single real number, but None was given\.\Z"):
-        ss.Regularized(None)
+    system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.3))
+    with pytest.raises(ValueError, match=r"\AArgument width must be positive \(in m/s\), but None was given; only "):
+        ss.simulate(system, ss.Constant(0.1), t1=1.0, method=ss.Regularized(None))
 
 
 @pytest.mark.parametrize(
