@@ -166,9 +166,9 @@ class FrictionLaw(Checked):
             ValueError: For times that do not increase, velocities of another length, numbers out of range, and a spring
                 in front of a law whose coefficient depends on the speed or on the stick.
 
-        >>> times = np.array([0.0, 1.0, 2.0, 3.0])
-        >>> print(ss.Coulomb(0.3).force(times, [0.1, 0.1, -0.1, -0.1], 10.0, series_stiffness=40.0))
-        [0. 3. 3. -1.]
+        >>> times, velocity = [0.0, 1.0, 2.0, 3.0], [0.1, 0.1, -0.1, -0.1]
+        >>> print(ss.Coulomb(0.3).force(times, velocity, 10.0, series_stiffness=40.0))
+        [ 0.  3.  2. -2.]
         """
         return force_of_law(self, times, velocity, normal_force, series_stiffness, backlash)
 
