@@ -116,7 +116,7 @@ def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
     base = merged(base, t1)
     if isinstance(method, Regularized):
         return Smoothed(Arguments(system, base, method, t1))
-    if system.inner_states:
+    if system.inner_laws:
         raise ValueError(
             "Argument method must be Regularized() for friction laws with an inner state, but Exact() was given: they "
             "have no exact stick. Their sticks are the times in which the relative velocity stays below a threshold."
@@ -144,7 +144,8 @@ def sample_engines(
 
     def build(values: tuple[AnyArray, ...], base: BaseMotion | None) -> Engine | AdaptiveBatch:
         system, law, y0 = inputs.filled(values)
-        return engine_for(Arguments(system, law if base is None else base, method, t1)).lanes(y0, dtype)
+        arguments = Arguments(system, law if base is None else base, method, t1)
+        return engine_for(arguments).lanes(system.with_memory(y0), dtype)
 
     base = inputs.realizations(first, number, float(t1))
     return engines_of(build, inputs.drawn(first, number, dtype), base)

@@ -49,8 +49,7 @@ class _WithAges(SwitchedModel[F]):
 
     def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
         inner = self.inner.start(y0[: self.size], dtype)
-        count = self.contacts or 1
-        ages = jnp.stack([jnp.asarray(age, dtype) for age in (*y0[self.size :], *(0.0,) * count)][:count])
+        ages = jnp.stack([jnp.asarray(age, dtype) for age in y0[self.size :]])
         return *inner, ages if self.contacts else ages[0]
 
     def numbers(self, y: State) -> State:

@@ -48,7 +48,7 @@ class DynamicFriction(FrictionLaw):
         return 0.0
 
     @property
-    def inner_state(self) -> str | None:
+    def inner_state(self) -> str:
         return "inner state"
 
     def check_relations(self) -> None:
@@ -104,13 +104,26 @@ class DynamicFriction(FrictionLaw):
 class _Bristles(DynamicFriction):
     """Bristles whose deflection z (m) follows the motion, up to that of a steady slip."""
 
+    mu: eqx.AbstractVar[Number]
+    stiffness: eqx.AbstractVar[Number]
+
     @property
-    def inner_state(self) -> str | None:
+    def inner_state(self) -> str:
         return "deflection in m"
 
-    @abc.abstractmethod
-    def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
-        """The friction coefficient of the bristles in a steady slip at this speed."""
+    @property
+    def static(self) -> Scalar:
+        return self.mu
+
+    @property
+    def state_scale(self) -> Scalar:
+        return self.mu / self.stiffness
+
+    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        return self.stiffness * z
+
+    def steady(self, velocity: FloatArray) -> FloatArray:
+        return self.mu * jnp.sign(velocity)
 
 
 class Dahl(_Bristles):
@@ -132,17 +145,6 @@ class Dahl(_Bristles):
     stiffness: Annotated[Number, Quantity("1/m", "friction coefficient per deflection", above=0)]
     exponent: Annotated[Number, Quantity(meaning="how sharply the spring yields", above=0)] = 1.0
 
-    def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
-        return self.mu
-
-    @property
-    def static(self) -> Scalar:
-        return self.mu
-
-    @property
-    def state_scale(self) -> Scalar:
-        return self.mu / self.stiffness
-
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         left = 1 - self.stiffness * z * jnp.sign(velocity) / self.mu
         if not _checks.is_traced(self.exponent) and self.exponent == 1:
@@ -150,12 +152,6 @@ class Dahl(_Bristles):
         size = jnp.abs(left)
         power = jnp.where(size > 0, jnp.where(size > 0, size, 1) ** self.exponent, 0)
         return velocity * jnp.sign(left) * power
-
-    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
-        return self.stiffness * z
-
-    def steady(self, velocity: FloatArray) -> FloatArray:
-        return self.mu * jnp.sign(velocity)
 
 
 class BoucWen(_Bristles):
@@ -184,27 +180,10 @@ class BoucWen(_Bristles):
     def check_relations(self) -> None:
         _checks.bounded("sharing", self.sharing, at_least=0, below=1 + 1e-12)
 
-    def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
-        return self.mu
-
-    @property
-    def static(self) -> Scalar:
-        return self.mu
-
-    @property
-    def state_scale(self) -> Scalar:
-        return self.mu / self.stiffness
-
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         share = jnp.abs(z) * self.stiffness / self.mu
         power = jnp.where(share > 0, jnp.where(share > 0, share, 1) ** self.exponent, 0)
         return velocity * (1 - power * (1 - self.sharing + self.sharing * jnp.sign(velocity * z)))
-
-    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
-        return self.stiffness * z
-
-    def steady(self, velocity: FloatArray) -> FloatArray:
-        return self.mu * jnp.sign(velocity)
 
 
 class LuGre(_Bristles):
@@ -239,15 +218,12 @@ class LuGre(_Bristles):
         static_at_least(self.mu, self.mu_static)
 
     def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
+        """The friction coefficient of the bristles in a steady slip at this speed."""
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-((speed / self.stribeck_speed) ** 2))
 
     @property
     def static(self) -> Scalar:
         return self.mu_static
-
-    @property
-    def state_scale(self) -> Scalar:
-        return self.mu / self.stiffness
 
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         return velocity - self.stiffness * jnp.abs(velocity) * z / self.limit(velocity)

@@ -8,34 +8,22 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._types import Array, DType, FloatArray, FloatScalar, Number, Scalar, State
+from .._types import Array, DType, FloatArray, FloatScalar, Number, State
 from .contacts_model import ContactsModel
 from .dynamic_friction import DynamicFriction
 from .friction import FrictionLaw
 from .one_contact import OneContactModel
 
 
-def with_inner_states(
-    model: OneContactModel | ContactsModel, size: int, laws: tuple[FrictionLaw, ...]
-) -> "InnerStates | None":
-    """The `model`, of `size` numbers, with the inner states of these `laws`; None if they have none.
-
-    Raises ValueError where some have and others do not.
-    """
-    dynamic = tuple(law for law in laws if isinstance(law, DynamicFriction))
-    if not dynamic:
-        return None
-    if len(dynamic) < len(laws):
+def inner_laws_of(laws: tuple[FrictionLaw, ...]) -> tuple[DynamicFriction, ...]:
+    """Those of the `laws` of all contacts that have an inner state. Raises ValueError where only some have one."""
+    inner = tuple(law for law in laws if isinstance(law, DynamicFriction))
+    if 0 < len(inner) < len(laws):
         raise ValueError(
-            f"Argument contacts must all have friction laws with an inner state, or none, but {len(dynamic)} of "
+            f"Argument contacts must all have friction laws with an inner state, or none, but {len(inner)} of "
             f"{len(laws)} have one: a mass that rubs on two of them sticks exactly, or it does not."
         )
-    return InnerStates(model, dynamic, size)
-
-
-def inner_scales(laws: tuple[FrictionLaw, ...]) -> tuple[Scalar, ...]:
-    """The typical sizes of the inner states of these laws."""
-    return tuple(law.state_scale for law in laws if isinstance(law, DynamicFriction))
+    return inner
 
 
 class InnerStates(eqx.Module):
@@ -59,9 +47,8 @@ class InnerStates(eqx.Module):
         return self.inner.varying if isinstance(self.inner, ContactsModel) else ()
 
     def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
-        """The state with these numbers; inner states that are left out are those at rest."""
-        left = [law.initial_state for law in self.laws][len(y0) - self.size :]
-        states = jnp.stack([jnp.asarray(value, dtype) for value in (*y0[self.size :], *left)])
+        """The state with these numbers, one for each coordinate of the system."""
+        states = jnp.stack([jnp.asarray(value, dtype) for value in y0[self.size :]])
         return *self.inner.start(y0[: self.size], dtype), states if self.contacts else states[0]
 
     def numbers(self, y: State) -> State:

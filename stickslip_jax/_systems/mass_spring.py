@@ -24,8 +24,9 @@ from .ageing_model import AgeingContact, AgeingContacts, with_ages
 from .built_in import is_built_in
 from .composed_friction import AtAge
 from .contact import Contact
+from .dynamic_friction import DynamicFriction
 from .friction import FrictionLaw, times_of_slips
-from .inner_states import InnerStates, inner_scales, with_inner_states
+from .inner_states import InnerStates, inner_laws_of
 from .normal_force import NormalForceQuantity, is_function, recorded_in
 from .oscillator_model import OscillatorModel, SolverOscillatorModel
 from .steady_response import check_no_resonance
@@ -39,7 +40,6 @@ from .system import (
     StepCount,
     System,
     TimeScale,
-    inner_states_of,
     shortest_period,
 )
 
@@ -158,8 +158,8 @@ class MassSpring(System):
         )
 
     @property
-    def inner_states(self) -> tuple[Coordinate, ...]:
-        return inner_states_of((self.friction,), listed=False)
+    def inner_laws(self) -> tuple[DynamicFriction, ...]:
+        return inner_laws_of((self.friction,))
 
     @property
     def ages(self) -> tuple[Coordinate, ...]:
@@ -220,7 +220,8 @@ class MassSpring(System):
         structure = self._as_structure
         if structure is not None:
             return structure.inner_model(smooth)
-        return with_inner_states(SolverOscillatorModel(self, smooth, diffrax.Dopri8(), False), 2, (self.friction,))
+        model = SolverOscillatorModel(self, smooth, diffrax.Dopri8(), False)
+        return InnerStates(model, self.inner_laws, 2) if self.inner_laws else None
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         structure = self._as_structure
@@ -254,7 +255,12 @@ class MassSpring(System):
             return structure.state_scales(excitation)
         speed, _ = self.contact_scales
         assert speed is not None
-        return speed * self._clock, speed, *(self._clock for _ in self.ages), *inner_scales((self.friction,))
+        return (
+            speed * self._clock,
+            speed,
+            *(self._clock for _ in self.ages),
+            *(law.state_scale for law in self.inner_laws),
+        )
 
     @property
     def _clock(self) -> Scalar:

@@ -20,12 +20,13 @@ from .ageing_model import AgeingContacts, with_ages
 from .composed_friction import least
 from .contact import Contact, entries_of, numbers_of
 from .contact_forces import Uncoupled
-from .inner_states import InnerStates, inner_scales, with_inner_states
+from .dynamic_friction import DynamicFriction
+from .inner_states import InnerStates, inner_laws_of
 from .normal_force import NormalForce, largest_of, periods_of, recorded_in
 from .structure_arcs import ArcsModel
 from .structure_checks import check_structure, is_uncoupled
 from .structure_model import Matrices, StructureModel
-from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, ages_of, inner_states_of, shortest_period
+from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, ages_of, shortest_period
 from .with_contacts import WithContacts
 
 
@@ -100,8 +101,8 @@ class LinearStructure(WithContacts):
         return *positions, *rates, *self.ages, *self.inner_states
 
     @property
-    def inner_states(self) -> tuple[Coordinate, ...]:
-        return inner_states_of([contact.friction for contact in self.contacts], listed=True)
+    def inner_laws(self) -> tuple[DynamicFriction, ...]:
+        return inner_laws_of(tuple(contact.friction for contact in self.contacts))
 
     @property
     def ages(self) -> tuple[Coordinate, ...]:
@@ -122,11 +123,13 @@ class LinearStructure(WithContacts):
         return with_ages(model, 2 * self.size, bool(times), least(*times))
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
+        if not self.inner_laws:
+            return None
         matrices = self.matrices
         model = StructureModel(
             solver=diffrax.Dopri8(), smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest
         )
-        return with_inner_states(model, 2 * self.size, tuple(contact.friction for contact in self.contacts))
+        return InnerStates(model, self.inner_laws, 2 * self.size)
 
     def _has_arcs(self, smooth: Signal | RandomSignal | None) -> bool:
         """Whether every mode is linear with constant coefficients, under forces of which power series are known."""
@@ -222,13 +225,9 @@ class LinearStructure(WithContacts):
         if speed is None:
             return super().state_scales(excitation)
         clocks = self._clocks
-        ages = (jnp.max(clocks),) * len(self.ages)
-        return (
-            (jnp.max(speed * clocks),) * self.size
-            + (jnp.max(speed),) * self.size
-            + ages
-            + inner_scales(tuple(contact.friction for contact in self.contacts))
-        )
+        motion = (jnp.max(speed * clocks),) * self.size + (jnp.max(speed),) * self.size
+        memory = (*(jnp.max(clocks) for _ in self.ages), *(law.state_scale for law in self.inner_laws))
+        return motion + memory
 
     @property
     def body_name(self) -> str:

@@ -2,8 +2,7 @@
 
 import abc
 import math
-from collections.abc import Sequence
-from typing import NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +16,7 @@ from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Checked
 from .._types import AnyArray, Array, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
-from .friction import FrictionLaw
+from .dynamic_friction import DynamicFriction
 from .inner_states import InnerStates
 from .one_contact import OneContactModel
 from .switched_model import SwitchedModel
@@ -66,12 +65,6 @@ class Coordinate(NamedTuple):
 
 
 AGE = Coordinate("age of the stick", "s", r"\tau")
-
-
-def inner_states_of(laws: Sequence[FrictionLaw], *, listed: bool) -> tuple[Coordinate, ...]:
-    """The inner states of these friction laws, of a list of contacts or of a single one."""
-    names = [Coordinate.of(law.inner_state) for law in laws if law.inner_state is not None]
-    return tuple(one._replace(name=f"{one.name} {i}") if listed else one for i, one in enumerate(names, start=1))
 
 
 def ages_of(contacts: int) -> tuple[Coordinate, ...]:
@@ -130,9 +123,27 @@ class System(Checked):
         return ()
 
     @property
-    def inner_states(self) -> tuple[Coordinate, ...]:
-        """The inner states of friction laws that have one, of each contact: the last of its `coordinates`."""
+    def inner_laws(self) -> tuple[DynamicFriction, ...]:
+        """The friction laws that have an inner state, of each contact."""
         return ()
+
+    @property
+    def inner_states(self) -> tuple[Coordinate, ...]:
+        """Their inner states: the last of its `coordinates`."""
+        names = [Coordinate.of(law.inner_state) for law in self.inner_laws]
+        if len(names) < 2:
+            return tuple(names)
+        return tuple(name._replace(name=f"{name.name} {i}") for i, name in enumerate(names, start=1))
+
+    def with_memory(self, y0: Any) -> tuple[Number, ...]:
+        """The initial state `y0`, with the ages and inner states that it leaves out."""
+        memory = self.start_of_memory
+        return (*y0, *memory) if memory and len(y0) == len(self.coordinates) - len(memory) else tuple(y0)
+
+    @property
+    def start_of_memory(self) -> tuple[Number, ...]:
+        """What an initial state that leaves out ages and inner states begins with."""
+        return (*(0.0 for _ in self.ages), *(law.initial_state for law in self.inner_laws))
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
         """The system under one realisation of the smooth excitation with the `inner_states` of its friction laws; None

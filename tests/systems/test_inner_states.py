@@ -238,6 +238,28 @@ def test_derivative_of_a_last_state():
     assert float(jax.grad(last)(0.5)) == pytest.approx(float(difference), rel=1e-3)
 
 
+class Bent(ss.Dahl):
+    @property
+    def initial_state(self):
+        return 1e-4
+
+
+def test_an_inner_state_that_is_not_zero_at_rest_is_where_motions_begin():
+    """In one trajectory, and in an ensemble whose starts are random."""
+    system, base, method = ss.MassSpring(1.0, 4.0, 1.0, Bent(0.4, 1e3)), ss.Constant(0.1), ss.Regularized()
+    given = ss.simulate(system, base, t1=2.0, y0=(0.0, 0.0, 1e-4), method=method)
+    for y0 in (None, (0.0, 0.0), np.zeros(2)):
+        one = ss.simulate(system, base, t1=2.0, y0=y0, method=method)
+        np.testing.assert_array_equal(one.final_state, given.final_state)
+    assert float(one.evaluate(0.0)[2]) == 1e-4
+    settings = {"t1": 2.0, "samples": 2, "key": jax.random.key(0), "method": method, "keep": "totals"}
+    first, second = (
+        ss.simulate_ensemble(system, LAW, y0=(ss.Uniform(0.1, 0.2), 0.0, *inner), progress=False, **settings)
+        for inner in ((), (1e-4,))
+    )
+    np.testing.assert_array_equal(first.totals.stick_time, second.totals.stick_time)
+
+
 def test_a_motion_goes_on_from_its_last_state():
     method = ss.Regularized(rtol=1e-9, solver=diffrax.Kvaerno5(), max_steps=20_000)
     whole, first = (ss.simulate(SYSTEM, ss.Constant(0.2), t1=t1, method=method) for t1 in (12.0, 5.0))

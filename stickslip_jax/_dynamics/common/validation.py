@@ -93,12 +93,17 @@ def check_method(method: object) -> None:
 
 
 def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
-    """The initial state `y0` of `system`, checked; zeros if `y0` is None, and for ages and inner states left out."""
+    """The initial state `y0` of `system`, checked; zeros if `y0` is None.
+
+    Ages of sticks and inner states of friction laws may be left out.
+    """
     meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
-    remembered = len(system.ages) + len(system.inner_states)
-    given = (0.0,) * len(meaning) if y0 is None else y0
-    is_short = remembered and hasattr(given, "__len__") and len(given) == len(meaning) - remembered
-    entries = _checks.entries("y0", (*given, *(0.0,) * remembered) if is_short else given, meaning)
+    given = (0.0,) * (len(meaning) - len(system.start_of_memory)) if y0 is None else y0
+    entries = _checks.entries(
+        "y0",
+        system.with_memory(given) if isinstance(given, (tuple, list)) or _checks.dimensions(given) == 1 else given,
+        meaning,
+    )
     check_fixed(y0=entries)
     numbers = _checks.state("y0", entries, meaning)
     system.check_state(numbers)

@@ -34,7 +34,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             f"{_checks.show(method)} was given: smoothed friction has no stick whose age is known."
         )
     check_contacts(system, method)
-    inner = bool(system.inner_states)
+    inner = bool(system.inner_laws)
     _check_width(method, inner)
     width = None if method.width is None else jnp.asarray(method.width, dtype)
     speed, deceleration = system.contact_scales
