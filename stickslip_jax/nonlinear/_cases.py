@@ -124,8 +124,8 @@ def _starts(system: System, y0: Any) -> np.ndarray:
     rows = _checks.numbers("y0", y0, ndim=2)
     if not len(rows) or not np.all(np.isfinite(rows)):
         raise _checks.refused("y0", "hold at least one start, and finite numbers", y0)
-    state_of(system, tuple(rows[0]))
-    return rows.astype(float)
+    left_out = np.asarray(state_of(system, tuple(rows[0]))[rows.shape[1] :], float)  # ages of sticks
+    return np.concatenate([rows, np.broadcast_to(left_out, (len(rows), len(left_out)))], axis=1, dtype=float)
 
 
 def check_repeats(base: BaseMotion) -> None:

@@ -249,6 +249,16 @@ def test_limit_cycle_on_a_belt():
     assert float(orbit.period) == pytest.approx(tau + slip, rel=0, abs=1e-9)
 
 
+def test_starts_of_sections_may_leave_out_the_ages():
+    system, drive = ss.MassSpring(1.0, 1.0, 1.0, ss.Ageing(ss.Coulomb(0.3, 0.4), LOGARITHMIC)), ss.Harmonic(0.5, 0.3)
+    starts = np.array([[0.1, 0.0], [0.5, 0.2]])
+    short, whole = (
+        nonlinear.stroboscopic_section(system, drive, y0=rows, transient=1, kept=1, progress=False)
+        for rows in (starts, np.column_stack([starts, np.zeros(2)]))
+    )
+    np.testing.assert_array_equal(short.position, whole.position)
+
+
 @pytest.mark.slow
 def test_float32():
     system = on_belt(EXPONENTIAL)
