@@ -98,12 +98,11 @@ def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
     Ages of sticks and inner states of friction laws may be left out.
     """
     meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
-    given = (0.0,) * (len(meaning) - len(system.start_of_memory)) if y0 is None else y0
-    entries = _checks.entries(
-        "y0",
-        system.with_memory(given) if isinstance(given, (tuple, list)) or _checks.dimensions(given) == 1 else given,
-        meaning,
-    )
+    moving = len(meaning) - len(system.start_of_memory)
+    given = (0.0,) * moving if y0 is None else y0
+    is_listed = isinstance(given, (tuple, list)) or _checks.dimensions(given) == 1
+    is_short = is_listed and len(given) == moving  # pyright: ignore[reportArgumentType] - it has a length then
+    entries = system.with_memory(_checks.entries("y0", given, meaning[:moving] if is_short else meaning))
     check_fixed(y0=entries)
     numbers = _checks.state("y0", entries, meaning)
     system.check_state(numbers)
