@@ -17,6 +17,8 @@ from ._uncertainty.families import (
     Weibull as Weibull,
 )
 from ._uncertainty.random_number import RandomNumber as RandomNumber, Truncated as Truncated
+from ._calibration.call import calibrate as calibrate
+from ._calibration.result import Calibration as Calibration
 from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.call import simulate_ensemble as simulate_ensemble
 from ._ensemble.contacts import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts

@@ -297,6 +297,15 @@ def following_segment(law: SegmentLaw, segment_state: SegmentState, dtype: DType
     return SegmentState(segment_state.key_data, segment_state.number + np.uint32(1), memory, segment, spent)
 
 
+def segment_at(law: SegmentLaw, first: SegmentState, t: FloatArray) -> SegmentState:
+    """The segment that holds at the time `t` (s), from the `first` one; at the instant between two, the second."""
+    return lax.while_loop(
+        lambda state: (state.segment.end <= t) & ~state.spent,
+        lambda state: following_segment(law, state, t.dtype),
+        first,
+    )
+
+
 def is_invalid(segment_state: SegmentState) -> BoolScalar:
     """Whether the present segment ended the realisation because it is impossible, and not because its duration is 0."""
     return segment_state.spent & (segment_state.segment.end != segment_state.segment.begin)

@@ -11,11 +11,12 @@ from .._dynamics.common.method import Exact
 from .._dynamics.switched.path import StepPath
 from .._excitation.excitation import motion_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
+from .._numerics.leaves import as_arrays
 from .._status import Status
 from .._sweep.setting import Setting
 from .._types import AnyArray, Array, FloatArray
 from .._uncertainty.numbers import Path, with_numbers
-from ._cycle import Cycle, as_arrays, steps_in, without_turns
+from ._cycle import Cycle, steps_in, without_turns
 from ._modes import Mode, modes_between
 from ._own_time import changes_by_itself
 from ._period import drive_period, has_known_period

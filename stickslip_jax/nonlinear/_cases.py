@@ -10,15 +10,17 @@ import numpy as np
 
 from .. import _checks
 from .._dynamics.common.method import Exact
+from .._dynamics.common.time_scales import slowest_time
 from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
 from .._excitation.excitation import BaseMotion, motion_of
+from .._numerics.leaves import as_arrays
 from .._sweep.checking import check_points
 from .._sweep.points import Points, points_of
 from .._sweep.setting import Setter, setter_of, setting_of
 from .._systems.system import System
 from .._types import DType, Scalar
 from .._uncertainty.numbers import with_numbers
-from ._cycle import Cycle, as_arrays, slowest_time, steps_in
+from ._cycle import Cycle, steps_in
 from ._own_time import changes_by_itself
 from ._period import checked_period, drives, period_of, repetitions
 

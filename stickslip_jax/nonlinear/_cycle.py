@@ -1,9 +1,8 @@
 """One period of a system and of what drives it."""
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -20,7 +19,7 @@ from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._status import Status
 from .._systems.system import System
-from .._types import DType, FloatArray, Number, Scalar
+from .._types import FloatArray, Number, Scalar
 
 T = TypeVar("T")
 
@@ -94,19 +93,3 @@ def steps_in(
         return steps_for(system, excitation, duration, step)
     except NotKnown:
         return None
-
-
-def slowest_time(system: System, base: BaseMotion) -> float:
-    """The slowest known time scale of a system, s; 1 where none is known."""
-    scales = system.time_scales(excitation_of(base), None).values()
-    return max((float(scale.time) for scale in scales if scale.time is not None and scale.time < np.inf), default=1.0)
-
-
-def as_arrays(tree: T, dtype: DType) -> T:
-    """`tree` with arrays in place of its numbers: what differs in them only is compiled once."""
-
-    def converted(leaf: Any) -> Any:
-        is_array = isinstance(leaf, (jax.Array, np.ndarray)) and jnp.issubdtype(leaf.dtype, jnp.floating)
-        return jnp.asarray(leaf, dtype) if isinstance(leaf, float) or is_array else leaf
-
-    return jax.tree.map(converted, tree)

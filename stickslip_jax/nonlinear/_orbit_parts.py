@@ -7,10 +7,10 @@ import numpy as np
 
 from .. import _checks
 from .._dynamics.common.method import Exact
+from .._dynamics.common.time_scales import slowest_time
 from .._excitation.excitation import BaseMotion
 from .._simulation.call import simulate
 from .._systems.system import System
-from ._cycle import slowest_time
 
 _SPAN = 50  # time scales, in which a motion is looked at; again from its end, so many times
 _MOST_SPANS = 20

@@ -11,12 +11,13 @@ from .._dynamics.common.method import EXACT, Exact
 from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
 from .._excitation.excitation import BaseMotion, motion_of
 from .._methods import WithMethods
+from .._numerics.leaves import as_arrays
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.system import System, checked_system
 from .._types import Array, BoolScalar, FloatArray, FloatScalar, InitialState, Scalar
 from ._cases import check_repeats
-from ._cycle import Cycle, as_arrays, steps_in
+from ._cycle import Cycle, steps_in
 from ._modes import Mode, modes_of
 from ._newton import root_of
 from ._orbit_parts import guessed_period, multipliers_of, without_trivial

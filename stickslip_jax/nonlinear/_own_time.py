@@ -4,10 +4,10 @@ import jax
 import numpy as np
 
 from .. import _checks
+from .._dynamics.common.time_scales import slowest_time
 from .._excitation.excitation import BaseMotion, motion_of
 from .._systems.system import System
 from .._types import InitialState, Scalar
-from ._cycle import slowest_time
 from ._period import common_period, repetitions
 
 _PARTS = np.array([0.0, 0.013, 0.171, 0.31, 0.4737, 0.618, 0.757, 0.893])  # of a period, or many: no simple ratios

@@ -7,7 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from ... import _checks
-from ..._excitation.excitation import Excitation
+from ..._excitation.excitation import BaseMotion, Excitation, excitation_of
 from ..._numerics.known import NotKnown, largest, primal_of, smallest
 from ..._systems.system import SHORTEST_TIME, StepCount, System
 from ..._types import Scalar
@@ -84,3 +84,9 @@ def _known(numbers: list[Any]) -> list[float]:
         with suppress(NotKnown):
             found.append(smallest(number))
     return found
+
+
+def slowest_time(system: System, base: BaseMotion) -> float:
+    """The slowest known time scale of a system, s; 1 where none is known."""
+    scales = system.time_scales(excitation_of(base), None).values()
+    return max((float(scale.time) for scale in scales if scale.time is not None and scale.time < math.inf), default=1.0)

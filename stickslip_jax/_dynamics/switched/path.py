@@ -22,7 +22,7 @@ from ..common.path import Path, Run
 from ..common.time_scales import max_steps_advice
 from ..common.tracks import sticks_and_totals
 from ..common.validation import Arguments
-from .run import Beginnings, run_trajectory, state_at, state_in_step, steps_for
+from .run import Beginnings, Trajectory, run_trajectory, state_at, state_in_step, steps_for
 
 _MOST_KEPT = 2**25  # loop steps whose states are kept: about 3 GB
 _MOST_SLOPES = 3  # by more numbers, going back over the steps takes less time
@@ -55,6 +55,12 @@ class StepPath(Path):
 
         at_beginnings = jax.vmap(lambda y: model.numbers(y)[number])(begun.y)
         return largest_in_steps(inside, begun, sign * at_beginnings, lengths, sign * final)
+
+    def rates(self, time: FloatArray) -> State:
+        """The rates of the state at one time (s), per second; at an event, those after it."""
+        begun, model = self.beginnings.at(time), self.system.switched_model(self.excitation.signal, self.solver)
+        forcing, h = model.forcing(begun.t, begun.segments), time - begun.t
+        return model.numbers(model.rates(forcing, h, model.flow(forcing, begun.y, h, begun.sign), begun.sign))
 
     @property
     def smooth(self) -> Signal | None:
@@ -99,6 +105,11 @@ def _is_short(run: Run) -> bool:
 def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> Run:
     run = partial(run_trajectory, steps=steps, dtype=dtype)
     done = with_slopes(run, system, excitation, solver, t1, y0, step, most=_MOST_SLOPES)
+    return run_of(system, excitation, solver, done)
+
+
+def run_of(system: System, excitation: Excitation, solver: Any, done: Trajectory) -> Run:
+    """The parts of a `Simulation` of one trajectory."""
     lane = done.lane
     path = StepPath(system, excitation, solver, done.beginnings)
     state = system.switched_model(excitation.signal, solver).numbers(lane.y)

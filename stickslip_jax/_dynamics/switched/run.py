@@ -11,7 +11,7 @@ from jax.errors import ConcretizationTypeError
 from ..._events.stick_quantities import ALL
 from ..._events.sticks import StickRecord, no_stick
 from ..._excitation.excitation import Excitation
-from ..._excitation.segments import SegmentLaw, first_segment
+from ..._excitation.segments import SegmentLaw, first_segment, segment_at
 from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.switched_model import Segments, State, SwitchedModel
 from ..._systems.system import System
@@ -60,14 +60,20 @@ def lane_at_start(
     step: FloatArray,
     solver: Any,
     quantities: tuple[str, ...],
+    t0: FloatArray | None = None,
 ) -> Lane:
-    """The lane at the beginning of the trajectory that `key_data` choose."""
+    """The lane at the beginning of the trajectory that `key_data` choose, at the time `t0` (s), 0 by default."""
     dtype = step.dtype
     segment_laws = SegmentLaws.of(system, excitation)
     model = system.switched_model(excitation.realized(key_data, dtype), solver)
     own = excitation.segment_key_data(key_data)
     segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
-    return start_lane(model, segment_laws, segment_states, y0, step, quantities)
+    if t0 is None:
+        t0 = jnp.zeros((), dtype)
+    else:
+        pairs = zip(segment_laws.all, segment_states, strict=True)
+        segment_states = tuple(segment_at(law, first, t0) for law, first in pairs)
+    return start_lane(model, segment_laws, segment_states, y0, step, quantities, t0)
 
 
 def run_trajectory(
@@ -80,11 +86,15 @@ def run_trajectory(
     *,
     steps: int,
     dtype: DType,
+    t0: FloatArray | None = None,
 ) -> Trajectory:
-    """Simulate one realisation in at most `steps` loop steps; the loop idles once the trajectory has ended."""
+    """Simulate one realisation in at most `steps` loop steps, from `t0` (s, 0 by default) to `t1` (s).
+
+    The loop idles once the trajectory has ended.
+    """
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
     segment_laws, model = SegmentLaws.of(system, excitation), system.switched_model(excitation.signal, solver)
-    start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver, ALL)
+    start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver, ALL, t0)
     most = jnp.asarray(steps, jnp.int32)
 
     def beginning(lane):

@@ -56,26 +56,27 @@ def start_lane(
     y0: tuple[Number, ...],
     step: FloatArray,
     quantities: tuple[str, ...],
+    t0: FloatArray,
 ) -> Lane:
-    """The lane at the beginning of a trajectory, with its mode (stick or slip) found.
+    """The lane at the beginning of a trajectory, at `t0` (s), with its mode (stick or slip) found.
 
     `quantities` of each stick: those that are asked for.
     """
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
-    forcing = model.forcing(zero, segment_laws.segments(segment_states))
+    forcing = model.forcing(t0, segment_laws.segments(segment_states))
     y, sign, margin = mode_at_start(model, forcing, model.start(y0, dtype))
     sticks, position = model.stuck(sign), model.stick_position(y)
     return Lane(
-        zero,
+        t0,
         y,
         sign,
         lax.stop_gradient(model.step_limit(zero, step, y, sign)),
         jnp.full((), jnp.inf, dtype),
-        jnp.zeros_like(sign),
+        jnp.broadcast_to(t0, sign.shape),
         none,
         none,
-        jnp.zeros(sticks.shape, dtype),
+        jnp.broadcast_to(t0, sticks.shape),
         position,
         begin_quantities(position, quantities),
         start_totals(dtype, sticks.shape),

@@ -1,0 +1,124 @@
+"""The search for the numbers that explain a record best: nonlinear least squares, by scipy.
+
+Every evaluation gives the residuals with all their derivatives, by one compiled program. So each problem is compiled
+once, whatever is searched: all numbers, or some while others stay (`Free`).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from scipy import optimize, sparse
+
+from .._types import FloatArray
+from .problem import Model, with_slopes
+from .record import Windows
+
+_MOST_EVALUATIONS = 300
+_TOLERANCE = 1e-9  # relative, of chi-squared and of the numbers
+_LARGEST_DENSE = 1 << 22  # entries of the matrix of derivatives
+
+
+class Point(NamedTuple):
+    """Where a search stands: `x` (parameters,) and `s` (windows, coordinates), in the scales of the model."""
+
+    x: np.ndarray
+    s: np.ndarray
+
+
+class Free(NamedTuple):
+    """Which numbers are searched: of the parameters, (parameters,), and whether the states at starts are."""
+
+    x: np.ndarray
+    s: bool
+
+
+class Seen(NamedTuple):
+    """Predictions less measurements (windows, channels, times), 0 where nothing was measured, and their derivatives
+    (windows, channels, times, parameters + coordinates).
+    """
+
+    residuals: np.ndarray
+    slopes: np.ndarray
+
+    def over(self, sigma: np.ndarray) -> "Seen":
+        """The same in units of the noise of each channel, (channels,)."""
+        return Seen(self.residuals / sigma[:, None], self.slopes / sigma[:, None, None])
+
+
+class Fit(NamedTuple):
+    """The end of a search: where, what is seen there (not standardised), and whether it converged."""
+
+    point: Point
+    seen: Seen
+    converged: bool
+
+
+class Problem(NamedTuple):
+    """A model and the windows of a record."""
+
+    model: Model
+    windows: Windows
+
+    def seen(self, point: Point) -> Seen:
+        """Residuals and derivatives at a point; NaN where a motion does not reach its window's end."""
+        seen, slopes = (np.asarray(array) for array in _with_slopes(self.model, self.windows, point.x, point.s))
+        there = self.windows.is_measured
+        return Seen(np.where(there, seen - self.windows.values, 0), np.where(there[..., None], slopes, 0))
+
+    def search(self, sigma: np.ndarray, start: Point, free: Free) -> Fit:
+        """The least-squares fit from `start`, with the noise `sigma` (channels,)."""
+        latest: list[tuple[np.ndarray, Seen]] = []
+
+        def at(vector: np.ndarray) -> Seen:
+            if not latest or not np.array_equal(latest[0][0], vector):
+                latest[:] = [(vector.copy(), self.seen(_point(vector, start, free)))]
+            return latest[0][1].over(sigma)
+
+        def jacobian(vector: np.ndarray):
+            matrix = matrix_of(at(vector), free)
+            return matrix if isinstance(matrix, np.ndarray) else sparse.csr_matrix(matrix)
+
+        begin = _vector(start, free)
+        if not len(begin):
+            return Fit(start, self.seen(start), True)
+        found = optimize.least_squares(
+            lambda vector: at(vector).residuals.ravel(), begin, jacobian, x_scale="jac",
+            ftol=_TOLERANCE, xtol=_TOLERANCE, gtol=None, max_nfev=_MOST_EVALUATIONS,
+        )  # fmt: skip
+        point = _point(found.x, start, free)
+        return Fit(point, self.seen(point), found.status > 0)
+
+
+def matrix_of(seen: Seen, free: Free) -> np.ndarray | sparse.coo_matrix:
+    """The derivatives of all residuals by all that is free, parameters first, (residuals, numbers)."""
+    number, windows = len(free.x), len(seen.slopes)
+    of_x = seen.slopes[..., :number][..., free.x].reshape(-1, np.count_nonzero(free.x))
+    if not free.s:
+        return of_x
+    own = seen.slopes[..., number:].reshape(windows, -1, seen.slopes.shape[-1] - number)
+    if of_x.shape[0] * (of_x.shape[1] + windows * own.shape[-1]) <= _LARGEST_DENSE:
+        whole = np.zeros((windows, own.shape[1], windows, own.shape[2]))
+        whole[np.arange(windows), :, np.arange(windows)] = own
+        return np.hstack([of_x, whole.reshape(of_x.shape[0], -1)])
+    return sparse.hstack([sparse.coo_matrix(of_x), sparse.block_diag(list(own))])  # pyright: ignore[reportReturnType]
+
+
+def chi_squared(seen: Seen) -> float:
+    """The sum of squares of standardised residuals."""
+    return float(np.sum(np.square(seen.residuals)))
+
+
+def _vector(point: Point, free: Free) -> np.ndarray:
+    return np.concatenate([point.x[free.x], point.s.ravel() if free.s else []])
+
+
+def _point(vector: np.ndarray, start: Point, free: Free) -> Point:
+    x, number = start.x.copy(), np.count_nonzero(free.x)
+    x[free.x] = vector[:number]
+    return Point(x, vector[number:].reshape(start.s.shape) if free.s else start.s)
+
+
+@eqx.filter_jit
+def _with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return with_slopes(model, windows, x, s)

@@ -1,0 +1,147 @@
+"""What is fitted: numbers of a system and its base, and the states in which windows of the record begin."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.validation import Arguments
+from .._dynamics.switched.path import run_of
+from .._dynamics.switched.run import run_trajectory
+from .._excitation.excitation import BaseMotion
+from .._fields import Quantity, described
+from .._simulation.call import simulate
+from .._simulation.result import Simulation
+from .._systems.system import System
+from .._types import Array, FloatArray
+from .._uncertainty.numbers import Parameter, Path, number_at, with_numbers
+from .record import Observer, Windows
+
+
+class Setting(NamedTuple):
+    """Where the numbers to be estimated stand."""
+
+    system: System
+    base: BaseMotion
+
+
+class Scale(NamedTuple):
+    """How numbers are searched: ``exp(x)`` where they are positive, else ``origin + size * x``."""
+
+    is_positive: tuple[bool, ...]
+    origin: np.ndarray
+    size: np.ndarray
+
+    def number(self, x: FloatArray) -> FloatArray:
+        """The numbers at `x`, (parameters,)."""
+        is_positive = np.array(self.is_positive)
+        return jnp.where(is_positive, jnp.exp(jnp.where(is_positive, x, 0)), self.origin + self.size * x)
+
+    def searched(self, numbers: np.ndarray) -> np.ndarray:
+        """The x of these numbers, (parameters,)."""
+        is_positive = np.array(self.is_positive)
+        return np.where(is_positive, np.log(np.where(is_positive, numbers, 1)), (numbers - self.origin) / self.size)
+
+    def slope(self, numbers: np.ndarray) -> np.ndarray:
+        """The derivative of the numbers by x, (parameters,)."""
+        return np.where(np.array(self.is_positive), numbers, self.size)
+
+
+def scale_of(setting: Setting, parameters: tuple[Parameter, ...]) -> Scale:
+    """The scale of each parameter. Raises ValueError for a first guess that a logarithm cannot take."""
+    is_positive = []
+    for parameter in parameters:
+        holder: Any = number_at(setting, parameter.path[:-1])
+        about = described(type(holder)).get(str(parameter.path[-1])) if isinstance(holder, eqx.Module) else None
+        positive = isinstance(about, Quantity) and (about.above == 0 or about.at_least == 0)
+        if positive and not parameter.value > 0:
+            raise ValueError(
+                f"Argument wrt names {parameter.name!r}, which is searched by its logarithm, but its first guess is "
+                f"{parameter.value:g}; give it a positive value to begin with, small if need be."
+            )
+        is_positive.append(positive)
+    origin = np.array([parameter.value for parameter in parameters])
+    return Scale(tuple(is_positive), origin, np.maximum(np.abs(origin), 1e-3))
+
+
+class Model(eqx.Module):
+    """The motion as a function of the numbers to be estimated (`paths`, in their `scale`) and of states at starts.
+
+    States are searched as differences from `state_origin` (windows, coordinates).
+    """
+
+    setting: Setting
+    state_origin: Array
+    method: Exact | Regularized
+    origin: Array
+    size: Array
+    is_positive: tuple[bool, ...] = eqx.field(static=True)
+    paths: tuple[Path, ...] = eqx.field(static=True)
+    observers: tuple[Observer, ...] = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+
+    @property
+    def scale(self) -> Scale:
+        """How the numbers are searched."""
+        return Scale(self.is_positive, self.origin, self.size)  # pyright: ignore[reportArgumentType] - traced
+
+    def setting_at(self, numbers: FloatArray) -> Setting:
+        """System and base with other numbers, (parameters,)."""
+        return with_numbers(self.setting, self.paths, numbers)
+
+    def motion(self, numbers: FloatArray, y: FloatArray, begin: FloatArray, end: FloatArray) -> Simulation:
+        """The motion from the state `y` (coordinates,) at the time `begin` (s) until `end` (s)."""
+        system, base = self.setting_at(numbers)
+        if isinstance(self.method, Regularized):
+            return simulate(system, base, t1=end, y0=tuple(y), method=self.method)
+        excitation, step = Arguments(system, base, self.method, end).checked_step()
+        solver = self.method.solver
+        done = run_trajectory(
+            system, excitation, solver, end, tuple(y), step, steps=self.steps, dtype=y.dtype, t0=begin
+        )
+        return Simulation(system, base, end, self.method, *run_of(system, excitation, solver, done))
+
+    def observed(self, x: FloatArray, s: FloatArray, origin: FloatArray, window: Windows) -> FloatArray:
+        """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end."""
+        one = self.motion(self.scale.number(x), origin + s, window.begins, window.ends)
+        return jnp.stack([observe(one, window.times) for observe in self.observers])
+
+
+def with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What is seen of the motions in all windows, (windows, channels, times), and its derivatives by `x` and the own
+    state of each window, (windows, channels, times, parameters + coordinates).
+
+    `x` (parameters,), `s` (windows, coordinates). In forward mode: each window depends on few numbers.
+    """
+    number = x.shape[0]
+
+    def both(joined: FloatArray, origin: FloatArray, window: Windows) -> tuple[FloatArray, FloatArray]:
+        seen = model.observed(joined[:number], joined[number:], origin, window)
+        return seen, seen
+
+    joined = jnp.concatenate([jnp.broadcast_to(x, (s.shape[0], number)), s], axis=1)
+    slopes, seen = jax.vmap(jax.jacfwd(both, has_aux=True))(joined, model.state_origin, windows)
+    return seen, slopes
+
+
+def predicted(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> FloatArray:
+    """What is seen of the motions in all windows, (windows, channels, times), with derivatives of first order.
+
+    They are all computed at once, by `with_slopes`; reverse mode multiplies by them.
+    """
+
+    @jax.custom_jvp
+    def values(x: FloatArray, s: FloatArray) -> FloatArray:
+        return jax.vmap(model.observed, in_axes=(None, 0, 0, 0))(x, s, model.state_origin, windows)
+
+    @values.defjvp
+    def _(primals: tuple[FloatArray, FloatArray], tangents: tuple[FloatArray, FloatArray]):
+        (x, s), (dx, ds) = primals, tangents
+        seen, slopes = with_slopes(model, windows, x, s)
+        changes = jnp.concatenate([jnp.broadcast_to(dx, (s.shape[0], x.shape[0])), ds], axis=1)
+        return seen, jnp.einsum("wctp,wp->wct", slopes, changes)
+
+    return values(x, s)

@@ -1,0 +1,208 @@
+"""A measured motion: its channels, their noise, and its cut into windows."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeAlias
+
+import jax
+import numpy as np
+import numpy.typing as npt
+
+from .. import _checks
+from .._dynamics.switched.path import StepPath
+from .._simulation.result import Simulation
+from .._systems.system import System
+from .._types import FloatArray
+
+Observer: TypeAlias = Callable[[Simulation, FloatArray], FloatArray]
+"""What a channel measures: a function of a simulation and of times (s, (times,)), with one number for each time."""
+FORCE = "friction force"
+_NEAR = 5  # points for the state at the start of a window
+
+
+class Channel(NamedTuple):
+    """One measured quantity: its name, its unit ("" where it is not known), and what it is of a simulation."""
+
+    name: str
+    unit: str
+    observe: Observer
+
+
+class Record(NamedTuple):
+    """Measurements: `times` (s, (times,)), `channels`, and `values` (channels, times), NaN where nothing was measured.
+
+    `noise`: the standard deviation of each channel's noise, (channels,), NaN where it is not known.
+    """
+
+    times: np.ndarray
+    channels: tuple[Channel, ...]
+    values: np.ndarray
+    noise: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        system: System,
+        times: npt.ArrayLike,
+        measured: Mapping[str, npt.ArrayLike],
+        noise: Mapping[str, float] | None,
+        observe: Mapping[str, Observer] | None,
+    ) -> "Record":
+        """The checked measurements; times at which nothing was measured are left out.
+
+        Raises:
+            ValueError: For what `calibrate` does not take.
+        """
+        at = np.asarray(_checks.numbers("times", times, ndim=1), float)
+        if len(at) < 2 or not np.all(np.diff(at) > 0) or at[0] < 0:
+            raise _checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
+        if not isinstance(measured, Mapping) or not measured:
+            hint = 'such as {"position": x}'
+            raise _checks.refused("measured", "be a dict with an array for each channel", measured, hint)
+        own = {} if observe is None else observe
+        if not isinstance(own, Mapping) or not all(callable(function) for function in own.values()):
+            raise _checks.refused("observe", "be a dict with a function of simulation and times for each name", observe)
+        channels = tuple(_channel(system, name, own) for name in measured)
+        values = np.stack([_values(name, column, len(at)) for name, column in measured.items()])
+        if unused := [name for name in own if name not in measured]:
+            raise ValueError(f"Argument observe must name channels of measured, but {unused[0]!r} is none of them.")
+        known = np.array([_noise(name, noise) for name in measured])
+        if unknown := [name for name in noise or {} if name not in measured]:
+            raise ValueError(f"Argument noise must name channels of measured, but {unknown[0]!r} is none of them.")
+        kept = np.any(np.isfinite(values), axis=0)
+        if np.count_nonzero(np.isfinite(values)) < 3:
+            raise ValueError("Argument measured must hold at least three numbers, but all others are NaN.")
+        return cls(at[kept], channels, values[:, kept], known)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """The number of measurements of each channel, (channels,)."""
+        return np.count_nonzero(np.isfinite(self.values), axis=1)
+
+    def cut(self, number: int, begin: float | None) -> "Windows":
+        """The record in at most `number` windows of equal duration; those without measurements are left out.
+
+        `begin`: where the first begins (s); at its first measurement by default, as all others.
+        """
+        edges = np.linspace(self.times[0], self.times[-1], number + 1)[1:-1]
+        parts = [part for part in np.split(np.arange(len(self.times)), np.searchsorted(self.times, edges)) if len(part)]
+        longest = max(len(part) for part in parts)
+        starts = np.array([self.times[part[0]] for part in parts])
+        if begin is not None:
+            starts[0] = begin
+        index = np.stack([np.pad(part, (0, longest - len(part)), mode="edge") for part in parts])
+        is_own = np.arange(longest) < np.array([len(part) for part in parts])[:, None]
+        values = np.moveaxis(self.values[:, index], 0, 1)
+        is_there = is_own[:, None, :] & np.isfinite(values)
+        # A window of one point at its own start has no duration: it ends a little later.
+        ends = np.maximum(self.times[index[:, -1]], np.nextafter(starts, np.inf) + 1e-9 * (self.times[-1] - starts))
+        return Windows(starts, ends, self.times[index], np.where(is_there, values, 0), is_there)
+
+
+class Windows(NamedTuple):
+    """A record in windows: begins and ends (s, (windows,)), times (windows, times), values (windows, channels, times),
+    and which of these were measured; the others are fillings.
+    """
+
+    begins: np.ndarray
+    ends: np.ndarray
+    times: np.ndarray
+    values: np.ndarray
+    is_measured: np.ndarray
+
+    def in_order(self, values: np.ndarray, record: Record) -> np.ndarray:
+        """Numbers (windows, channels, times) along the record, (channels, times); NaN where nothing was measured."""
+        flat = np.full(record.values.shape, np.nan)
+        place = np.searchsorted(record.times, self.times)
+        for window, channel, time in zip(*np.nonzero(self.is_measured), strict=True):
+            flat[channel, place[window, time]] = values[window, channel, time]
+        return flat
+
+
+def _values(name: str, column: npt.ArrayLike, number: int) -> np.ndarray:
+    values = np.asarray(column, float) if _checks.dimensions(column) == 1 else np.zeros(0)
+    if len(values) != number or np.any(np.isinf(values)):
+        demand = f"hold one number for each of the {number} times, NaN where nothing was measured"
+        raise _checks.refused(f"measured[{name!r}]", demand, column)
+    return values
+
+
+def _noise(name: str, noise: Mapping[str, float] | None) -> float:
+    if noise is not None and not isinstance(noise, Mapping):
+        raise _checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
+    if noise is None or name not in noise:
+        return np.nan
+    _checks.positive(f"noise[{name!r}]", noise[name])
+    return float(noise[name])
+
+
+def _channel(system: System, name: str, own: Mapping[str, Observer]) -> Channel:
+    """The channel called `name`. Raises ValueError for a name that is not known."""
+    coordinates = system.coordinates
+    if name in own:
+        return Channel(name, "", own[name])
+    names = [coordinate.name for coordinate in coordinates]
+    if name in names:
+        number = names.index(name)
+        return Channel(name, coordinates[number].unit, Coordinate(number))
+    rates = {each.replace("velocity", "acceleration"): i for i, each in enumerate(names) if "velocity" in each}
+    if name in rates:
+        number = rates[name]
+        return Channel(name, coordinates[number].unit + "^2", Rate(number))
+    if name == FORCE:
+        return Channel(name, "N", friction_force)
+    known = _checks.one_of(map(repr, [*names, *rates, FORCE]))
+    raise ValueError(
+        f"Argument measured must have channels called {known}, or names of functions in observe, but {name!r} was given."
+    )
+
+
+class Coordinate(NamedTuple):
+    """Measures one coordinate of the state."""
+
+    number: int
+
+    def __call__(self, one: Simulation, times: FloatArray) -> FloatArray:
+        return one.evaluate(times)[self.number]
+
+
+class Rate(NamedTuple):
+    """Measures the rate of one coordinate."""
+
+    number: int
+
+    def __call__(self, one: Simulation, times: FloatArray) -> FloatArray:
+        path = one._path
+        if not isinstance(path, StepPath):
+            raise ValueError(
+                "Argument measured can hold accelerations with the method Exact only; measure positions or velocities, "
+                "or give a function of your own in observe."
+            )
+        return jax.vmap(lambda time: path.rates(time)[self.number])(times)
+
+
+def friction_force(one: Simulation, times: FloatArray) -> FloatArray:
+    """Measures the friction force."""
+    return one.friction_force(times)
+
+
+def start_guess(record: Record, system: System, at: float) -> np.ndarray:
+    """The state at the time `at` (s) by the measurements near it, (coordinates,); 0 where they do not tell.
+
+    By a line through the nearest points: a velocity that is not measured is the slope of its position.
+    """
+    rows = {c.observe.number: i for i, c in enumerate(record.channels) if isinstance(c.observe, Coordinate)}
+    names = [coordinate.name for coordinate in system.coordinates]
+    guess = np.zeros(len(names))
+    for number, name in enumerate(names):
+        integral = name.replace("angular velocity", "angle").replace("velocity", "position")
+        is_own = number in rows
+        if not is_own and (integral == name or integral not in names or names.index(integral) not in rows):
+            continue
+        values = record.values[rows[number if is_own else names.index(integral)]]
+        there = np.flatnonzero(np.isfinite(values))
+        near = there[np.argsort(np.abs(record.times[there] - at), kind="stable")[:_NEAR]]
+        if len(near) < 2:
+            continue
+        slope, level = np.polyfit(record.times[near] - at, values[near], 1)
+        guess[number] = level if is_own else slope
+    return guess

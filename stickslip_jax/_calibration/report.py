@@ -1,0 +1,175 @@
+"""From a fit to its result: estimates with their errors, and what to know about them."""
+
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+from scipy import stats
+
+from .._dynamics.common.validation import Arguments
+from .._excitation.smooth import SIGNAL_UNIT
+from .._fields import Quantity, described
+from .._statistics.estimate import Estimate, SharedErrors, shared_estimate
+from .._uncertainty.numbers import Parameter, number_at, with_numbers
+from .bounds import Bounds, bounds_of
+from .fit import chi_squared
+from .information import Information, information_of
+from .problem import Setting
+from .record import Record, Windows
+from .result import Calibration
+from .whiteness import whiteness
+
+if TYPE_CHECKING:
+    from .call import Found
+
+_SIGNIFICANCE = 0.001  # at which residuals are called too large, or not white
+
+
+def result_of(
+    record: Record,
+    arguments: Arguments,
+    parameters: tuple[Parameter, ...],
+    found: "Found",
+    start_is_searched: bool,
+    given_up: float | None,
+) -> Calibration:
+    """The result of a fit. `given_up`: by how much chi-squared grew where one motion over the whole record failed."""
+    problem, fit, _, sigma = found
+    scale, seen = problem.model.scale, fit.seen.over(sigma)
+    number, size = len(parameters), fit.point.s.shape[1]
+    is_one = len(fit.point.s) == 1
+    with_start = is_one and start_is_searched
+    told = information_of(_without_states(seen, number) if is_one and not with_start else seen,
+                          number + size * with_start)  # fmt: skip
+    numbers = np.asarray(scale.number(fit.point.x))
+    slope = np.concatenate([scale.slope(numbers), np.ones(size * with_start)])
+    covariance, by_blocks = (_scaled(matrix, slope) for matrix in (told.covariance, told.by_blocks))
+    freedom = int(record.counts.sum()) - len(told.silent) + np.count_nonzero(told.silent) + len(told.tied)
+    freedom -= 0 if is_one else fit.point.s.size - told.lost
+    setting = Setting(arguments.system, arguments.base)
+    states = np.asarray(problem.model.state_origin) + fit.point.s
+    coordinates = arguments.system.coordinates
+    names = [parameter.name for parameter in parameters] + [one.name for one in coordinates] * with_start
+    units = [_unit_at(setting, one) for one in parameters] + [one.unit for one in coordinates] * with_start
+    values = np.concatenate([numbers, states[0] * with_start if with_start else []])
+    estimates = _estimates(names, values, units, covariance, freedom)
+    windows = Windows(*map(np.asarray, problem.windows))
+    fitted = record.values + windows.in_order(fit.seen.residuals, record)
+    tests = {
+        channel.name: whiteness(channel.name, row)
+        for channel, row in zip(record.channels, record.values - fitted, strict=True)
+    }
+    silent = [i for i in range(number) if told.silent[i]]
+    bounds = {names[i]: bounds_of(problem, sigma, fit.point, found.free, i) for i in silent}
+    total = chi_squared(seen)
+    system, base = with_numbers(setting, [one.path for one in parameters], [float(value) for value in numbers])
+    known = {channel.name: bool(np.isfinite(one)) for channel, one in zip(record.channels, record.noise, strict=True)}
+    return Calibration(
+        estimates=dict(zip(names[:number], estimates[:number], strict=True)),
+        covariance=covariance[:number, :number],
+        covariance_by_blocks=by_blocks[:number, :number],
+        bounds=bounds,
+        system=system,
+        base=base,
+        start=dict(zip(names[number:], estimates[number:], strict=True)) if with_start else None,
+        start_times=windows.begins,
+        start_states=states,
+        channels=tuple(channel.name for channel in record.channels),
+        units=tuple(channel.unit for channel in record.channels),
+        times=record.times,
+        measured=record.values,
+        fitted=fitted,
+        noise={channel.name: float(one) for channel, one in zip(record.channels, sigma, strict=True)},
+        noise_is_known=known,
+        chi_squared=total,
+        degrees_of_freedom=freedom,
+        whiteness=tests,
+        converged=fit.converged,
+        remarks=(
+            *_about_numbers(names[:number], numbers, told, bounds, slope[:number], estimates),
+            *_about_fit(total, freedom, all(known.values()), tests, given_up, len(fit.point.s)),
+        ),
+    )
+
+
+def _without_states(seen: Any, number: int) -> Any:
+    return seen._replace(slopes=seen.slopes[..., :number])
+
+
+def _scaled(covariance: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """The covariance of numbers from that of what is searched; NaN where the record does not tell."""
+    return np.where(np.isfinite(covariance), covariance, np.nan) * slope[:, None] * slope
+
+
+def _estimates(
+    names: list[str], values: np.ndarray, units: list[str], covariance: np.ndarray, freedom: int
+) -> list[Estimate]:
+    origin, shared, errors = object(), SharedErrors(covariance), np.sqrt(np.diag(covariance))
+    return [
+        shared_estimate(name, float(value), float(error), unit, max(freedom, 1) + 1, origin, (shared, place))
+        for place, (name, value, error, unit) in enumerate(zip(names, values, errors, units, strict=True))
+    ]
+
+
+def _unit_at(setting: Setting, parameter: Parameter) -> str:
+    """The unit of a parameter, "1" where none is known."""
+    holder: Any = number_at(setting, parameter.path[:-1])
+    about = described(type(holder)).get(str(parameter.path[-1])) if isinstance(holder, eqx.Module) else None
+    unit = about.unit if isinstance(about, Quantity) else ""
+    if unit == SIGNAL_UNIT:
+        return "m/s" if parameter.path[0] == "base" else "N"
+    return unit or "1"
+
+
+def _about_numbers(
+    names: list[str],
+    numbers: np.ndarray,
+    told: Information,
+    bounds: dict[str, Bounds],
+    slope: np.ndarray,
+    estimates: list[Estimate],
+) -> list[str]:
+    """Sentences on numbers that the record does not tell, or hardly."""
+    said = []
+    for name, (low, high) in bounds.items():
+        value = numbers[names.index(name)]
+        ends = [f"at least {low:.4g}"] * (low is not None) + [f"at most {high:.4g}"] * (high is not None)
+        limit = f"it is {' and '.join(ends)} (95 % confidence each)" if ends else "it gives no bound either"
+        said.append(f"The motion does not depend on {name} near {value:.4g}: the record does not tell it; {limit}.")
+    for direction in told.tied:
+        change = direction[: len(names)] * slope / np.where(numbers == 0, 1, numbers)
+        if not np.any(np.abs(change) > 0):
+            continue
+        change = change / np.max(np.abs(change))
+        parts = [f"{name} by {100 * share:+.0f} %" for name, share in zip(names, change, strict=True)
+                 if abs(share) > 1e-3]  # fmt: skip
+        said.append(
+            f"The record does not tell these apart: changing {', '.join(parts)} (in these ratios) leaves the motion "
+            "as it is; fix one of them."
+        )
+    said += [
+        f"The record hardly tells {one.name}: its standard error is larger than its value."
+        for one in estimates[: len(names)]
+        if one.standard_error > abs(one.value)
+    ]
+    return said
+
+
+def _about_fit(
+    total: float, freedom: int, is_known: bool, tests: dict, given_up: float | None, windows: int
+) -> list[str]:
+    """Sentences on the residuals, and on windows."""
+    said = []
+    if given_up is not None:
+        said.append(
+            f"One motion over the whole record would raise chi-squared by {given_up:.4g}: each of {windows} windows "
+            "has a start of its own."
+        )
+    if is_known and freedom > 0 and stats.chi2.sf(total, freedom) < _SIGNIFICANCE:
+        said.append("Chi-squared is larger than the given noise allows: the model lacks something, or noise is larger.")
+    if coloured := [name for name, test in tests.items() if test.made and test.p_value < _SIGNIFICANCE]:
+        said.append(
+            f"The residuals of {' and '.join(coloured)} are not white: rather use covariance_by_blocks, whose errors "
+            "do not rest on that."
+        )
+    return said
