@@ -8,7 +8,7 @@ from scipy import stats
 from .fit import Free, Point, Problem, chi_squared
 
 LEVEL = 0.95
-_DOUBLINGS = 10
+_DOUBLINGS = 6  # of the step in the logarithm: a factor of 65,000 in the end
 _HALVINGS = 14
 
 

@@ -47,7 +47,7 @@ class Search(NamedTuple):
 
     def problem(self, number: int, origin: np.ndarray | None, numbers: np.ndarray, more: int = 1) -> Problem:
         """The problem in `number` windows, whose motions start near `origin` (windows, coordinates)."""
-        system, base, method, t1 = self.arguments
+        system, base, method, _ = self.arguments
         is_one = number == 1 and (self.y0 is not None or isinstance(method, Regularized))
         windows = self.record.cut(number, 0.0 if is_one else None)
         if origin is None:
@@ -185,6 +185,7 @@ def _checked(
     if not len(end) or not end[-1] > 0:
         raise _checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
     arguments, start = Arguments.of_one(system, base, method, float(end[-1]), y0)
+    arguments = arguments._replace(base=base)  # whose numbers may be estimated, not those of its realisation
     record = Record.of(system, times, measured, noise, observe)
     parameters = parameters_of(Setting(system, base)._asdict(), wrt)
     scale = scale_of(Setting(system, base), parameters)

@@ -12,6 +12,7 @@ from .._dynamics.common.validation import Arguments
 from .._dynamics.switched.path import run_of
 from .._dynamics.switched.run import run_trajectory
 from .._excitation.excitation import BaseMotion
+from .._excitation.merged import merged
 from .._fields import Quantity, described
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
@@ -88,6 +89,11 @@ class Model(eqx.Module):
         """How the numbers are searched."""
         return Scale(self.is_positive, self.origin, self.size)  # pyright: ignore[reportArgumentType] - traced
 
+    @property
+    def first_guess(self) -> np.ndarray:
+        """Where the search begins, (parameters,)."""
+        return self.scale.searched(np.asarray(self.origin))
+
     def setting_at(self, numbers: FloatArray) -> Setting:
         """System and base with other numbers, (parameters,)."""
         return with_numbers(self.setting, self.paths, numbers)
@@ -97,7 +103,7 @@ class Model(eqx.Module):
         system, base = self.setting_at(numbers)
         if isinstance(self.method, Regularized):
             return simulate(system, base, t1=end, y0=tuple(y), method=self.method)
-        excitation, step = Arguments(system, base, self.method, end).checked_step()
+        excitation, step = Arguments(system, merged(base, end), self.method, end).checked_step()
         solver = self.method.solver
         done = run_trajectory(
             system, excitation, solver, end, tuple(y), step, steps=self.steps, dtype=y.dtype, t0=begin

@@ -152,7 +152,8 @@ def _channel(system: System, name: str, own: Mapping[str, Observer]) -> Channel:
         return Channel(name, "N", friction_force)
     known = _checks.one_of(map(repr, [*names, *rates, FORCE]))
     raise ValueError(
-        f"Argument measured must have channels called {known}, or names of functions in observe, but {name!r} was given."
+        f"Argument measured must have channels called {known}, or names of functions in observe, but {name!r} was "
+        "given."
     )
 
 

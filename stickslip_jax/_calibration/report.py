@@ -22,6 +22,8 @@ from .whiteness import whiteness
 if TYPE_CHECKING:
     from .call import Found
 
+_SHARE = 0.05  # of a direction, below which a number has no part in it
+_VAGUE = 3.0  # standard error of an initial state, in its unit, beyond which the record does not tell it
 _SIGNIFICANCE = 0.001  # at which residuals are called too large, or not white
 
 
@@ -39,13 +41,15 @@ def result_of(
     number, size = len(parameters), fit.point.s.shape[1]
     is_one = len(fit.point.s) == 1
     with_start = is_one and start_is_searched
-    told = information_of(_without_states(seen, number) if is_one and not with_start else seen,
-                          number + size * with_start)  # fmt: skip
+    own = _without_states(seen, number) if is_one and not with_start else seen
+    told = information_of(own, number)
+    joint = information_of(own, number + size) if with_start else told
     numbers = np.asarray(scale.number(fit.point.x))
     slope = np.concatenate([scale.slope(numbers), np.ones(size * with_start)])
-    covariance, by_blocks = (_scaled(matrix, slope) for matrix in (told.covariance, told.by_blocks))
-    freedom = int(record.counts.sum()) - len(told.silent) + np.count_nonzero(told.silent) + len(told.tied)
-    freedom -= 0 if is_one else fit.point.s.size - told.lost
+    is_told = np.concatenate([~told.untold, np.diag(joint.covariance)[number:] < _VAGUE**2])
+    covariance, by_blocks = (_scaled(matrix, slope, is_told) for matrix in (joint.covariance, joint.by_blocks))
+    states_searched = 0 if is_one and not with_start else fit.point.s.size
+    freedom = int(record.counts.sum()) - number - states_searched + told.lost
     setting = Setting(arguments.system, arguments.base)
     states = np.asarray(problem.model.state_origin) + fit.point.s
     coordinates = arguments.system.coordinates
@@ -59,8 +63,8 @@ def result_of(
         channel.name: whiteness(channel.name, row)
         for channel, row in zip(record.channels, record.values - fitted, strict=True)
     }
-    silent = [i for i in range(number) if told.silent[i]]
-    bounds = {names[i]: bounds_of(problem, sigma, fit.point, found.free, i) for i in silent}
+    alone = told.untold & ~np.any(np.abs(told.tied) > _SHARE, axis=0)
+    bounds = {names[i]: bounds_of(problem, sigma, fit.point, found.free, i) for i in np.flatnonzero(alone)}
     total = chi_squared(seen)
     system, base = with_numbers(setting, [one.path for one in parameters], [float(value) for value in numbers])
     known = {channel.name: bool(np.isfinite(one)) for channel, one in zip(record.channels, record.noise, strict=True)}
@@ -86,7 +90,7 @@ def result_of(
         whiteness=tests,
         converged=fit.converged,
         remarks=(
-            *_about_numbers(names[:number], numbers, told, bounds, slope[:number], estimates),
+            *_about_numbers(names[:number], numbers, told, bounds, slope[:number]),
             *_about_fit(total, freedom, all(known.values()), tests, given_up, len(fit.point.s)),
         ),
     )
@@ -96,9 +100,9 @@ def _without_states(seen: Any, number: int) -> Any:
     return seen._replace(slopes=seen.slopes[..., :number])
 
 
-def _scaled(covariance: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """The covariance of numbers from that of what is searched; NaN where the record does not tell."""
-    return np.where(np.isfinite(covariance), covariance, np.nan) * slope[:, None] * slope
+def _scaled(covariance: np.ndarray, slope: np.ndarray, is_told: np.ndarray) -> np.ndarray:
+    """The covariance of numbers from that of what is searched; NaN for those that the record does not tell."""
+    return np.where(is_told[:, None] & is_told, covariance * slope[:, None] * slope, np.nan)
 
 
 def _estimates(
@@ -127,31 +131,25 @@ def _about_numbers(
     told: Information,
     bounds: dict[str, Bounds],
     slope: np.ndarray,
-    estimates: list[Estimate],
 ) -> list[str]:
-    """Sentences on numbers that the record does not tell, or hardly."""
+    """Sentences on numbers that the record does not tell."""
     said = []
     for name, (low, high) in bounds.items():
         value = numbers[names.index(name)]
-        ends = [f"at least {low:.4g}"] * (low is not None) + [f"at most {high:.4g}"] * (high is not None)
+        ends = [f"{word} {one:.4g}" for word, one in (("at least", low), ("at most", high)) if one is not None]
         limit = f"it is {' and '.join(ends)} (95 % confidence each)" if ends else "it gives no bound either"
-        said.append(f"The motion does not depend on {name} near {value:.4g}: the record does not tell it; {limit}.")
+        said.append(f"The motion hardly depends on {name} near {value:.4g}, so the record does not tell it: {limit}.")
     for direction in told.tied:
-        change = direction[: len(names)] * slope / np.where(numbers == 0, 1, numbers)
+        change = direction * slope / np.where(numbers == 0, 1, numbers)
         if not np.any(np.abs(change) > 0):
             continue
         change = change / np.max(np.abs(change))
         parts = [f"{name} by {100 * share:+.0f} %" for name, share in zip(names, change, strict=True)
-                 if abs(share) > 1e-3]  # fmt: skip
+                 if abs(share) > _SHARE]  # fmt: skip
         said.append(
             f"The record does not tell these apart: changing {', '.join(parts)} (in these ratios) leaves the motion "
             "as it is; fix one of them."
         )
-    said += [
-        f"The record hardly tells {one.name}: its standard error is larger than its value."
-        for one in estimates[: len(names)]
-        if one.standard_error > abs(one.value)
-    ]
     return said
 
 
