@@ -1,5 +1,6 @@
 """`calibrate`: numbers of a system and its base from a record of motion."""
 
+import dataclasses
 import warnings
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from .. import _checks
+from .. import _diffrax as diffrax
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.common.stopping_scan import padded_length
 from .._dynamics.common.time_scales import slowest_time
@@ -22,9 +24,10 @@ from .._numerics.leaves import as_arrays
 from .._systems.system import System
 from .._types import InitialState
 from .._uncertainty.numbers import Parameter, parameters_of, with_numbers
+from .cutting import Cuts, cuts_of
 from .fit import Fit, Free, Point, Problem, chi_squared
 from .problem import Model, Scale, Setting, scale_of
-from .record import Observer, Record, start_guess
+from .record import Observer, Record
 from .report import result_of
 from .result import Calibration
 
@@ -45,17 +48,31 @@ class Search(NamedTuple):
     scale: Scale
     y0: np.ndarray | None
 
-    def problem(self, number: int, origin: np.ndarray | None, numbers: np.ndarray, more: int = 1) -> Problem:
-        """The problem in `number` windows, whose motions start near `origin` (windows, coordinates)."""
+    def cuts(self, number: int) -> Cuts:
+        """Where `number` windows begin, and the states there by the measurements."""
         system, base, method, _ = self.arguments
-        is_one = number == 1 and (self.y0 is not None or isinstance(method, Regularized))
-        windows = self.record.cut(number, 0.0 if is_one else None)
-        if origin is None:
-            origin = np.stack([start_guess(self.record, system, begin) for begin in windows.begins])
+        if number > 1 or self.begins_where_measured:
+            solver = method.solver if isinstance(method, Exact) else None
+            return cuts_of(self.record, Setting(system, base), solver, number)
+        size = len(system.coordinates)
+        state = np.zeros(size) if self.y0 is None else self.y0
+        return Cuts(np.zeros(1, int), state[None], None)
+
+    @property
+    def begins_where_measured(self) -> bool:
+        """Whether one motion over the whole record begins at its first measurement; at t = 0 otherwise."""
+        return self.y0 is None and isinstance(self.arguments.method, Exact)
+
+    def problem(self, cuts: Cuts, numbers: np.ndarray, more: int = 1) -> Problem:
+        """The problem in windows, with steps for the parameters at `numbers`, or `more` times as many."""
+        system, base, method, _ = self.arguments
+        is_from_zero = len(cuts.firsts) == 1 and not self.begins_where_measured
+        windows = self.record.cut(cuts.firsts, 0.0 if is_from_zero else None)
         dtype = jnp.result_type(float)
         model = Model(
             as_arrays(Setting(system, base), dtype),
-            jnp.asarray(origin, dtype),
+            jnp.asarray(cuts.states, dtype),
+            None if cuts.resting is None else jnp.asarray(cuts.resting),
             method,
             jnp.asarray(self.scale.origin, dtype),
             jnp.asarray(self.scale.size, dtype),
@@ -158,7 +175,7 @@ def calibrate(
         raise _checks.refused("windows", "be 1 with the method Regularized", windows)
     number = _usual_windows(search) if windows is None else _checks.whole_number("windows", windows)
     first = np.asarray(search.scale.searched(search.scale.origin))
-    found = _fitted(search, number, first, None)
+    found = _fitted(search, search.cuts(number), first)
     given_up = None
     if windows is None and found.problem.windows.begins.shape[0] > 1:
         whole = _as_one(search, found)
@@ -185,7 +202,11 @@ def _checked(
     if not len(end) or not end[-1] > 0:
         raise _checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
     arguments, start = Arguments.of_one(system, base, method, float(end[-1]), y0)
-    arguments = arguments._replace(base=base)  # whose numbers may be estimated, not those of its realisation
+    if isinstance(method, Regularized) and method.step is None and method.adjoint is None:
+        method = dataclasses.replace(method, adjoint=diffrax.ForwardMode())
+    arguments = arguments._replace(
+        base=base, method=method
+    )  # base, whose numbers may be estimated, not those of its realisation
     record = Record.of(system, times, measured, noise, observe)
     parameters = parameters_of(Setting(system, base)._asdict(), wrt)
     scale = scale_of(Setting(system, base), parameters)
@@ -202,21 +223,17 @@ def _usual_windows(search: Search) -> int:
     return int(np.clip(min(by_time, by_number), 1, _MOST_WINDOWS))
 
 
-def _fitted(
-    search: Search, number: int, x: np.ndarray, origin: np.ndarray | None, sigma: np.ndarray | None = None
-) -> Found:
-    """The fit in `number` windows from `x`, with the noise that is not known estimated, or with `sigma`."""
-    known_start = number == 1 and search.y0 is not None
-    free = Free(np.ones(len(x), bool), not known_start)
-    origin = search.y0[None] if known_start else origin  # pyright: ignore[reportOptionalSubscript]
+def _fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None = None) -> Found:
+    """The fit in windows from `x`, with the noise that is not known estimated, or with `sigma`."""
+    free = Free(np.ones(len(x), bool), len(cuts.firsts) > 1 or search.y0 is None)
     more = 1
-    problem = search.problem(number, origin, np.asarray(search.scale.number(x)), more)
+    problem = search.problem(cuts, np.asarray(search.scale.number(x)), more)
     start = Point(x, np.zeros(problem.model.state_origin.shape))
     for _ in range(_MOST_DOUBLINGS):
         if np.all(np.isfinite(problem.seen(start).residuals)):
             break
         more *= 2
-        problem = search.problem(number, origin, np.asarray(search.scale.number(x)), more)
+        problem = search.problem(cuts, np.asarray(search.scale.number(x)), more)
     else:
         raise ValueError(
             "Arguments system and base must have a motion that reaches the end of the record with the first guesses, "
@@ -226,7 +243,7 @@ def _fitted(
     found = _with_noise(problem, search.record, start, free, sigma)
     while search.needs_more(problem, found.fit):
         numbers = np.asarray(search.scale.number(found.fit.point.x))
-        problem = search.problem(number, origin, numbers, more)
+        problem = search.problem(cuts, numbers, more)
         found = _with_noise(problem, search.record, found.fit.point, free, sigma)
     return found
 
@@ -256,10 +273,14 @@ def _as_one(search: Search, found: Found) -> Found | float:
     """One motion over the whole record, from the numbers `found` in windows; if the record contradicts it, by how much
     chi-squared grew.
     """
-    origin = np.asarray(found.problem.model.state_origin)[:1] + found.fit.point.s[:1]
+    cuts = search.cuts(1)
+    if search.begins_where_measured:
+        model = found.problem.model
+        state = np.asarray(model.state_origin)[:1] + found.fit.point.s[:1]
+        cuts = cuts._replace(states=state, resting=None if model.resting is None else np.asarray(model.resting)[:1])
     with_windows = chi_squared(found.fit.seen.over(found.sigma))
     try:
-        whole = _fitted(search, 1, found.fit.point.x, origin, found.sigma)
+        whole = _fitted(search, cuts, found.fit.point.x, found.sigma)
     except ValueError:
         return np.inf
     growth = chi_squared(whole.fit.seen.over(found.sigma)) - with_windows

@@ -65,7 +65,11 @@ class Problem(NamedTuple):
 
     def seen(self, point: Point) -> Seen:
         """Residuals and derivatives at a point; NaN where a motion does not reach its window's end."""
-        seen, slopes = (np.asarray(array) for array in _with_slopes(self.model, self.windows, point.x, point.s))
+        try:
+            seen, slopes = map(np.asarray, _with_slopes(self.model, self.windows, point.x, point.s))
+        except eqx.EquinoxRuntimeError:  # an implicit step found no solution
+            shape = self.windows.is_measured.shape
+            seen, slopes = np.full(shape, np.nan), np.full((*shape, len(point.x) + point.s.shape[1]), np.nan)
         there = self.windows.is_measured
         return Seen(np.where(there, seen - self.windows.values, 0), np.where(there[..., None], slopes, 0))
 

@@ -8,16 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.segments import SegmentLaws
 from .._dynamics.common.validation import Arguments
 from .._dynamics.switched.path import run_of
 from .._dynamics.switched.run import run_trajectory
-from .._excitation.excitation import BaseMotion
+from .._excitation.excitation import BaseMotion, excitation_of
 from .._excitation.merged import merged
+from .._excitation.segments import first_segment, segment_at
 from .._fields import Quantity, described
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.system import System
-from .._types import Array, FloatArray
+from .._types import Array, BoolArray, FloatArray
 from .._uncertainty.numbers import Parameter, Path, number_at, with_numbers
 from .record import Observer, Windows
 
@@ -71,11 +73,13 @@ def scale_of(setting: Setting, parameters: tuple[Parameter, ...]) -> Scale:
 class Model(eqx.Module):
     """The motion as a function of the numbers to be estimated (`paths`, in their `scale`) and of states at starts.
 
-    States are searched as differences from `state_origin` (windows, coordinates).
+    States are searched as differences from `state_origin` (windows, coordinates); contacts that are `resting` at a
+    start (windows, modes) have no relative velocity there, whatever the state.
     """
 
     setting: Setting
     state_origin: Array
+    resting: Array | None
     method: Exact | Regularized
     origin: Array
     size: Array
@@ -98,21 +102,25 @@ class Model(eqx.Module):
         """System and base with other numbers, (parameters,)."""
         return with_numbers(self.setting, self.paths, numbers)
 
-    def motion(self, numbers: FloatArray, y: FloatArray, begin: FloatArray, end: FloatArray) -> Simulation:
-        """The motion from the state `y` (coordinates,) at the time `begin` (s) until `end` (s)."""
+    def motion(self, numbers: FloatArray, y: FloatArray, resting: BoolArray | None, window: Windows) -> Simulation:
+        """The motion in a window from the state `y` (coordinates,)."""
+        begin, end = window.begins, window.ends
         system, base = self.setting_at(numbers)
         if isinstance(self.method, Regularized):
             return simulate(system, base, t1=end, y0=tuple(y), method=self.method)
         excitation, step = Arguments(system, merged(base, end), self.method, end).checked_step()
         solver = self.method.solver
         done = run_trajectory(
-            system, excitation, solver, end, tuple(y), step, steps=self.steps, dtype=y.dtype, t0=begin
-        )
+            system, excitation, solver, end, tuple(y), step, steps=self.steps, dtype=y.dtype, t0=begin,
+            resting=resting,
+        )  # fmt: skip
         return Simulation(system, base, end, self.method, *run_of(system, excitation, solver, done))
 
-    def observed(self, x: FloatArray, s: FloatArray, origin: FloatArray, window: Windows) -> FloatArray:
+    def observed(
+        self, x: FloatArray, s: FloatArray, origin: FloatArray, resting: BoolArray | None, window: Windows
+    ) -> FloatArray:
         """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end."""
-        one = self.motion(self.scale.number(x), origin + s, window.begins, window.ends)
+        one = self.motion(self.scale.number(x), origin + s, resting, window)
         return jnp.stack([observe(one, window.times) for observe in self.observers])
 
 
@@ -124,12 +132,14 @@ def with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) ->
     """
     number = x.shape[0]
 
-    def both(joined: FloatArray, origin: FloatArray, window: Windows) -> tuple[FloatArray, FloatArray]:
-        seen = model.observed(joined[:number], joined[number:], origin, window)
+    def both(
+        joined: FloatArray, origin: FloatArray, resting: BoolArray | None, window: Windows
+    ) -> tuple[FloatArray, FloatArray]:
+        seen = model.observed(joined[:number], joined[number:], origin, resting, window)
         return seen, seen
 
     joined = jnp.concatenate([jnp.broadcast_to(x, (s.shape[0], number)), s], axis=1)
-    slopes, seen = jax.vmap(jax.jacfwd(both, has_aux=True))(joined, model.state_origin, windows)
+    slopes, seen = jax.vmap(jax.jacfwd(both, has_aux=True))(joined, model.state_origin, model.resting, windows)
     return seen, slopes
 
 
@@ -141,7 +151,7 @@ def predicted(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> F
 
     @jax.custom_jvp
     def values(x: FloatArray, s: FloatArray) -> FloatArray:
-        return jax.vmap(model.observed, in_axes=(None, 0, 0, 0))(x, s, model.state_origin, windows)
+        return jax.vmap(model.observed, in_axes=(None, 0, 0, 0, 0))(x, s, model.state_origin, model.resting, windows)
 
     @values.defjvp
     def _(primals: tuple[FloatArray, FloatArray], tangents: tuple[FloatArray, FloatArray]):
@@ -151,3 +161,24 @@ def predicted(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> F
         return seen, jnp.einsum("wctp,wp->wct", slopes, changes)
 
     return values(x, s)
+
+
+@eqx.filter_jit
+def slip_speeds(setting: Setting, solver: Any, times: FloatArray, states: FloatArray) -> FloatArray:
+    """The sizes of the relative velocities of contacts in `states` (times, coordinates) at `times` (s), (times, modes)
+    or (times,); infinite for modes that are no contacts.
+    """
+    system, base = setting
+    excitation, dtype = excitation_of(merged(base, times[-1])), states.dtype
+    laws = SegmentLaws.of(system, excitation)
+    model = system.switched_model(excitation.signal, solver)
+    firsts = tuple(first_segment(law, jnp.zeros(2, jnp.uint32), dtype) for law in laws.all)
+
+    def at(t: FloatArray, y: FloatArray) -> FloatArray:
+        segments = tuple(segment_at(law, first, t) for law, first in zip(laws.all, firsts, strict=True))
+        forcing, state = model.forcing(t, laws.segments(segments)), model.start(tuple(y), dtype)
+        speeds = jnp.abs(model.relative_velocity(forcing, jnp.zeros((), dtype), state))
+        modes = model.at_rest(forcing, state).shape
+        return jnp.full(modes, jnp.inf).at[: len(speeds)].set(speeds) if modes else speeds
+
+    return jax.vmap(at)(times, states)

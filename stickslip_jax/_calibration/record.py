@@ -16,7 +16,7 @@ from .._types import FloatArray
 Observer: TypeAlias = Callable[[Simulation, FloatArray], FloatArray]
 """What a channel measures: a function of a simulation and of times (s, (times,)), with one number for each time."""
 FORCE = "friction force"
-_NEAR = 5  # points for the state at the start of a window
+_NEAR = 6  # points at least for the state at the start of a window
 
 
 class Channel(NamedTuple):
@@ -78,13 +78,12 @@ class Record(NamedTuple):
         """The number of measurements of each channel, (channels,)."""
         return np.count_nonzero(np.isfinite(self.values), axis=1)
 
-    def cut(self, number: int, begin: float | None) -> "Windows":
-        """The record in at most `number` windows of equal duration; those without measurements are left out.
+    def cut(self, firsts: np.ndarray, begin: float | None) -> "Windows":
+        """The record in windows, each from one of `firsts` on, places among its times, the first of which is 0.
 
         `begin`: where the first begins (s); at its first measurement by default, as all others.
         """
-        edges = np.linspace(self.times[0], self.times[-1], number + 1)[1:-1]
-        parts = [part for part in np.split(np.arange(len(self.times)), np.searchsorted(self.times, edges)) if len(part)]
+        parts = np.split(np.arange(len(self.times)), firsts[1:])
         longest = max(len(part) for part in parts)
         starts = np.array([self.times[part[0]] for part in parts])
         if begin is not None:
@@ -186,10 +185,11 @@ def friction_force(one: Simulation, times: FloatArray) -> FloatArray:
     return one.friction_force(times)
 
 
-def start_guess(record: Record, system: System, at: float) -> np.ndarray:
+def start_guess(record: Record, system: System, at: float, span: float) -> np.ndarray:
     """The state at the time `at` (s) by the measurements near it, (coordinates,); 0 where they do not tell.
 
-    By a line through the nearest points: a velocity that is not measured is the slope of its position.
+    By a parabola through the points that are less than `span` (s) away, at least some: a velocity that is not measured
+    is the slope of its position.
     """
     rows = {c.observe.number: i for i, c in enumerate(record.channels) if isinstance(c.observe, Coordinate)}
     names = [coordinate.name for coordinate in system.coordinates]
@@ -201,9 +201,10 @@ def start_guess(record: Record, system: System, at: float) -> np.ndarray:
             continue
         values = record.values[rows[number if is_own else names.index(integral)]]
         there = np.flatnonzero(np.isfinite(values))
-        near = there[np.argsort(np.abs(record.times[there] - at), kind="stable")[:_NEAR]]
+        far = np.abs(record.times[there] - at)
+        near = there[np.argsort(far, kind="stable")[: max(_NEAR, np.count_nonzero(far < span))]]
         if len(near) < 2:
             continue
-        slope, level = np.polyfit(record.times[near] - at, values[near], 1)
+        *_, slope, level = np.polyfit(record.times[near] - at, values[near], min(2, len(near) - 1))
         guess[number] = level if is_own else slope
     return guess

@@ -15,7 +15,7 @@ from ..._excitation.segments import SegmentLaw, first_segment, segment_at
 from ..._numerics.known import NotKnown, largest, smallest
 from ..._systems.switched_model import Segments, State, SwitchedModel
 from ..._systems.system import System
-from ..._types import Array, DType, FloatArray, Number, Scalar
+from ..._types import Array, BoolArray, DType, FloatArray, Number, Scalar
 from ..common.ending import has_ended, status_of_lane
 from ..common.segments import SegmentLaws
 from ..common.stopping_scan import padded_length, stopping_scan
@@ -61,8 +61,12 @@ def lane_at_start(
     solver: Any,
     quantities: tuple[str, ...],
     t0: FloatArray | None = None,
+    resting: BoolArray | None = None,
 ) -> Lane:
-    """The lane at the beginning of the trajectory that `key_data` choose, at the time `t0` (s), 0 by default."""
+    """The lane at the beginning of the trajectory that `key_data` choose, at the time `t0` (s), 0 by default.
+
+    `resting`: contacts whose relative velocity is made zero there.
+    """
     dtype = step.dtype
     segment_laws = SegmentLaws.of(system, excitation)
     model = system.switched_model(excitation.realized(key_data, dtype), solver)
@@ -73,7 +77,7 @@ def lane_at_start(
     else:
         pairs = zip(segment_laws.all, segment_states, strict=True)
         segment_states = tuple(segment_at(law, first, t0) for law, first in pairs)
-    return start_lane(model, segment_laws, segment_states, y0, step, quantities, t0)
+    return start_lane(model, segment_laws, segment_states, y0, step, quantities, t0, resting)
 
 
 def run_trajectory(
@@ -87,14 +91,15 @@ def run_trajectory(
     steps: int,
     dtype: DType,
     t0: FloatArray | None = None,
+    resting: BoolArray | None = None,
 ) -> Trajectory:
     """Simulate one realisation in at most `steps` loop steps, from `t0` (s, 0 by default) to `t1` (s).
 
-    The loop idles once the trajectory has ended.
+    The loop idles once the trajectory has ended. `resting`: contacts whose relative velocity is made zero at `t0`.
     """
     t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
     segment_laws, model = SegmentLaws.of(system, excitation), system.switched_model(excitation.signal, solver)
-    start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver, ALL, t0)
+    start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver, ALL, t0, resting)
     most = jnp.asarray(steps, jnp.int32)
 
     def beginning(lane):

@@ -57,15 +57,18 @@ def start_lane(
     step: FloatArray,
     quantities: tuple[str, ...],
     t0: FloatArray,
+    resting: BoolArray | None = None,
 ) -> Lane:
     """The lane at the beginning of a trajectory, at `t0` (s), with its mode (stick or slip) found.
 
-    `quantities` of each stick: those that are asked for.
+    `quantities` of each stick: those that are asked for. `resting`: contacts whose relative velocity is made zero.
     """
     dtype = step.dtype
     zero, none = jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     forcing = model.forcing(t0, segment_laws.segments(segment_states))
-    y, sign, margin = mode_at_start(model, forcing, model.start(y0, dtype))
+    y = model.start(y0, dtype)
+    y = y if resting is None else model.at_base_velocity(forcing, y, resting)
+    y, sign, margin = mode_at_start(model, forcing, y)
     sticks, position = model.stuck(sign), model.stick_position(y)
     return Lane(
         t0,
