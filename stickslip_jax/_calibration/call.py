@@ -142,7 +142,8 @@ def calibrate(
         measured: What was measured, (times,) each, NaN where it was not. By the names of the system's coordinates
             ("position" in m, "velocity" in m/s; "angle", "current", "position 2", ...), as "acceleration" (m/s^2;
             where a coordinate is called "velocity 2", "acceleration 2"), as "friction force" (N), or by the names in
-            `observe`.
+            `observe`. Accelerations and friction forces jump where a stick begins or a slip reverses, and the search
+            does not see how a jump moves past a measurement: set those next to jumps to NaN, and measure positions too.
         wrt: The names of the numbers to be estimated, as for `sensitivity`: those of fields of the system or the base,
             such as "mu" or "friction.forward.mu". Positive ones are searched by their logarithms.
         noise: The standard deviation of the noise of each channel, in its unit; of those left out it is estimated.

@@ -38,7 +38,7 @@ class Scale(NamedTuple):
     origin: np.ndarray
     size: np.ndarray
 
-    def number(self, x: FloatArray) -> FloatArray:
+    def number(self, x: FloatArray | np.ndarray) -> FloatArray:
         """The numbers at `x`, (parameters,)."""
         is_positive = np.array(self.is_positive)
         return jnp.where(is_positive, jnp.exp(jnp.where(is_positive, x, 0)), self.origin + self.size * x)

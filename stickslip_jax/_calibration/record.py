@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _checks
+from .._dynamics.common.stopping_scan import padded_length
 from .._dynamics.switched.path import StepPath
 from .._simulation.result import Simulation
 from .._systems.system import System
@@ -84,7 +85,7 @@ class Record(NamedTuple):
         `begin`: where the first begins (s); at its first measurement by default, as all others.
         """
         parts = np.split(np.arange(len(self.times)), firsts[1:])
-        longest = max(len(part) for part in parts)
+        longest = padded_length(max(len(part) for part in parts))  # so that similar records share a compilation
         starts = np.array([self.times[part[0]] for part in parts])
         if begin is not None:
             starts[0] = begin

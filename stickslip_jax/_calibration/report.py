@@ -64,7 +64,7 @@ def result_of(
         for channel, row in zip(record.channels, record.values - fitted, strict=True)
     }
     alone = told.untold & ~np.any(np.abs(told.tied) > _SHARE, axis=0)
-    bounds = {names[i]: bounds_of(problem, sigma, fit.point, found.free, i) for i in np.flatnonzero(alone)}
+    bounds = {names[i]: bounds_of(problem, sigma, fit.point, found.free, int(i)) for i in np.flatnonzero(alone)}
     total = chi_squared(seen)
     system, base = with_numbers(setting, [one.path for one in parameters], [float(value) for value in numbers])
     known = {channel.name: bool(np.isfinite(one)) for channel, one in zip(record.channels, record.noise, strict=True)}

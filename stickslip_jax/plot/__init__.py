@@ -17,6 +17,7 @@ Nothing is simulated here. Bad arguments raise ValueError with the name of the a
 from ._basins import basins
 from ._bounds import stick_bounds
 from ._branches import orbit_branch
+from ._calibrations import calibration
 from ._convergences import convergence
 from ._curves import curve
 from ._energies import energies
@@ -37,6 +38,7 @@ from ._stick_maps import stick_map
 __all__ = [
     "basins",
     "bifurcation_diagram",
+    "calibration",
     "convergence",
     "curve",
     "energies",

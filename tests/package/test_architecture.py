@@ -46,6 +46,7 @@ ROWS = (
     "_statistics",
     "_ensemble",
     "_sensitivity",
+    "_calibration",
     "_sweep",
     "nonlinear",
     "plot",
