@@ -11,12 +11,16 @@ import numpy as np
 import stickslip_jax as ss
 
 from . import compiled, derivatives
+from .baselines import scipy_lugre
 from .setups import (
     BELT,
+    BESIDE_BRISTLES,
     ENSEMBLES,
     HARMONIC,
+    INNER_TOLERANCES,
     INTERVALS,
     LAW,
+    ON_BRISTLES,
     ON_HARMONIC,
     ONE_TRAJECTORY,
     RANDOM_PHASE,
@@ -24,11 +28,13 @@ from .setups import (
     SPEED,
     START,
     T1,
+    THREADS,
     TWO_BLOCKS,
     basin_name,
     chain,
     chain_name,
     diagram_name,
+    inner_name,
     starts,
     system,
 )
@@ -262,6 +268,29 @@ def _regularized(samples: int, settings: dict[str, Any] | None, sizes: Sizes) ->
     return run
 
 
+def _on_bristles(rtol: float, threads: int, sizes: Sizes) -> Run:
+    """Masses on LuGre's bristles from random starts, and how far their last states are off."""
+    t1, method = sizes.inner_t1, ss.Regularized(rtol=rtol)
+
+    def simulate(x: np.ndarray, v: np.ndarray, **outputs: Any) -> ss.Ensemble:
+        many = ss.simulate_ensemble(
+            ON_BRISTLES, BESIDE_BRISTLES, t1=t1, samples=len(x), key=jax.random.key(0), y0=(x, v), method=method,
+            keep="totals", threads=threads, progress=False, **outputs,
+        )  # fmt: skip
+        assert many.finished == len(x)
+        return many
+
+    last = {"x": lambda one: one.final_state[0], "v": lambda one: one.final_state[1]}
+    values = simulate(*scipy_lugre.STARTS.T, outputs=last).output_values
+    error = scipy_lugre.error(np.stack([values["x"], values["v"]], axis=1), t1)
+
+    def run(number: int) -> Work:
+        simulate(*np.random.default_rng(number).uniform(-0.2, 0.2, (2, sizes.inner_states)))
+        return Work(sizes.inner_states, error)
+
+    return run
+
+
 def _sensitivity(motion: str | None, options: dict[str, Any] | None, sizes: Sizes) -> Run:
     """At mu = 0.9 (at 1, w = 2, there is none) d(pooled mean stick duration)/d mu; for an ensemble in time steps
     d(mean number)/d mu; or (no `options`) the value alone.
@@ -308,7 +337,8 @@ KEPT: tuple[tuple[ss.Keep, str], ...] = (
 
 def _all() -> dict[str, Callable[[Sizes], Run]]:
     found: dict[str, Callable[[Sizes], Run]] = {}
-    for threads, word in ((1, "1 thread"), (2, "2 threads")):
+    for threads, word in enumerate(THREADS, 1):
+        found |= {inner_name(rtol, word): partial(_on_bristles, rtol, threads) for rtol in INNER_TOLERANCES}
         for keep, name in KEPT:
             found[f"{name}, {word}"] = partial(_ensemble, keep, threads)
             found[f"motor and cart, {name}, {word}"] = partial(_motor_cart, keep, threads)

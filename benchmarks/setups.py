@@ -55,6 +55,7 @@ ENSEMBLES: dict[str, Callable[[Sizes], tuple[Any, Any, Any]]] = {
 ONE_TRAJECTORY = ("under jax.jit", "value and gradient, under jax.jit", "as it is called")
 """Ways to simulate one."""
 
+THREADS = ("1 thread", "2 threads")
 BELT = ss.Constant(0.2)
 TWO_BLOCKS = ss.LinearStructure(
     (1.0, 1.0), ((2.2, -1.2), (-1.2, 2.2)),
@@ -88,6 +89,19 @@ def basin_name(side: int) -> str:
 HARMONIC = ss.Harmonic(amplitude=0.8, angular_frequency=1.3)
 ON_HARMONIC = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.3), damping=0.05)
 """The mass and the base of the baseline `scipy_harmonic`."""
+
+
+ON_BRISTLES = ss.MassSpring(
+    1.0, 4.0, 1.0, ss.LuGre(0.3, 0.4, stribeck_speed=0.01, stiffness=1e4, damping=100.0)
+)  # fmt: skip
+INNER_TOLERANCES = (1e-4, 1e-5, 1e-6)
+BESIDE_BRISTLES = ss.Constant(0.1)
+"""The mass and the belt of the baseline `scipy_lugre`."""
+
+
+def inner_name(rtol: float, threads: str) -> str:
+    """What the case of an ensemble of such masses is called."""
+    return f"stickslip_jax, rtol {rtol:g}, {threads}"
 
 
 def starts(number: int, blocks: int, samples: int) -> np.ndarray:

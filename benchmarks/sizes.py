@@ -34,6 +34,10 @@ class Sizes(NamedTuple):
     basins: tuple[int, ...]
     """Starts along each side of a grid."""
     scipy_periods: int
+    inner_states: int
+    """Samples on bristles."""
+    inner_t1: float
+    """And their horizon."""
 
 
 FULL = Sizes(
@@ -56,6 +60,8 @@ FULL = Sizes(
     diagrams=(200, 400),
     basins=(150, 300),
     scipy_periods=30,
+    inner_states=512,
+    inner_t1=20.0,
 )
 TINY = Sizes(
     samples=1_000,
@@ -77,4 +83,6 @@ TINY = Sizes(
     diagrams=(8,),
     basins=(4,),
     scipy_periods=1,
+    inner_states=4,
+    inner_t1=1.0,
 )

@@ -5,6 +5,7 @@ from . import (
     composed,
     contacts,
     derivatives,
+    inner_states,
     intervals,
     motor_cart,
     nonlinear,
@@ -26,6 +27,7 @@ PARTS = {
     "compiling": compiling,
     "motor cart": motor_cart,
     "regularised": regularized,
+    "inner states": inner_states,
     "sensitivity": sensitivity,
     "sweeps": sweeps,
 }

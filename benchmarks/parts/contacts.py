@@ -7,11 +7,10 @@ from typing import Any
 
 from ..baselines import numba_two_blocks, scipy_chain
 from ..rounds import Program, Rounds, here
-from ..setups import chain_name, starts
+from ..setups import THREADS, chain_name, starts
 from ..sizes import FULL, TINY
 from ..workers import Bench
 
-THREADS = ("1 thread", "2 threads")
 TWO, LOOP, SCIPY = "two blocks", "numba, scalar: two blocks", "scipy solve_ivp, restarted at events: chain of 10 blocks"
 BESIDE = {TWO: LOOP, chain_name(10): SCIPY}
 FEW = 4  # trajectories by scipy in a round

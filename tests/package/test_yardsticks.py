@@ -3,6 +3,7 @@
 import math
 from functools import partial
 
+import diffrax
 import jax
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from benchmarks.baselines import (
     scipy_chain,
     scipy_events,
     scipy_harmonic,
+    scipy_lugre,
 )
 from benchmarks.baselines.event_driver import switching_velocities
 
@@ -145,3 +147,13 @@ def test_mass_on_a_harmonic_base_by_scipy(mu):
     states = scipy_harmonic.simulate(mu, periods=12, tolerance=1e-10)
     np.testing.assert_allclose(section.position, states[:, 0], atol=1e-7)
     np.testing.assert_allclose(section.velocity, states[:, 1], atol=1e-7)
+
+
+@pytest.mark.parametrize("method", ["LSODA", "Radau"])
+def test_mass_on_bristles_by_scipy(method):
+    friction = ss.LuGre(0.3, 0.4, stribeck_speed=0.01, stiffness=1e4, damping=100.0)
+    system, belt = ss.MassSpring(1.0, scipy_lugre.STIFFNESS, 1.0, friction), ss.Constant(scipy_lugre.BELT)
+    accurate = ss.Regularized(rtol=1e-9, solver=diffrax.Kvaerno5(), max_steps=20_000)
+    one = ss.simulate(system, belt, t1=8.0, y0=(0.15, -0.1), method=accurate)
+    state = scipy_lugre.simulate(0.15, -0.1, t1=8.0, method=method, tolerance=1e-9)
+    np.testing.assert_allclose(one.final_state[:2], state, rtol=0, atol=1e-7)
