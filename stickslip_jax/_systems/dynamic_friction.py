@@ -102,7 +102,7 @@ class DynamicFriction(FrictionLaw):
 
 
 class _Bristles(DynamicFriction):
-    """Bristles whose deflection z (m) follows the motion, up to that of a steady slip."""
+    """Bristles whose deflection z (m) follows the motion, up to that of a steady slip of any speed."""
 
     mu: eqx.AbstractVar[Number]
     stiffness: eqx.AbstractVar[Number]
@@ -186,7 +186,7 @@ class BoucWen(_Bristles):
         return velocity * (1 - power * (1 - self.sharing + self.sharing * jnp.sign(velocity * z)))
 
 
-class LuGre(_Bristles):
+class LuGre(DynamicFriction):
     """The LuGre model: bristles with a damping, whose steady friction falls with the speed (Stribeck).
 
     ``z' = v - stiffness |v| z / g(v)``, ``g(v) = mu + (mu_static - mu) exp(-(v / stribeck_speed)^2)``; friction
@@ -220,6 +220,14 @@ class LuGre(_Bristles):
     def limit(self, speed: FloatScalar) -> FloatScalar | Scalar:
         """The friction coefficient of the bristles in a steady slip at this speed."""
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-((speed / self.stribeck_speed) ** 2))
+
+    @property
+    def inner_state(self) -> str:
+        return "deflection in m"
+
+    @property
+    def state_scale(self) -> Scalar:
+        return self.mu / self.stiffness
 
     @property
     def static(self) -> Scalar:
