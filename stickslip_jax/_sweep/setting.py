@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import _checks
 from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.validation import entries_of
 from .._excitation.excitation import BaseMotion, excitation_of, law_of
 from .._excitation.smooth import SIGNAL_UNIT
 from .._fields import Quantity, described
@@ -44,11 +45,8 @@ def setting_of(system: object, law: BaseMotion, y0: InitialState | None, method:
     a start that is none.
     """
     system = checked_system(system)
-    names = [coordinate.meaning for coordinate in system.coordinates]
-    if y0 is None:
-        y0 = (0.0,) * len(names)
-    elif _checks.dimensions(y0) != 2 or isinstance(y0, (tuple, list)):  # else a row for each sample
-        y0 = _checks.entries("y0", y0, tuple(names))
+    if y0 is None or _checks.dimensions(y0) != 2 or isinstance(y0, (tuple, list)):  # else a row for each sample
+        y0 = entries_of(system, y0)
     known = law_of(law)
     if not isinstance(known, SampledLaw):
         excitation_of(known, "law")

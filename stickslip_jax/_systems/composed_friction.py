@@ -188,6 +188,8 @@ class Ageing(FrictionLaw):
         return varies_within((self.law, self.growth))
 
     def check_relations(self) -> None:
+        if type(self.growth) in (ExponentialGrowth, LogarithmicGrowth):
+            return
         with _checks.traceable("Argument growth of Ageing"):
             jax.make_jaxpr(self.growth)(jnp.zeros(()))
         _checks.bounded("growth(0)", self.growth(jnp.zeros(())), at_least=0, below=1e-9)

@@ -51,10 +51,12 @@ class PointConfig(Section):
         default="linear", description="of regularised friction: linear, tanh, rational or arctan"
     )
 
-    def method(self) -> Exact | Regularized:
-        """The method as the simulation takes it."""
+    def method(self, has_inner_states: bool = False) -> Exact | Regularized:
+        """The method as the simulation takes it, for friction laws that have inner states or not."""
         name = getattr(self, "solver", None)
         solver = None if name is None else getattr(diffrax, name)()
+        if has_inner_states:
+            return Regularized(solver=solver, max_steps=self.max_steps)
         if self.width is None:
             return Exact(self.step, self.max_steps, solver)
         return Regularized(self.width, self.shape, step=self.step, solver=solver, max_steps=self.max_steps)
@@ -185,6 +187,18 @@ class FileConfig(Section):
                 f"law in [base] must be a motion of the base, because model in [system] is {model}, but {law} was "
                 "given, which drives a MotorCart."
             )
+        return self
+
+    @model_validator(mode="after")
+    def _run_fits_the_friction(self) -> "FileConfig":
+        run: Any = getattr(self, "run", None)
+        for key in ("width", "step"):
+            value = getattr(run, key, None)
+            if self.system.has_inner_states and value is not None:
+                raise ValueError(
+                    f"{key} in [run] must be left out for friction laws with an inner state, which are smooth by "
+                    f"themselves and need adaptive steps, but {value:g} was given."
+                )
         return self
 
     @model_validator(mode="after")

@@ -60,7 +60,7 @@ def _voltage(ensemble: Ensemble) -> SourceVoltage | RandomPhase | None:
 def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:
     """Sample 0 of the ensemble with all its events, from 0 to a time short enough for a figure."""
     t1 = min(ensemble.t1, _time_shown(ensemble.system, ensemble.law))
-    method = dataclasses.replace(config.run.method(), max_steps=None)
+    method = dataclasses.replace(config.run.method(config.system.has_inner_states), max_steps=None)
     for covered in (t1, 2 * t1, 4 * t1):
         # A base motion drawn for a shorter time begins in the same way: the beginning is enough, if it covers t1.
         system, base, y0 = dataclasses.replace(ensemble, t1=covered).realization(0)

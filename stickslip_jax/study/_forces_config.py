@@ -3,12 +3,14 @@
 One class for each law, chosen by the key ``law``. To offer another, add its class here and to the union.
 """
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from .._excitation.force_steps import ForceSteps
 from .._excitation.smooth import Harmonic, SumOfHarmonics
+from .._systems.composed_friction import Ageing, Directional, ExponentialGrowth, LogarithmicGrowth
+from .._systems.dynamic_friction import BoucWen, Dahl, DieterichRuina, ElastoPlastic, LuGre
 from .._systems.friction import Coulomb, FrictionLaw, Stribeck, VelocityWeakening
 from ._records_config import RecordedConfig
 from ._sections import NUMBER, DescribedSection, Section, default_tag, key_of, section_of, tag_of
@@ -26,9 +28,72 @@ class StribeckConfig(section_of(Stribeck, "law")):
     """Section of the friction law `Stribeck`."""
 
 
-FrictionConfig = Annotated[
-    CoulombConfig | VelocityWeakeningConfig | StribeckConfig, Field(discriminator="law"), default_tag("law", "Coulomb")
-]
+class LuGreConfig(section_of(LuGre, "law")):
+    """Section of the friction law `LuGre`."""
+
+
+class ElastoPlasticConfig(section_of(ElastoPlastic, "law")):
+    """Section of the friction law `ElastoPlastic`."""
+
+
+class DahlConfig(section_of(Dahl, "law")):
+    """Section of the friction law `Dahl`."""
+
+
+class BoucWenConfig(section_of(BoucWen, "law")):
+    """Section of the friction law `BoucWen`."""
+
+
+class DieterichRuinaConfig(section_of(DieterichRuina, "law")):
+    """Section of the friction law `DieterichRuina`."""
+
+
+class ExponentialGrowthConfig(section_of(ExponentialGrowth, "law")):
+    """Section of the growth `ExponentialGrowth`."""
+
+
+class LogarithmicGrowthConfig(section_of(LogarithmicGrowth, "law")):
+    """Section of the growth `LogarithmicGrowth`."""
+
+
+_USUAL_LAW = default_tag("law", "Coulomb")
+_OfSpeed = CoulombConfig | VelocityWeakeningConfig | StribeckConfig
+
+
+class AgeingConfig(Section):
+    """Section of the friction law `Ageing`, and its sections ``slip`` and ``growth``."""
+
+    law: Literal["Ageing"]
+    slip: Annotated[_OfSpeed, Field(discriminator="law"), _USUAL_LAW] = Field(
+        description="friction law of slips, and of sticks that have just begun"
+    )
+    growth: Annotated[ExponentialGrowthConfig | LogarithmicGrowthConfig, Field(discriminator="law")] = Field(
+        description="what is added to static friction while a stick lasts"
+    )
+
+    def build(self) -> Ageing:
+        """The law as the simulation takes it."""
+        return Ageing(self.slip.build(), self.growth.build())
+
+
+_OneWay = Annotated[_OfSpeed | AgeingConfig, Field(discriminator="law"), _USUAL_LAW]
+
+
+class DirectionalConfig(Section):
+    """Section of the friction law `Directional`, and its sections ``forward`` and ``backward``."""
+
+    law: Literal["Directional"]
+    forward: _OneWay = Field(description="friction law of slips with a positive relative velocity")
+    backward: _OneWay = Field(description="that of negative ones")
+
+    def build(self) -> Directional:
+        """The law as the simulation takes it."""
+        return Directional(self.forward.build(), self.backward.build())
+
+
+_Composed = DirectionalConfig | AgeingConfig
+_WithInnerState = LuGreConfig | ElastoPlasticConfig | DahlConfig | BoucWenConfig | DieterichRuinaConfig
+FrictionConfig = Annotated[_OfSpeed | _Composed | _WithInnerState, Field(discriminator="law"), _USUAL_LAW]
 
 
 _, MU = key_of(Coulomb, "mu", default=None, description="friction coefficient (Coulomb), or a section friction")
@@ -62,6 +127,11 @@ class WithFriction(Section):
     def law_of_friction(self) -> FrictionLaw:
         """The friction law as the simulation takes it."""
         return Coulomb(self.mu or 0.0) if self.friction is None else self.friction.build()
+
+    @property
+    def has_inner_states(self) -> bool:
+        """Whether the friction law has one."""
+        return isinstance(self.friction, _WithInnerState)
 
 
 class HarmonicForceConfig(section_of(Harmonic, "law", signal_unit="N")):

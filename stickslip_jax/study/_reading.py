@@ -283,7 +283,7 @@ def _unknown_section(name: str, value: object, file: type[FileConfig]) -> str:
         return f"unknown key {name} outside every section; {_owner_of(name, file) or f'keys belong in {sections}.'}"
     inner = [section for section, _ in _all_sections(file) if section.endswith(f".{name}")]
     if inner:
-        return f"unknown section [{name}]; did you mean [{inner[0]}]?"
+        return f"unknown section [{name}]; did you mean [{min(inner, key=len)}]?"
     return f"unknown section [{name}]; {_nearest(name, file.model_fields) or f'the sections are {sections}.'}"
 
 

@@ -116,7 +116,7 @@ def arguments_of(config: FileConfig, run: PointConfig) -> dict[str, Any]:
         "samples": run.samples,
         "key": jax.random.key(run.seed),
         "y0": run.y0(),
-        "method": run.method(),
+        "method": run.method(config.system.has_inner_states),
         "orders": run.orders,
         "count_initial_rest": run.count_initial_rest,
     }

@@ -143,6 +143,11 @@ class LinearStructureConfig(StructureSection):
     def size(self) -> int:
         return len(self.mass)
 
+    @property
+    def has_inner_states(self) -> bool:
+        """Whether a friction law has one."""
+        return any(contact.has_inner_states for contact in self.contacts)
+
     @model_validator(mode="after")
     def _accepted(self) -> "LinearStructureConfig":
         directions = []

@@ -46,8 +46,10 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
 
 
 def _full_name(name: str, initial: tuple[str, ...]) -> str:
-    """The name in `Sweep` of a parameter of the file: initial values have names of their own there."""
-    return f"y0[{initial.index(name)}]" if name in initial else re.sub(r"\Ainitial_state\[", "y0[", name)
+    """The name in `Sweep` of a parameter of the file: initial values, and the slips of `Ageing`, have others there."""
+    if name in initial:
+        return f"y0[{initial.index(name)}]"
+    return re.sub(r"\bslip\.", "law.", re.sub(r"\Ainitial_state\[", "y0[", name))
 
 
 _SENSITIVITIES = "sensitivities in [sweep] must hold lists of parameters by statistic"
@@ -56,6 +58,7 @@ _OF_SWEEP = ("keep", "statistics", "standard_error", "realizations", "batch")
 
 def _in_words_of_the_sweep(said: str) -> str:
     """A message of `Sweep` with the names of its arguments replaced by sections and keys of the file."""
+    said = re.sub(r"(\bfriction(\.\w+)?)\.law\.", r"\1.slip.", said)
     said = re.sub(r"\AArgument over\[\(?'(.+?)'\)?\] ", _values_in_the_file, said)
     said = re.sub(r"\AArgument over ", "[sweep.over] ", said)
     said = re.sub(r"\AArgument sensitivities must hold .*?, with a statistic", _SENSITIVITIES, said)

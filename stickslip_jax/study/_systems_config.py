@@ -41,6 +41,7 @@ class MotorCartConfig(section_of(MotorCart, "model")):
     """Section ``[system]`` with the model `MotorCart`: a cart driven by a motor; the defaults are the paper's."""
 
     driven_by_voltage: ClassVar[bool] = True
+    has_inner_states: ClassVar[bool] = False
 
 
 SystemConfig = Annotated[

@@ -34,6 +34,39 @@ SYSTEMS = {
         "viscous = 0.2",
         mass_spring(ss.Stribeck(0.3, 0.4, 0.1, 2.0, 0.2)),
     ),
+    "Directional": (
+        '[system.friction]\nlaw = "Directional"\n[system.friction.forward]\nmu = 0.3\n[system.friction.backward]\n'
+        'law = "Ageing"\n[system.friction.backward.slip]\nlaw = "VelocityWeakening"\nmu_static = 0.4\nweakening = 2\n'
+        '[system.friction.backward.growth]\nlaw = "ExponentialGrowth"\namount = 0.1\ntime = 2',
+        mass_spring(
+            ss.Directional(ss.Coulomb(0.3), ss.Ageing(ss.VelocityWeakening(0.4, 2.0), ss.ExponentialGrowth(0.1, 2.0)))
+        ),
+    ),
+    "Ageing": (
+        '[system.friction]\nlaw = "Ageing"\n[system.friction.slip]\nmu = 0.3\nmu_static = 0.4\n'
+        '[system.friction.growth]\nlaw = "LogarithmicGrowth"\namount = 0.1\ntime = 2',
+        mass_spring(ss.Ageing(ss.Coulomb(0.3, 0.4), ss.LogarithmicGrowth(0.1, 2.0))),
+    ),
+    "LuGre": (
+        '[system.friction]\nlaw = "LuGre"\nmu = 0.3\nmu_static = 0.4\nstribeck_speed = 0.1\nstiffness = 1e3\n'
+        "damping = 2",
+        mass_spring(ss.LuGre(0.3, 0.4, 0.1, 1e3, 2.0)),
+    ),
+    "ElastoPlastic": (
+        '[system.friction]\nlaw = "ElastoPlastic"\nmu = 0.3\nmu_static = 0.4\nstribeck_speed = 0.1\nstiffness = 1e3\n'
+        "breakaway = 0.5",
+        mass_spring(ss.ElastoPlastic(0.3, 0.4, 0.1, 1e3, breakaway=0.5)),
+    ),
+    "Dahl": ('[system.friction]\nlaw = "Dahl"\nmu = 0.3\nstiffness = 1e3', mass_spring(ss.Dahl(0.3, 1e3))),
+    "BoucWen": (
+        '[system.friction]\nlaw = "BoucWen"\nmu = 0.3\nstiffness = 1e3\nexponent = 3\nsharing = 0.7',
+        mass_spring(ss.BoucWen(0.3, 1e3, 3.0, 0.7)),
+    ),
+    "DieterichRuina": (
+        '[system.friction]\nlaw = "DieterichRuina"\nmu = 0.6\ndirect = 0.01\nevolution = 0.02\nlength = 1e-5\n'
+        'reference_speed = 1e-6\nform = "slip"',
+        mass_spring(ss.DieterichRuina(0.6, 0.01, 0.02, 1e-5, 1e-6, form="slip")),
+    ),
     "damping": ("[system]\ndamping = 0.1", mass_spring(damping=0.1)),
     "no damping": ("[system]\ndamping = 0", mass_spring()),
     "Harmonic force": (

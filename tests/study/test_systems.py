@@ -17,9 +17,10 @@ from stickslip_jax import _cli as cli
 from stickslip_jax.study import StudyError
 from stickslip_jax.study._figures import beginning_of_sample_0
 from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES, SUMMARY
-from stickslip_jax.study._reading import read_config
+from stickslip_jax.study._reading import read_config, read_sweep_config
 from stickslip_jax.study._report import as_json, table
 from stickslip_jax.study._run import STATISTICS, run_study
+from stickslip_jax.study._sweep_run import sweep_of
 
 
 @pytest.fixture(autouse=True)
@@ -31,6 +32,11 @@ def _records(tmp_path):
 
 
 RUN = "[run]\nt1 = 10.0\nsamples = 20\nchunk = 64\nthreads = 1\ninitial_velocity = 0.0\n"
+ONE_WAY = (
+    '[system.friction]\nlaw = "Directional"\n[system.friction.forward]\nmu = 0.3\n[system.friction.backward]\n'
+    'law = "Ageing"\n[system.friction.backward.slip]\nmu = 0.4\n[system.friction.backward.growth]\n'
+    'law = "LogarithmicGrowth"\namount = 0.1\ntime = 0.01\n'
+)
 STUDIES = {
     "random start": (
         f'[system.force]\n{HARMONIC}[base]\nlaw = "SumOfHarmonics"\namplitudes = [0.5, 0.2]\n'
@@ -52,6 +58,19 @@ STUDIES = {
         mass_spring(ss.VelocityWeakening(0.5, 0.3)),
         ss.RandomPhase(ss.Harmonic(0.5, 1.5)),
         {},
+    ),
+    "ageing in one direction": (
+        f"{ONE_WAY}[base]\n{HARMONIC}{RUN}",
+        mass_spring(ss.Directional(ss.Coulomb(0.3), ss.Ageing(ss.Coulomb(0.4), ss.LogarithmicGrowth(0.1, 0.01)))),
+        ss.RandomPhase(ss.Harmonic(0.5, 1.5)),
+        {},
+    ),
+    "bristles": (
+        f'[system.friction]\nlaw = "LuGre"\nmu = 0.5\nmu_static = 0.7\nstribeck_speed = 0.05\nstiffness = 1e3\n'
+        f"damping = 10\n[base]\n{HARMONIC}{RUN}",
+        mass_spring(ss.LuGre(0.5, 0.7, 0.05, 1e3, 10.0)),
+        ss.RandomPhase(ss.Harmonic(0.5, 1.5)),
+        {"method": ss.Regularized()},
     ),
     "regularised": (
         f'[base]\nlaw = "PoissonSwitching"\n{RUN}width = 1e-3\nshape = "linear"\nstep = 0.01\n',
@@ -109,7 +128,7 @@ def check_against(study, many):
 
 
 # Compiling each takes seconds; `test_sections.py` reads every kind of section.
-SLOWER = ("records", "random start", "jumps", "friction law", "artificial accelerogram", "regularised")
+SLOWER = ("records", "random start", "jumps", "friction law", "artificial accelerogram", "regularised", "bristles")
 
 
 @pytest.mark.parametrize(
@@ -310,3 +329,24 @@ def test_command_finds_records_beside_the_configuration(tmp_path, monkeypatch, c
     assert os.listdir() == ["results"]
     assert cli.main(["study", "../case.toml", "--print-config"]) == 0
     assert f'file = "{tmp_path}/elsewhere/../record.AT2"' in capsys.readouterr().out
+
+
+def test_sweep_over_the_numbers_of_a_law_made_of_others(tmp_path):
+    """Names are those of the sections; a start may leave out the ages of sticks."""
+    text = (
+        f"{ONE_WAY}[run]\nt1 = 20.0\nsamples = 10\n[sweep]\nkeep = \"totals\"\nstatistics = [\"stick_fraction\"]\n"
+        '[sweep.over]\n"friction.forward.mu" = [0.3, 0.5]\n"friction.backward.slip.mu" = [0.2]\namount = [0.2]\n'
+    )  # fmt: skip
+    config = read_sweep_config(config_file(tmp_path, text))
+    result = sweep_of(config).run(tmp_path / "sweep", threads=1, progress=False)
+    law = ss.Directional(ss.Coulomb(0.5), ss.Ageing(ss.Coulomb(0.2), ss.LogarithmicGrowth(0.2, 0.01)))
+    many = ss.simulate_ensemble(
+        mass_spring(law), ss.PoissonSwitching(1.0, 1.0), t1=20.0, samples=10, key=jax.random.key(0), y0=(0.0, 1.0),
+        keep="totals", threads=1, progress=False,
+    )  # fmt: skip
+    found = float(result.stick_fraction[1, 0, 0])
+    assert found == pytest.approx(ss.stick_fraction(many).value, rel=1e-12)
+    assert found != float(result.stick_fraction[0, 0, 0])
+    wrong = read_sweep_config(config_file(tmp_path, text.replace("backward.slip.mu", "backward.slip.muu")))
+    with pytest.raises(StudyError, match=r"did you mean 'system.friction.backward.slip.mu'\?"):
+        sweep_of(wrong)

@@ -100,6 +100,7 @@ BAD_CONFIGS = {
 HARMONIC = 'law = "Harmonic"\namplitude = 0.5\nangular_frequency = 1.5\n'
 _CART, _JUMPS = '[system]\nmodel = "MotorCart"\n', '[base]\nlaw = "WithJumps"\n[base.jumps]\n'
 _STRIBECK = '[system.friction]\nlaw = "Stribeck"\nmu = 0.3\n'
+_AGEING = '[system.friction]\nlaw = "Ageing"\n[system.friction.slip]\nmu = 0.3\n'
 _RECORDED = '[base]\nlaw = "Recorded"\n'
 BAD_SYSTEMS_AND_BASES = {
     "key of the other system": (_CART + "mass = 3.0", ["mass", "[system] of the model MotorCart", "model MassSpring"]),
@@ -140,6 +141,33 @@ BAD_SYSTEMS_AND_BASES = {
     "static below kinetic": (
         "[system.friction]\nmu = 0.3\nmu_static = 0.2",
         ["in [system.friction]", "mu_static must be at least mu = 0.3", "0.2"],
+    ),
+    "growth misspelt": (
+        _AGEING + '[system.friction.growth]\nlaw = "LogaritmicGrowth"\namount = 0.1\ntime = 1',
+        ["law in [system.friction.growth]", "did you mean LogarithmicGrowth?"],
+    ),
+    "unknown key of a growth": (
+        _AGEING + '[system.friction.growth]\nlaw = "LogarithmicGrowth"\namuont = 0.1\ntime = 1',
+        ["amuont in [system.friction.growth] of the law LogarithmicGrowth", "did you mean amount?"],
+    ),
+    "growth in no time": (
+        _AGEING + '[system.friction.growth]\nlaw = "ExponentialGrowth"\namount = 0.1\ntime = 0',
+        ["time in [system.friction.growth]", "greater than 0"],
+    ),
+    "ageing without growth": (_AGEING, ["[system.friction] lacks [system.friction.growth]", "which Ageing needs"]),
+    "growth outside its section": ("[growth]\ntime = 1", ["[growth]", "did you mean [system.friction.growth]?"]),
+    "one direction misspelt": (
+        '[system.friction]\nlaw = "Directional"\n[system.friction.forwards]\nmu = 0.3',
+        ["forwards in [system.friction] of the law Directional", "did you mean forward?"],
+    ),
+    "bristles in one direction": (
+        '[system.friction]\nlaw = "Directional"\n[system.friction.forward]\nlaw = "Dahl"\nmu = 0.3\nstiffness = 1e3\n'
+        "[system.friction.backward]\nmu = 0.3",
+        ["law in [system.friction.forward]", "Stribeck, Ageing", '"Dahl"'],
+    ),
+    "width of bristles": (
+        '[system.friction]\nlaw = "Dahl"\nmu = 0.3\nstiffness = 1e3\n[run]\nwidth = 0.001',
+        ["width in [run] must be left out", "inner state", "0.001"],
     ),
     "table misspelt": ("[system.frictoin]\nmu = 1", ["frictoin in [system]", "did you mean friction?"]),
     "table outside its section": ("[friction]\nmu = 1", ["[friction]", "did you mean [system.friction]?"]),

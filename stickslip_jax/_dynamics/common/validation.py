@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -92,8 +92,8 @@ def check_method(method: object) -> None:
         )
 
 
-def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
-    """The initial state `y0` of `system`, checked; zeros if `y0` is None.
+def entries_of(system: System, y0: InitialState | None) -> tuple[Any, ...]:
+    """What the initial state `y0` of `system` holds for each coordinate, zeros if `y0` is None.
 
     Ages of sticks and inner states of friction laws may be left out.
     """
@@ -102,9 +102,14 @@ def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
     given = (0.0,) * moving if y0 is None else y0
     is_listed = isinstance(given, (tuple, list)) or _checks.dimensions(given) == 1
     is_short = is_listed and len(given) == moving  # pyright: ignore[reportArgumentType] - it has a length then
-    entries = system.with_memory(_checks.entries("y0", given, meaning[:moving] if is_short else meaning))
+    return system.with_memory(_checks.entries("y0", given, meaning[:moving] if is_short else meaning))
+
+
+def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
+    """The initial state `y0` of `system`, checked; zeros if `y0` is None, and for what it may leave out."""
+    entries = entries_of(system, y0)
     check_fixed(y0=entries)
-    numbers = _checks.state("y0", entries, meaning)
+    numbers = _checks.state("y0", entries, tuple(coordinate.meaning for coordinate in system.coordinates))
     system.check_state(numbers)
     return numbers
 
