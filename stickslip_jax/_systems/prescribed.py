@@ -15,6 +15,7 @@ from .._excitation.smooth import Signal
 from .._types import Array, FloatArray, Number
 
 _FEW, _EACH = 16384, 64  # steps that are allowed, and those for each time
+_MOST = 2**31 - 1  # steps that 32 bits count
 _HALVES = 40  # of the time between two instants, until the turn between them is known
 
 
@@ -31,9 +32,11 @@ def force_of_dynamic(
     """See `DynamicFriction.force`."""
     times, motion = _checked(times, velocity)
     normal = _normal(normal_force, times)
-    _checks.numeric("initial_state", start)
+    _checks.bounded("initial_state", start)
     _checks.positive("rtol", rtol)
-    most = _FEW + _EACH * len(times) if max_steps is None else _checks.whole_number("max_steps", max_steps)
+    most = (
+        _FEW + _EACH * len(times) if max_steps is None else _checks.whole_number("max_steps", max_steps, maximum=_MOST)
+    )
     if adjoint is not None and not isinstance(adjoint, diffrax.AbstractAdjoint):
         raise _checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", adjoint)
     adjoint = diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint
@@ -158,7 +161,7 @@ def _behind_a_spring(
 
 def _checked(times: npt.ArrayLike, velocity: Any) -> tuple[Array, Any]:
     """The times, and the motion: a `Recorded`, a `Signal`, or times and velocities at them."""
-    _checks.numeric("times", times, ndim=1)
+    _checks.bounded("times", times, "s", ndim=1)
     array = jnp.asarray(times, float)
     if not _checks.is_traced(array) and (len(array) < 2 or np.any(np.diff(array) <= 0)):
         raise _checks.refused("times", "increase, and be at least 2 (in s)", times)
@@ -168,7 +171,7 @@ def _checked(times: npt.ArrayLike, velocity: Any) -> tuple[Array, Any]:
         if not _checks.is_traced(array) and not (array[0] >= 0 and float(array[-1]) <= velocity.covered_time):
             raise _checks.refused("times", f"be within the record of {velocity.covered_time:g} s", times)
         return array, velocity
-    _checks.numeric("velocity", velocity, ndim=1)
+    _checks.bounded("velocity", velocity, "m/s", ndim=1)
     values = jnp.asarray(velocity, float)
     if values.shape != array.shape:
         raise ValueError(
@@ -180,8 +183,8 @@ def _checked(times: npt.ArrayLike, velocity: Any) -> tuple[Array, Any]:
 
 def _normal(value: Any, times: Array) -> FloatArray:
     """The normal force, one number or one for each of the times."""
-    _checks.numeric("normal_force", value, ndim=None)
+    _checks.bounded("normal_force", value, "N", at_least=0, ndim=1 if _checks.dimensions(value) else 0)
     array = jnp.asarray(value, times.dtype)
-    if array.shape not in ((), times.shape) or (not _checks.is_traced(array) and bool(jnp.any(array < 0))):
+    if array.shape not in ((), times.shape):
         raise _checks.refused("normal_force", "be zero or positive (in N), one number or one for each time", value)
     return array

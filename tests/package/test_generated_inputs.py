@@ -13,7 +13,7 @@ TESTS = Path(__file__).parents[1]
 GROUPS = {"constructors": 1000, "numbers_and_methods": 500, "designs": 500, "runs": 500, "results": 200, "files": 2000}
 """How many besides one for each argument and kind of value."""
 LEAST = {
-    "constructors": 8000,
+    "constructors": 12_000,
     "numbers_and_methods": 5000,
     "designs": 3500,
     "runs": 7500,

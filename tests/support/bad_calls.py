@@ -75,6 +75,44 @@ def systems() -> Iterator[Target]:
     )  # fmt: skip
     yield fields(ss.VelocityWeakening, mu_static=(0.5, "not negative field"), weakening=(1.0, "not negative field"))
     yield fields(ss.FrictionCurve, curve=(lambda v: 0.5, "function"), mu_static=(None, "optional not negative field"))
+    yield from laws_with_a_memory()
+
+
+def laws_with_a_memory() -> Iterator[Target]:
+    yield fields(
+        ss.Directional, forward=(ss.Coulomb(0.5), "plain friction"), backward=(ss.Coulomb(0.3), "plain friction")
+    )
+    yield fields(ss.Ageing, law=(ss.Coulomb(0.5), "plain friction"), growth=(ss.ExponentialGrowth(0.1, 1.0), "growth"))
+    for growth in (ss.ExponentialGrowth, ss.LogarithmicGrowth):
+        yield fields(growth, amount=(0.1, "not negative field"), time=(1.0, "positive field"))
+    bristles = {
+        "mu": (0.3, "positive field"), "mu_static": (0.5, "positive field"), "stribeck_speed": (0.1, "positive field"),
+        "stiffness": (1e3, "positive field"), "damping": (1.0, "not negative field"),
+        "viscous": (0.0, "not negative field"),
+    }  # fmt: skip
+    yield fields(ss.LuGre, **bristles)
+    yield fields(ss.ElastoPlastic, **bristles, breakaway=(0.7, "not negative field"))
+    yielding = {
+        "mu": (0.3, "positive field"),
+        "stiffness": (1e3, "positive field"),
+        "exponent": (1.0, "positive field"),
+    }
+    yield fields(ss.Dahl, **yielding)
+    yield fields(ss.BoucWen, **yielding, sharing=(0.5, "not negative field"))
+    yield fields(
+        ss.DieterichRuina, mu=(0.6, "positive field"), direct=(0.01, "positive field"),
+        evolution=(0.015, "not negative field"), length=(1e-5, "positive field"),
+        reference_speed=(1e-6, "positive field"), form=("slip", "never"),
+    )  # fmt: skip
+    motion = {"times": ([0.0, 1.0], "array"), "velocity": ([0.1, 0.1], "array | base"),
+              "normal_force": (1.0, "not negative | array")}  # fmt: skip
+    yield fields(
+        ss.Dahl(0.3, 1e3).force, **motion, initial_state=(None, "optional number"), rtol=(1e-6, "positive"),
+        max_steps=(None, "optional whole"), adjoint=(None, "optional never"),
+    )  # fmt: skip
+    yield fields(
+        ss.Coulomb(0.3).force, **motion, series_stiffness=(1e3, "optional positive"), backlash=(1e-3, "not negative"),
+    )  # fmt: skip
 
 
 def constructors() -> Iterator[Target]:

@@ -258,6 +258,8 @@ KINDS: dict[str, Callable[[Any], bool]] = {
     "key": lambda value: value is KEY,
     "system": lambda value: isinstance(value, ss.System),
     "friction": lambda value: isinstance(value, _parent(ss.Coulomb)),
+    "plain friction": lambda value: takes("friction", value) and value.inner_state is None,
+    "growth": lambda value: callable(value) and not isinstance(value, type),
     "base": lambda value: not isinstance(value, type) and any(hasattr(value, name) for name in _OF_BASES),
     "distribution": lambda value: isinstance(value, ss.RandomNumber),
     "method": lambda value: isinstance(value, (ss.Exact, ss.Regularized)),
