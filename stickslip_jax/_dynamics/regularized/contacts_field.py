@@ -8,7 +8,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..._events.sticks import StickRecord
 from ..._systems.contact_forces import solved
@@ -16,8 +15,9 @@ from ..._systems.contacts_model import ContactsModel
 from ..._systems.switched_model import State
 from ..._types import AnyArray, BoolArray, FloatArray, Scalar
 from .contacts_detector import detect_contacts, start_contacts
+from .contacts_seen import normal_forces, velocities_and_closed, with_slope
 from .contacts_step import FrictionAt, contacts_step
-from .stick_detector import Criterion, NormalForces, Step, StickDetector
+from .stick_detector import Criterion, Step, StickDetector
 from .switch import Switch
 
 _MOST_NEEDED = 1e6  # times the largest friction
@@ -60,16 +60,13 @@ class ContactsField(eqx.Module):
         """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
         zero = jnp.zeros_like(h)
         rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
-        r0, slope0 = self._velocity(forcing, zero, before, rates)
-        r1, slope1 = self._velocity(forcing, h, after, end_rates)
+        r0, slope0 = with_slope(self.model.relative_velocity, forcing, zero, before, rates)
+        r1, slope1 = with_slope(self.model.relative_velocity, forcing, h, after, end_rates)
         x0, v0 = jax.jvp(self.model.stick_position, (before,), (rates,))
         x1, v1 = jax.jvp(self.model.stick_position, (after,), (end_rates,))
         slow = jnp.abs(r0) <= self.threshold
         need, end_need = self._need(forcing, zero, before, slow), self._need(forcing, h, after, slow)
-        normal = None
-        if self.model.varying:
-            n0, rate0 = self._normal(forcing, zero, before, rates)
-            normal = NormalForces(n0, rate0, *self._normal(forcing, h, after, end_rates))
+        normal = normal_forces(self.model, forcing, h, before, rates, after, end_rates)
         step = Step(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, need, end_need, normal)
         return step, rates, end_rates
 
@@ -77,13 +74,7 @@ class ContactsField(eqx.Module):
         """What the stick detector asks about the contacts at the time `t` of the `forcing`: the relative velocities,
         and whether they are closed.
         """
-        zero = jnp.zeros_like(t)
-        velocity = self.model.relative_velocity(forcing, zero, y)
-        closed = jnp.ones(velocity.shape, bool)
-        if self.model.varying:
-            normal = self.model.varying_normal_forces(forcing, zero, y)
-            closed = closed.at[np.array(self.model.varying)].set(normal > 0)
-        return velocity, closed
+        return velocities_and_closed(self.model, forcing, jnp.zeros_like(t), y)
 
     def start_detector(
         self, criterion: Criterion, forcing: object, y: State, quantities: tuple[str, ...]
@@ -109,24 +100,9 @@ class ContactsField(eqx.Module):
     def _friction(self, forcing: object, tau: FloatArray, y: State) -> FrictionAt:
         return FrictionAt(self.model, self.switch, self.static_exceeds_kinetic, forcing, tau, y)
 
-    def _velocity(self, forcing: object, tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
-        """The relative velocities and their slopes, where the state changes with `rates`."""
-        return jax.jvp(
-            lambda tau, y: self.model.relative_velocity(forcing, tau, y), (tau, y), (jnp.ones_like(tau), rates)
-        )
-
     def _need(self, forcing: object, tau: FloatArray, y: State, slow: BoolArray) -> FloatArray:
         """Friction that keeps the relative velocities of the `slow` contacts constant, over the largest friction."""
         now = self.model.instant(forcing, tau, y)
         force = solved(now.gain, now.drift, self._friction(forcing, tau, y)(now.velocity), slow)
         share = jnp.abs(self.model.limits(forcing, tau, y, now.velocity).share(force))
         return jnp.minimum(share, _MOST_NEEDED)  # infinite where a contact is open
-
-    def _normal(self, forcing: object, tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
-        """The normal forces of all contacts and their slopes, N; of those that do not vary 1."""
-        where = np.array(self.model.varying)
-        value, slope = jax.jvp(
-            lambda tau, y: self.model.varying_normal_forces(forcing, tau, y), (tau, y), (jnp.ones_like(tau), rates)
-        )
-        ones = jnp.ones(self.model.contacts, value.dtype)
-        return ones.at[where].set(value), (0 * ones).at[where].set(slope)

@@ -4,14 +4,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ..._events.sticks import StickRecord
 from ..._systems.inner_states import InnerStates
 from ..._systems.switched_model import State
-from ..._types import Array, BoolArray, FloatArray
+from ..._types import BoolArray, FloatArray
 from .contacts_detector import detect_contacts, start_contacts
-from .stick_detector import Criterion, NormalForces, Step, StickDetector, detect, start_detector
+from .contacts_seen import normal_forces, velocities_and_closed, with_slope
+from .stick_detector import Criterion, Step, StickDetector, detect, start_detector
 
 
 class InnerField(NamedTuple):
@@ -29,14 +29,11 @@ class InnerField(NamedTuple):
         """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
         zero = jnp.zeros_like(h)
         rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
-        r0, slope0 = self._along(self.model.relative_velocity, forcing, zero, before, rates)
-        r1, slope1 = self._along(self.model.relative_velocity, forcing, h, after, end_rates)
+        r0, slope0 = with_slope(self.model.relative_velocity, forcing, zero, before, rates)
+        r1, slope1 = with_slope(self.model.relative_velocity, forcing, h, after, end_rates)
         x0, v0 = jax.jvp(self.model.stick_position, (before,), (rates,))
         x1, v1 = jax.jvp(self.model.stick_position, (after,), (end_rates,))
-        normal = None
-        if self.model.varying:
-            n0, rate0 = self._normal(forcing, zero, before, rates)
-            normal = NormalForces(n0, rate0, *self._normal(forcing, h, after, end_rates))
+        normal = normal_forces(self.model, forcing, h, before, rates, after, end_rates)
         # What friction is needed in a stick is asked only of steps that do not resolve it.
         step = Step(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, jnp.zeros_like(r0), jnp.zeros_like(r1), normal)
         return step, rates, end_rates
@@ -44,13 +41,9 @@ class InnerField(NamedTuple):
     def contact(self, forcing: object, t: FloatArray, y: State) -> Any:
         """What the stick detector asks about the contacts at the time `t` of the `forcing`."""
         zero = jnp.zeros_like(t)
-        velocity = self.model.relative_velocity(forcing, zero, y)
         if self.model.contacts is None:
-            return velocity
-        closed = jnp.ones(velocity.shape, bool)
-        if self.model.varying:
-            closed = closed.at[np.array(self.model.varying)].set(self.model.varying_normal_forces(forcing, zero, y) > 0)
-        return velocity, closed
+            return self.model.relative_velocity(forcing, zero, y)
+        return velocities_and_closed(self.model, forcing, zero, y)
 
     def start_detector(
         self, criterion: Criterion, forcing: object, y: State, quantities: tuple[str, ...]
@@ -76,16 +69,3 @@ class InnerField(NamedTuple):
         """See `detect` and `detect_contacts`; `after`: what `contact` returned where the step ends."""
         update: Any = detect if self.model.contacts is None else detect_contacts
         return update(criterion, detector, seen, jumped=jumped, after=after, last=last, resolved=resolved)
-
-    def _along(
-        self, what: Any, forcing: object, tau: FloatArray, y: State, rates: State
-    ) -> tuple[FloatArray, FloatArray]:
-        """A function of time and state and its slope, where the state changes with `rates`."""
-        return jax.jvp(lambda tau, y: what(forcing, tau, y), (tau, y), (jnp.ones_like(tau), rates))
-
-    def _normal(self, forcing: object, tau: FloatArray, y: State, rates: State) -> tuple[Array, Array]:
-        """The normal forces of all contacts and their slopes, N; of those that do not vary 1."""
-        where = np.array(self.model.varying)
-        value, slope = self._along(self.model.varying_normal_forces, forcing, tau, y, rates)
-        ones = jnp.ones(len(self.model.laws), value.dtype)
-        return ones.at[where].set(value), (0 * ones).at[where].set(slope)
