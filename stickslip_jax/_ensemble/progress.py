@@ -1,4 +1,4 @@
-"""The progress bar of an ensemble, on terminals and in notebooks."""
+"""The progress bar of an ensemble or a film, on terminals and in notebooks."""
 
 import importlib.util
 import sys
@@ -22,13 +22,14 @@ class Progress(NamedTuple):
 
 
 @contextmanager
-def progress_bar(progress: bool | None, samples: int) -> Iterator[Progress]:
+def progress_bar(progress: bool | None, samples: int, unit: str = "sample") -> Iterator[Progress]:
     """Shows a progress bar while the block runs.
 
     Args:
         progress: True shows one, False none; None shows one on a terminal and, while it runs for more than a second, in
             a notebook.
         samples: Their number.
+        unit: What they are.
 
     Raises:
         ValueError: For another `progress`.
@@ -50,7 +51,7 @@ def progress_bar(progress: bool | None, samples: int) -> Iterator[Progress]:
         raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
     # In a notebook, what stays is saved with it.
     look = {"leave": False, "delay": _DELAY} if notebook and progress is None else {}
-    with bar_class(total=samples, unit="sample", unit_scale=True, **look) as bar:
+    with bar_class(total=samples, unit=unit, unit_scale=True, **look) as bar:
         yield Progress(bar.update, lambda text: bar.set_postfix_str(text, refresh=False))
 
 

@@ -10,7 +10,7 @@ from .._types import Number
 from .contact import Contact
 from .friction import FrictionLaw
 from .normal_force import NormalForce
-from .structure import LinearStructure
+from .structure import BLOCKS, STOREYS, LinearStructure
 from .structure_checks import numbers_in
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -60,7 +60,9 @@ def block_row(
     is_damped = _checks.is_traced(damping) or damping != 0
     ones = np.ones(number)
     # Each block has a contact of its own: known to be uncoupled, even if the mass is traced.
-    return LinearStructure(mass * ones, stiffness, damping * ones if is_damped else None, contacts, uncoupled=True)
+    return LinearStructure(
+        mass * ones, stiffness, damping * ones if is_damped else None, contacts, uncoupled=True, drawn_as=BLOCKS
+    )
 
 
 def storeys_on_bearing(
@@ -105,7 +107,9 @@ def storeys_on_bearing(
             raise _checks.refused("damping", "hold numbers of zero or more", damping)
         dampers = row_of_springs(values)
     weight = float(gravity) * float(np.sum(masses))
-    return LinearStructure(masses, matrix, dampers, (Contact.of_mass(0, len(masses), weight, friction),))
+    return LinearStructure(
+        masses, matrix, dampers, (Contact.of_mass(0, len(masses), weight, friction),), drawn_as=STOREYS
+    )
 
 
 def row_of_springs(stiffness: Any) -> Any:

@@ -27,6 +27,8 @@ from .contact import Contact
 from .dynamic_friction import DynamicFriction
 from .friction import FrictionLaw, times_of_slips
 from .inner_states import InnerStates, inner_laws_of
+from .layouts import mass_on_belt
+from .mechanism import Mechanism
 from .normal_force import NormalForceQuantity, is_function, recorded_in
 from .oscillator_model import OscillatorModel, SolverOscillatorModel
 from .steady_response import check_no_resonance
@@ -277,6 +279,9 @@ class MassSpring(System):
     @property
     def body_name(self) -> str:
         return "mass"
+
+    def mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
+        return mass_on_belt(state[0], base, bool(self.stiffness > 0))
 
     @property
     def slip_center(self) -> Scalar | None:

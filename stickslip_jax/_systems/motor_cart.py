@@ -41,6 +41,8 @@ from .._types import (
     State,
 )
 from .friction import Coulomb, FrictionLaw
+from .layouts import motor_and_cart
+from .mechanism import Mechanism
 from .one_contact import OneContactModel
 from .switched_model import FloatPair, Segments
 from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
@@ -187,6 +189,9 @@ class MotorCart(System):
     @property
     def body_name(self) -> str:
         return "motor"
+
+    def mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
+        return motor_and_cart(state[0], float(self.eccentricity))
 
     @property
     def band_coordinate(self) -> int:

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from .. import _checks
 from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
 from .._excitation.random import RandomPhase, RandomSignal
@@ -22,12 +23,16 @@ from .contact import Contact, entries_of, numbers_of
 from .contact_forces import Uncoupled
 from .dynamic_friction import DynamicFriction
 from .inner_states import InnerStates, inner_laws_of
+from .layouts import blocks, disks, storeys
+from .mechanism import Mechanism, bars
 from .normal_force import NormalForce, largest_of, periods_of, recorded_in
 from .structure_arcs import ArcsModel
 from .structure_checks import check_structure, is_uncoupled
 from .structure_model import Matrices, StructureModel
 from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, ages_of, shortest_period
 from .with_contacts import WithContacts
+
+BARS, BLOCKS, STOREYS = _DRAWN_AS = ("bars", "blocks", "storeys")
 
 
 class LinearStructure(WithContacts):
@@ -48,10 +53,12 @@ class LinearStructure(WithContacts):
             Found from the numbers; to be given only where JAX traces the masses or directions.
         rotates: Whether the positions are angles in rad, and the masses inertias. Directions of contacts are then
             radii in m.
+        drawn_as: How `plot.animate` draws it: "blocks" in a row on a belt, "storeys" of a building over its base mat,
+            or "bars", one for each coordinate. With `rotates` it is always drawn as disks in a row.
 
     Raises:
         ValueError: For a mass that is singular, matrices that are not symmetric or of another size, contacts that
-            couple nothing or imply each other.
+            couple nothing or imply each other, and another `drawn_as`.
     """
 
     mass: Any = eqx.field(converter=numbers_of)
@@ -61,10 +68,12 @@ class LinearStructure(WithContacts):
     force: tuple[Signal | Recorded | Number | None, ...] | None = eqx.field(default=None, converter=entries_of)
     uncoupled: bool | None = eqx.field(static=True, default=None)
     rotates: bool = eqx.field(static=True, default=False)
+    drawn_as: str = eqx.field(static=True, default=BARS, kw_only=True)
 
     def __post_init__(self):
         # Equinox converts the fields after this.
         contacts, force = entries_of(self.contacts), entries_of(self.force)
+        _checks.chosen("drawn_as", self.drawn_as, _DRAWN_AS)
         check_structure(self.mass, self.stiffness, self.damping, contacts, force)
         if self.uncoupled is None:
             object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, contacts))
@@ -232,6 +241,19 @@ class LinearStructure(WithContacts):
     @property
     def body_name(self) -> str:
         return "structure"
+
+    def mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
+        positions, stiffness = state[: self.size], np.asarray(_matrix(self.stiffness))
+        directions = np.stack([np.asarray(contact.direction) for contact in self.contacts])
+        if self.rotates:
+            on_base = np.array([float(contact.on_base) for contact in self.contacts])
+            return disks(positions, base, stiffness, directions, on_base)
+        on = tuple(tuple(np.flatnonzero(column).tolist()) for column in directions.T)
+        if self.drawn_as == BLOCKS:
+            return blocks(positions, base, stiffness, on)
+        if self.drawn_as == STOREYS:
+            return storeys(positions, base, on)
+        return bars(self._names_and_units, state, (*on, *on, *((),) * (len(state) - 2 * self.size)))
 
 
 class ReadyStructure(LinearStructure):

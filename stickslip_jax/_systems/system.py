@@ -18,6 +18,7 @@ from .._fields import Checked
 from .._types import AnyArray, Array, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
 from .dynamic_friction import DynamicFriction
 from .inner_states import InnerStates
+from .mechanism import Mechanism, bars
 from .one_contact import OneContactModel
 from .switched_model import SwitchedModel
 
@@ -288,6 +289,24 @@ class System(Checked):
     def body_name(self) -> str:
         """The body whose state it is, for legends: "mass", "motor"."""
         return "system"
+
+    def mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
+        """How it is drawn in motion: by default each coordinate as a bar over its largest size.
+
+        Args:
+            state: The state at the times of all frames, arrays (frames,).
+            base: How far the base has moved since the first frame, (frames,), m or rad.
+
+        Returns:
+            Bodies, springs, rods, disks and belts, whose places are numbers or arrays (frames,).
+        """
+        # Which coordinates belong to one of several contacts is not known.
+        contacts = (0,) if self.contact_count is None else ()
+        return bars(self._names_and_units, state, (contacts,) * len(self.coordinates))
+
+    @property
+    def _names_and_units(self) -> tuple[tuple[str, str], ...]:
+        return tuple((one.name, one.unit) for one in self.coordinates)
 
     @property
     def slip_center(self) -> Scalar | None:

@@ -11,9 +11,14 @@ All functions are called alike:
   their figure to a file; so does `save`, which also closes it.
 - Legends stand above the axes, so give titles to the figure (``figure.suptitle``), not to the axes.
 
+`animate` makes a film, with a figure of its own, and returns an `Animation`. `Mechanism` and what it is made of say
+how a system of your own moves in it.
+
 Nothing is simulated here. Bad arguments raise ValueError with the name of the argument.
 """
 
+from .._systems.mechanism import Belt, Body, Disk, Mechanism, Rod, Spring
+from ._animations import Animation, animate
 from ._basins import basins
 from ._bounds import stick_bounds
 from ._branches import orbit_branch
@@ -36,6 +41,14 @@ from ._stick_fraction_curves import stick_fraction_curve
 from ._stick_maps import stick_map
 
 __all__ = [
+    "Animation",
+    "Belt",
+    "Body",
+    "Disk",
+    "Mechanism",
+    "Rod",
+    "Spring",
+    "animate",
     "basins",
     "bifurcation_diagram",
     "calibration",

@@ -60,7 +60,7 @@ def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | 
     One panel for the coordinates of each unit, with the base velocity among those of its unit, and one for the sticks.
     """
     shown = check_window(window, float(one.t1))
-    times = _times(one, shown)
+    times = line_times(one, shown)
     state, base = one.evaluate(times), np.asarray(one.base_velocity(times))
     units: dict[str, list[int]] = {}
     for number, coordinate in enumerate(one.system.coordinates):
@@ -85,8 +85,8 @@ def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | 
     return panels
 
 
-def _times(one: Simulation, window: Window) -> np.ndarray:
-    """Times to draw at (s): a fine grid, with the beginnings of the time steps, at which events happen.
+def line_times(one: Simulation, window: Window) -> np.ndarray:
+    """Times to draw a line at (s): a fine grid, with the beginnings of the time steps, at which events happen.
 
     Around these the base velocity is taken just before and at a jump.
     """

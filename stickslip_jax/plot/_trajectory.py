@@ -184,16 +184,16 @@ def _grid(knots: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 def _follow(one: Simulation, times: np.ndarray, base_times: np.ndarray) -> tuple[Any, ...]:
     """The state at `times` (s); at `base_times` the base velocity (m/s) and the ends of the stick band."""
-    number = len(times)
-    # Padded to a power of two, so that few sizes are compiled.
-    buffer = max(_SMALLEST_BUFFER, 1 << int(np.ceil(np.log2(len(times)))))
-    filled, base_filled = (
-        jnp.asarray(np.concatenate([values, np.full(buffer - number, values[-1])]), one.sticks.start.dtype)
-        for values in (times, base_times)
-    )
+    filled, base_filled = padded(one, times), padded(one, base_times)
     state = one.evaluate(filled)
     followed = (state, *_follow_base(one, base_filled, state))
-    return jax.tree.map(lambda values: np.asarray(values)[:number], followed)
+    return jax.tree.map(lambda values: np.asarray(values)[: len(times)], followed)
+
+
+def padded(one: Simulation, times: np.ndarray) -> jax.Array:
+    """`times` (s), the last one repeated until their number is a power of two, so that few sizes are compiled."""
+    buffer = max(_SMALLEST_BUFFER, 1 << int(np.ceil(np.log2(len(times)))))
+    return jnp.asarray(np.concatenate([times, np.full(buffer - len(times), times[-1])]), one.sticks.start.dtype)
 
 
 @jax.jit
