@@ -21,7 +21,7 @@ LOADED = re.compile(
     r"<(?:script|img|link|iframe|source|audio|video)\b[^>]*?\b(?:src|href)=[\"']((?:https?:)?//[^\"']+)", re.I
 )
 STYLED = re.compile(r"(?:@import\s+|url\()\s*[\"']?((?:https?:)?//[^\"')]+)", re.I)
-SEARCHED = {"bifurcation": "limits", "poincare": "limits", "animation": "limits", "two contacts": "limits"}
+SEARCHED = {"bifurcation": "limits", "poincare": "limits", "animation": "animation", "two contacts": "limits"}
 """Words, and the page that must be among those found."""
 
 MEASURE = """

@@ -59,7 +59,7 @@ class Animation:
         return self.figure
 
     def save(
-        self, path: str | Path, *, dpi: float = 100, progress: bool | None = None, overwrite: bool = False
+        self, path: str | Path, *, dpi: float | int = 100, progress: bool | None = None, overwrite: bool = False
     ) -> None:
         """Write the film to a file.
 
@@ -102,8 +102,8 @@ class Animation:
     def __repr__(self) -> str:
         frames = len(self.times)
         return (
-            f"Animation of {self.times[0]:g} to {self.times[-1]:g} s: {frames} frames, {frames / self.fps:.3g} s at "
-            f"{self.speed:.3g} times the speed of the motion"
+            f"Animation of {self.times[0]:g} to {self.times[-1]:g} s: {frames} frames, {frames / self.fps:.3g} s, "
+            f"{self.speed:.3g} s of motion in each second"
         )
 
 
@@ -111,10 +111,10 @@ def animate(
     result: Simulation,
     *,
     window: Window | None = None,
-    speed: float | None = None,
-    fps: float = 25,
+    speed: float | int | None = None,
+    fps: float | int = 25,
     coordinate: str | None = None,
-    figsize: tuple[float, float] = (6.4, 5.0),
+    figsize: tuple[float | int, float | int] = (6.4, 5.0),
 ) -> Animation:
     """A moving picture of one trajectory: the mechanism, and below it the time history as far as it has come.
 
@@ -147,7 +147,7 @@ def animate(
     for name, length in zip(("figsize[0]", "figsize[1]"), size, strict=True):
         _checks.bounded(name, length, "inches", at_least=2)
     sticks = sticks_of(result)
-    window = check_window(window, float(result.t1)) if len(sticks) > 1 else phases_in(result, window)[1]
+    window = check_window(window, float(result.t1)) if _has_rows(result) else phases_in(result, window)[1]
     times, speed = frame_times(window, None if speed is None else float(speed), float(fps), result.sticks.start.dtype)
     mechanism = result.system.mechanism(state_at(result, times), base_displacement(result, times))
     contacts = result.system.contact_count or 1
@@ -167,7 +167,7 @@ def _draw(
     shown: int, window: Window, times: np.ndarray, speed: float,
 ) -> Move:  # fmt: skip
     """Draw all of a film into its figure; `shown`: the number of the coordinate in the history."""
-    rows = len(sticks) > 1
+    rows = _has_rows(result)
     ratios = (2.2, 1.0, 0.3 + 0.08 * len(sticks)) if rows else (1.9, 1.0)
     above, below, *others = figure.subplots(len(ratios), 1, height_ratios=ratios)
     moves = [
@@ -188,6 +188,11 @@ def _draw(
 
     _fix_layout(figure, move, mechanism if mechanism.equal else None)
     return move
+
+
+def _has_rows(one: Simulation) -> bool:
+    """Whether there are sticks of several contacts, each with a row of its own."""
+    return one.sticks.contact is not None and one.system.contact_count != 1
 
 
 def _fix_layout(figure: Figure, move: Move, equal: Mechanism | None) -> None:
@@ -240,7 +245,7 @@ def _draw_clock(ax: Axes, times: np.ndarray, speed: float) -> Move:
     step = times[1] - times[0]
     digits = max(0, 1 - int(np.floor(np.log10(step))))
     text = ax.text(0.01, 0.98, "", transform=ax.transAxes, va="top", zorder=5)
-    told = "real time" if f"{speed:.3g}" == "1" else f"{speed:.3g} × real time"
+    told = "real time" if f"{speed:.3g}" == "1" else f"{speed:.3g} \u00d7 real time"
     ax.text(0.99, 0.98, told, transform=ax.transAxes, va="top", ha="right", zorder=5)
 
     def move(frame: int) -> None:

@@ -111,7 +111,7 @@ def _velocity(one: Simulation, times: jax.Array) -> jax.Array:
     return one.base_velocity(times)
 
 
-def checked_speed(speed: float | None, fps: float) -> None:
+def checked_speed(speed: float | int | None, fps: float | int) -> None:
     """Raises ValueError for a speed that is not positive, or a number of frames per second that no GIF can show."""
     if speed is not None:
         _checks.positive("speed", speed, "s of motion per s of film")

@@ -149,7 +149,7 @@ def _draw_band(panels: tuple[Axes, ...], result: Simulation, phases: list[Phase]
     times, lowest, highest, state = (
         np.concatenate([values_of(phase, key) for phase in phases]) for key in ("times", "lowest", "highest", number)
     )
-    if not np.all(np.isfinite(lowest)) or len(turns_of(lowest, np.max(highest - lowest))) > _MOST_SWINGS:
+    if not np.all(np.isfinite(lowest)) or len(turns_of(lowest, float(np.max(highest - lowest)))) > _MOST_SWINGS:
         return
     panel, look = panels[number], {"color": _style.BAND, "alpha": 0.3, "lw": 0}
     if result.system.band_symbols and np.ptp(lowest) == np.ptp(highest) == lowest[0] + highest[0] == 0:

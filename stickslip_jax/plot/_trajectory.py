@@ -149,7 +149,7 @@ def _knots(one: Simulation, window: Window, events: np.ndarray) -> tuple[np.ndar
     # In the simulation's own floating-point type: a jump that ends a stick equals its end to the last bit.
     steps = np.asarray(one.step_starts)
     begin, end = (steps.dtype.type(time) for time in window)
-    round_off = min(256 * float(np.finfo(steps.dtype).eps) * end, (end - begin) / 4)
+    round_off = float(min(256 * np.finfo(steps.dtype).eps * end, (end - begin) / 4))
     steps, events = (
         np.unique(times[(times > begin + round_off) & (times < end - round_off)]) for times in (steps, events)
     )

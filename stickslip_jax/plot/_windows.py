@@ -29,7 +29,7 @@ def phases_in(one: Simulation, window: Window | None) -> tuple[list[Phase], Wind
     end = whole[1]
     for number in range(len(phases[0].state)):
         values = np.concatenate([values_of(phase, number) for phase in phases])
-        turns = times[turns_of(values, _LARGE * np.ptp(values))]
+        turns = times[turns_of(values, _LARGE * float(np.ptp(values)))]
         if len(turns) > _MOST_TURNS:
             end = min(end, _round_down(float(turns[_FIRST_TURNS])))
     return (phases, whole) if end == whole[1] else (phases_of(one, (0.0, end)), (0.0, end))

@@ -59,7 +59,7 @@ def test_every_field_of_numbers_is_described(kind):
     others |= {"counted_contact"}  # chosen by `of_contact`
     # Matrices, which have checks of their own.
     others |= {"mass", "stiffness", "damping", "contacts"} if kind is ss.LinearStructure else set()
-    others |= {"uncoupled", "rotates"}  # of structures, true or false
+    others |= {"uncoupled", "rotates", "drawn_as"}  # of structures, true or false, and a word
     assert {field.name for field in dataclasses.fields(kind)} - set(described(kind)) <= others
 
 

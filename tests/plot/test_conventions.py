@@ -11,7 +11,8 @@ from support.plot import MAP_LABELS, band_of, line, mesh, simulate, steps, texts
 import stickslip_jax as ss
 from stickslip_jax import plot
 
-FIGURES = [getattr(plot, name) for name in plot.__all__ if name != "save"]
+NO_FIGURES = {"save", "animate"}  # a film has a figure of its own
+FIGURES = [getattr(plot, name) for name in plot.__all__ if name[0].islower() and name not in NO_FIGURES]
 FIRST = {
     "result": "what was simulated",
     "results": "several",
