@@ -111,7 +111,7 @@ def _forces(
         if isinstance(method, Regularized):
             assert method.width is not None
             speed = model.relative_velocity(forcing, jnp.zeros_like(time), y)
-            coefficient = Switch(method.width, method.shape).coefficient(model.friction, speed)
+            coefficient = Switch(method.width, method.shape).coefficient(model.friction_at(y), speed)
         else:
             lasts = (time < sticks.end) | ((sticks.ending == Ending.HORIZON) & (time <= sticks.end))
             # At isolated instants of no relative velocity the friction of the slip that follows.
@@ -127,7 +127,8 @@ def _forces(
 def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatScalar, sticks: BoolScalar) -> FloatScalar:
     """The signed friction coefficient in a stick, or in a slip of this sign."""
     none = jnp.zeros_like(y[0])
-    slip = model.slip_direction(y, sign) * model.friction.slip_coefficient(model.relative_velocity(forcing, none, y))
+    velocity = model.relative_velocity(forcing, none, y)
+    slip = model.slip_direction(y, sign) * model.friction_at(y).slip_coefficient(velocity)
     return jnp.where(sticks, model.holding_coefficient(forcing, none, y), slip)
 
 

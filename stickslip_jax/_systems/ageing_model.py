@@ -165,6 +165,9 @@ class AgeingContact(_WithAges[F], OneContactModel[F]):  # pyright: ignore[report
     def friction(self) -> FrictionLaw:
         return self.inner.friction
 
+    def friction_at(self, y: State) -> FrictionLaw:
+        return self.inner.friction_at(y[:-1])
+
     def rates_under(self, forcing: F, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
         return *self.inner.rates_under(forcing, tau, y[:-1], coefficient), jnp.zeros_like(y[-1])
 

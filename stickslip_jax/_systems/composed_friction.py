@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Callable
+from functools import reduce
 from typing import Annotated
 
 import equinox as eqx
@@ -94,6 +95,10 @@ class _Chosen(FrictionLaw):
     @property
     def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
         return self.first.constant and self.second.constant
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return self.first.static_exceeds_kinetic or self.second.static_exceeds_kinetic
 
     @property
     def static(self) -> Scalar:
@@ -267,7 +272,9 @@ def least(*values: Scalar | None) -> Scalar | None:
     known = [value for value in values if value is not None]
     if len(known) < len(values) or not known:
         return None
-    return min(known) if all(isinstance(value, (int, float)) for value in known) else jnp.min(jnp.stack(known))
+    if all(isinstance(value, (int, float)) for value in known):
+        return min(known)
+    return reduce(jnp.minimum, known)  # as a stack, numbers without a type of their own would get one
 
 
 def _most(one: Scalar, other: Scalar) -> Scalar:

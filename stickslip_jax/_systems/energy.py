@@ -9,7 +9,8 @@ from .. import _checks
 from .._claims import keeps
 from .._types import FloatScalar, Scalar, State
 from .ageing_model import AgeingContact
-from .motor_cart import CartModel, MotorCart
+from .cart_model import CartModel
+from .motor_cart import MotorCart
 from .one_contact import OneContactModel
 from .oscillator_model import OscillatorForcing, OscillatorModel
 from .switched_model import F
@@ -96,7 +97,7 @@ def _(model: OscillatorModel, forcing: OscillatorForcing, y: State, force: Float
 @friction_force.register
 def _(model: CartModel, y: State, coefficient: FloatScalar) -> FloatScalar:
     # On the cart at ``x = d cos alpha``, whose velocity is ``-d sin alpha alpha'`` (Lima and Sampaio 2022, eq. 4).
-    return coefficient * model.system.largest_friction_torque / model.system.eccentricity * model.heading(y)
+    return coefficient * model.system.friction_torque_of_one / model.system.eccentricity * model.heading(y)
 
 
 @stored_energies.register

@@ -35,6 +35,8 @@ from .steady_response import check_no_resonance
 from .structure import LinearStructure, StructureModel
 from .system import (
     AGE,
+    DECAYED,
+    PASSED,
     PERIOD,
     SOFT,
     SOLVED,
@@ -47,8 +49,6 @@ from .system import (
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)
-_PASSED = StepCount(6.0, 1.0)
-_DECAYED = StepCount(2.0, 1.0)
 
 
 class MassSpring(System):
@@ -235,9 +235,9 @@ class MassSpring(System):
         passing, decay = times_of_slips(self.friction, self.mass, self.normal_force, self.damping)
         return {
             "natural period": TimeScale(natural, steps),
-            "time in which the slip speed passes the scale of the friction law": TimeScale(passing, _PASSED),
+            "time in which the slip speed passes the scale of the friction law": TimeScale(passing, PASSED),
             "decay time of the slip speed by damping and viscous friction": TimeScale(
-                math.inf if steps is PERIOD else decay, _DECAYED
+                math.inf if steps is PERIOD else decay, DECAYED
             ),
             "shortest period of the force": TimeScale(force, steps),
             "shortest period of the base motion": TimeScale(shortest_period(excitation), steps),

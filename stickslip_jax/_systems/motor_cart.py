@@ -1,53 +1,46 @@
 """A cart on a rail with dry friction, driven by a DC motor through a scotch yoke (Lima and Sampaio 2022, eqs 1, 2, 5).
 
-State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). The cart slides with the
-velocity ``-d sin(alpha) alpha'``, for which ``r = sin(alpha) alpha'`` is used. It passes through zero when the motor
-stops and at dead centre (``sin alpha = 0``), where the cart reverses; at fixed sign of r the friction torque
-``-sign mu m g d sin(alpha)`` is smooth, so both are events of one kind.
-
-In a stick the current is known in closed form. A slip is integrated by the eighth-order Runge-Kutta method of Prince
-and Dormand, all three states together. Exponential integrators that treat the fast current separately
-were tried and are far less accurate at the same step: the angle by which a transient of the current turns the motor is
-a linear invariant, which a Runge-Kutta method conserves exactly and an exponential one only to its order.
+State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). How it slips and sticks: `cart_model.py`.
 """
 
 import math
 from typing import Annotated
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import Partial
 
 from .. import _checks
-from .. import _diffrax as diffrax
 from .._claims import keeps
 from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
-from .._fields import Choice, Quantity
-from .._numerics.elementary import sincos, sincos_of_small
-from .._numerics.runge_kutta import runge_kutta_step
-from .._types import (
-    AnyArray,
-    Array,
-    BoolScalar,
-    ExplicitSolver,
-    FloatArray,
-    FloatScalar,
-    Number,
-    Scalar,
-    Solver,
-    State,
-)
-from .friction import Coulomb, FrictionLaw
+from .._fields import Choice, Quantity, is_distribution
+from .._types import AnyArray, Array, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
+from .ageing_model import AgeingContact, with_ages
+from .cart_model import LONGEST_TURN, CartModel, OnPin
+from .composed_friction import AtAge
+from .dynamic_friction import DynamicFriction
+from .friction import FrictionLaw, times_of_slips
+from .inner_states import inner_laws_of
 from .layouts import motor_and_cart
 from .mechanism import Mechanism
-from .one_contact import OneContactModel
-from .switched_model import FloatPair, Segments
-from .system import SOLVED, Coordinate, StepCount, System, TimeScale, shortest_period, voltage_of
+from .system import (
+    AGE,
+    DECAYED,
+    PASSED,
+    SOLVED,
+    Coordinate,
+    StepCount,
+    System,
+    TimeScale,
+    shortest_period,
+    voltage_of,
+)
 
-_LONGEST_TURN = 0.13  # of the motor in a step, in units of its `angle_scale`
+USUAL_MU = 0.2
+_FOR_EVER = 1e30  # s: a stick that ends lasts less than a period of the voltage
 _LONGEST_RESPONSE = 0.85  # of the current in a step; with the values of the paper four electrical time constants
 _CONSTANT = StepCount(7.0, 4.0)  # the mechanical time constant is no period
 _DECAY = StepCount(1 / 3, 1 / 4)  # steps beyond four electrical time constants are not stable
@@ -65,8 +58,13 @@ class MotorCart(System):
     The mass sticks while ``alpha' = 0`` and ``|motor_constant c| <= mu m gravity d |sin alpha|``; at ``sin alpha = 0``
     (dead centre) friction has no leverage and nothing sticks.
 
+    With a `friction` law its coefficient at the velocity of the cart is in place of mu. The cart is at ``d cos(alpha)``
+    on its rail, with the velocity ``-d sin(alpha) alpha'``: that is the relative velocity of the law, positive (forward
+    slips) while the motor turns forward with ``sin alpha < 0``, or backward with ``sin alpha > 0``. The age of the
+    stick, where static friction grows, follows the other numbers of the state.
+
     Args:
-        mu: Friction coefficient of cart and rail, zero or positive.
+        mu: Friction coefficient of cart and rail, zero or positive; by default 0.2, or None with a `friction` law.
         cart_mass: kg, positive.
         eccentricity: Of the pin on the disk, m, positive.
         gravity: m/s^2, positive.
@@ -77,12 +75,15 @@ class MotorCart(System):
         inductance: H, positive.
         equation: "physical" as above (the default), or "printed": as printed in the paper (equation 2), whose term
             ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
+        friction: A friction law in place of mu, such as `Coulomb` with another static coefficient, `Directional` or
+            `Ageing`.
 
     Raises:
-        ValueError: For numbers out of range and for another `equation`.
+        ValueError: For numbers out of range, for another `equation`, and if both `mu` and `friction` are given.
     """
 
-    mu: Annotated[Number, Quantity(meaning="friction coefficient of cart and rail", at_least=0)] = 0.2
+    # None stands for 0.2, which `__post_init__` puts there unless a law is given.
+    mu: Annotated[Number | None, Quantity(meaning="friction coefficient of cart and rail", at_least=0)] = None
     cart_mass: Annotated[Number, Quantity("kg", above=0)] = 5.0
     eccentricity: Annotated[Number, Quantity("m", "of the pin on the disk", above=0)] = 0.01
     gravity: Annotated[Number, Quantity("m/s^2", above=0)] = 9.81
@@ -94,6 +95,28 @@ class MotorCart(System):
     equation: Annotated[
         str, Choice(("physical", "printed"), "physical, or as printed in the paper (its units do not match)")
     ] = eqx.field(static=True, default="physical")
+    friction: FrictionLaw | None = None
+
+    def __post_init__(self):
+        if self.mu is None and self.friction is None:
+            object.__setattr__(self, "mu", USUAL_MU)
+
+    def check_parts(self) -> None:
+        if self.friction is None:
+            return
+        if not isinstance(self.friction, FrictionLaw):
+            raise _checks.refused("friction", "be a friction law such as Coulomb(mu=0.3), or None", self.friction)
+        if self.mu is not None:
+            raise ValueError(
+                f"Argument mu must be None where a law gives the friction, but mu={_checks.show(self.mu)} and "
+                f"friction={_checks.show(self.friction)} were given; keep one of them."
+            )
+
+    def check_relations(self) -> None:
+        if self.friction is not None and not any(
+            map(is_distribution, jax.tree.leaves(self.friction, is_leaf=is_distribution))
+        ):
+            self.friction.check_directions()
 
     @property
     def stops_are_unstable(self) -> bool:
@@ -101,9 +124,41 @@ class MotorCart(System):
         return True
 
     @property
+    def static_exceeds_kinetic(self) -> bool:
+        return self.friction is not None and self.friction.static_exceeds_kinetic
+
+    @property
     def largest_friction_torque(self) -> Scalar:
-        """Largest torque that friction can hold, at ``|sin alpha| = 1``: ``mu m gravity d``, N m."""
-        return self.mu * self.cart_mass * self.gravity * self.eccentricity
+        """Largest torque that friction can hold, at ``|sin alpha| = 1``: ``mu m gravity d``, N m.
+
+        With a law that of its static coefficient, for a stick that has just begun.
+        """
+        mu = self.mu if self.friction is None else self.friction.static
+        assert mu is not None
+        return mu * self.cart_mass * self.gravity * self.eccentricity
+
+    @property
+    def friction_torque_of_one(self) -> Scalar:
+        """The friction torque, N m, at ``|sin alpha| = 1`` that a coefficient of 1 of the `CartModel` stands for."""
+        if self.friction is None:
+            return self.largest_friction_torque
+        return self.cart_mass * self.gravity * self.eccentricity
+
+    def held_torques(self, sine: FloatScalar, age: FloatScalar) -> tuple[FloatArray, FloatArray]:
+        """The largest torques, N m at ``|sin alpha| = 1``, that a `friction` law can hold in a stick of this age (s).
+
+        Args:
+            sine: Of the angle, a scalar.
+            age: Of the stick, s, a scalar.
+
+        Returns:
+            That against turning backward, and that against turning forward.
+        """
+        assert self.friction is not None
+        law = OnPin(AtAge(self.friction, age), sine)
+        ways = (jnp.full_like(sine, way) for way in (-1.0, 1.0))
+        backward, forward = (jnp.asarray(law.stick_limit(way) * self.friction_torque_of_one) for way in ways)
+        return backward, forward
 
     @property
     def shortest_time(self) -> Scalar:
@@ -139,28 +194,48 @@ class MotorCart(System):
             Coordinate("angle", "rad", r"\alpha", 2 * math.pi),
             Coordinate("angular velocity", "rad/s", r"\dot\alpha"),
             Coordinate("current", "A", "c"),
+            *self.ages,
+            *self.inner_states,
         )
+
+    @property
+    def ages(self) -> tuple[Coordinate, ...]:
+        return (AGE,) if self.friction is not None and self.friction.grows else ()
+
+    @property
+    def inner_laws(self) -> tuple[DynamicFriction, ...]:
+        return () if self.friction is None else inner_laws_of((self.friction,))
 
     @property
     def stick_position(self) -> Coordinate:
         return Coordinate("motor angle during the stick", "rad", r"\alpha", 2 * math.pi)
 
-    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "CartModel":
+    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> CartModel | AgeingContact:
         assert isinstance(smooth, SourceVoltage)
         _require_sine(smooth)  # a realisation of a random law, say
-        return CartModel(self, smooth)
+        model = CartModel(self, smooth)
+        return model if self.friction is None else with_ages(model, 3, self.friction.grows, self.friction.growth_time)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
-        return {
+        scales = {
             "mechanical time constant": TimeScale(self.shortest_time, _CONSTANT),
             "electrical time constant": TimeScale(self.inductance / self.resistance, _DECAY),
             "period of the voltage": TimeScale(shortest_period(excitation), SOLVED),
+        }
+        if self.friction is None or self.friction.constant:
+            return scales
+        # The motor moves as a mass on the cart's rail, the heavier, the nearer to dead centre.
+        mass = self.cart_mass + self.motor_inertia / self.eccentricity**2
+        passing, decay = times_of_slips(self.friction, mass, self.cart_mass * self.gravity, None)
+        return scales | {
+            "time in which the slip speed passes the scale of the friction law": TimeScale(passing, PASSED),
+            "decay time of the slip speed by viscous friction": TimeScale(decay, DECAYED),
         }
 
     def usual_step(self, excitation: Excitation) -> Scalar:
         voltage = voltage_of(excitation)
         assert isinstance(voltage, SourceVoltage)
-        return 1 / (self.ideal_speed(voltage) / (_LONGEST_TURN * self.angle_scale) + voltage.angular_frequency)
+        return 1 / (self.ideal_speed(voltage) / (LONGEST_TURN * self.angle_scale) + voltage.angular_frequency)
 
     @property
     def contact_scales(self) -> tuple[Scalar, Scalar]:
@@ -171,7 +246,8 @@ class MotorCart(System):
         voltage = voltage_of(excitation)
         assert isinstance(voltage, SourceVoltage)
         speed = self.ideal_speed(voltage)
-        return 1.0, speed, speed * self.motor_constant / self.resistance
+        memory = (*(self.shortest_time for _ in self.ages), *(law.state_scale for law in self.inner_laws))
+        return 1.0, speed, speed * self.motor_constant / self.resistance, *memory
 
     def check_excitation(self, excitation: Excitation) -> None:
         voltage = voltage_of(excitation)
@@ -203,9 +279,15 @@ class MotorCart(System):
     def stick_band(
         self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
-        """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A."""
-        most = self.largest_friction_torque / self.motor_constant * jnp.abs(jnp.sin(state[0]))
-        return -most, most
+        """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A, of a stick of the age in the state."""
+        sine = jnp.sin(state[0])
+        if self.friction is None:
+            most = self.largest_friction_torque / self.motor_constant * jnp.abs(sine)
+            return -most, most
+        ages = state[3] if self.ages else jnp.zeros_like(sine)
+        held = jax.vmap(self.held_torques)(sine, ages)
+        backward, forward = (torque / self.motor_constant * jnp.abs(sine) for torque in held)
+        return -backward, forward
 
 
 def _require_sine(voltage: Signal) -> None:
@@ -229,7 +311,9 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     in a period; where both do, sticks may never end. The current that a stick begins with decays in the time
     ``inductance / resistance``; it can prolong a stick by about that much.
 
-    A constant voltage (amplitude 0) gives 0 or infinity. At dead centre, and without friction, nothing sticks: 0.
+    With a `friction` law the limits are those of its two directions; where static friction grows, those of a stick
+    that has lasted for ever. A constant voltage (amplitude 0) gives 0 or infinity. At dead centre, and without
+    friction, nothing sticks: 0.
 
     Args:
         system: The motor with its cart.
@@ -253,159 +337,31 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
             f"{_checks.show(system)} and {_checks.show(voltage)} were given."
         )
     _checks.numeric("angle", angle, ndim=None)
-    held = system.largest_friction_torque * jnp.abs(jnp.sin(jnp.asarray(angle, float))) / system.motor_constant
+    sine = jnp.sin(jnp.asarray(angle, float))
+    held = [torque * jnp.abs(sine) / system.motor_constant for torque in _torques_in_the_end(system, sine)]
     reactance = system.inductance * voltage.angular_frequency
     amplitude = jnp.abs(voltage.amplitude) / jnp.sqrt(system.resistance**2 + reactance**2)
     mean = voltage.mean / system.resistance
     per_amplitude = 1 / jnp.where(amplitude > 0, amplitude, 1)
-    spare = [limit - mean for limit in (-held, held)]
+    spare = [limit - mean for limit in (-held[0], held[1])]
     low, high = (_asin_within(some * per_amplitude) for some in spare)
     over_lowest, over_highest = spare[0] <= -amplitude, spare[1] >= amplitude
     # At an extremum the current turns back, and passes through the same values again.
     bound = (high - low) * jnp.where(over_lowest | over_highest, 2, 1) / voltage.angular_frequency
     bound = jnp.where(amplitude > 0, bound, 0)
-    return jnp.where(held > 0, jnp.where(over_lowest & over_highest, jnp.inf, bound), 0.0)
+    return jnp.where(jnp.maximum(*held) > 0, jnp.where(over_lowest & over_highest, jnp.inf, bound), 0.0)
+
+
+def _torques_in_the_end(system: MotorCart, sine: FloatArray) -> tuple[FloatArray | Scalar, FloatArray | Scalar]:
+    """The `held_torques` of sticks that have lasted for ever; infinite where a law does not say them."""
+    if system.friction is None:
+        return system.largest_friction_torque, system.largest_friction_torque
+    held = jax.vmap(lambda one: system.held_torques(one, jnp.asarray(_FOR_EVER, one.dtype)))(sine.reshape(-1))
+    backward, forward = (jnp.where(jnp.isnan(torque), jnp.inf, torque).reshape(sine.shape) for torque in held)
+    return backward, forward
 
 
 def _asin_within(sine: FloatArray) -> FloatArray:
     """The angle whose sine this is, from -pi / 2 to pi / 2, and the nearer one of these beyond."""
     within = jnp.abs(sine) < 1
     return jnp.where(within, jnp.arcsin(jnp.where(within, sine, 0)), jnp.sign(sine) * (math.pi / 2))
-
-
-class CartModel(OneContactModel[FloatScalar]):
-    """A `MotorCart` under a `SourceVoltage`. Its forcing is the phase of the voltage as a step begins, rad."""
-
-    system: MotorCart
-    smooth: SourceVoltage
-
-    def forcing(self, t: FloatScalar, segments: Segments) -> FloatScalar:
-        return self.smooth.angular_frequency * t + self.smooth.phase
-
-    def slip(self, forcing: FloatScalar, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
-        rates = Partial(type(self)._slip_rates, self, sincos(y[0]), sincos(forcing), sign)
-        (angle, speed, current), _ = runge_kutta_step(rates, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
-        return y[0] + angle, speed, current
-
-    def stick(self, forcing: FloatScalar, y: State, h: FloatScalar) -> State:
-        rho = self.system.resistance / self.system.inductance
-        rest = (y[2] - self._steady(forcing, jnp.zeros_like(h))) * jnp.exp(-rho * h)
-        return y[0], jnp.zeros_like(h), rest + self._steady(forcing, h)
-
-    def rates(self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
-        direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)
-        sticking = sign == 0
-        speed, friction = jnp.where(sticking, 0, y[1]), sign * self.system.largest_friction_torque * direction[0]
-        turn, across = self._balances(direction, phase, speed, y[2], friction)
-        return speed, jnp.where(sticking, 0, turn), across * (1 / self.system.inductance)
-
-    def _slip_rates(
-        self, start: FloatPair, phase: FloatPair, sign: FloatScalar, tau: FloatScalar, state: State
-    ) -> State:
-        """The rates of a slip `tau` (s) after a step began at the angle `start`, from which the `state` counts it."""
-        angle, speed, current = state
-        direction, phase = _turned(start, angle), _turned(phase, self.smooth.angular_frequency * tau)
-        friction = sign * self.system.largest_friction_torque * direction[0]
-        turn, across = self._balances(direction, phase, speed, current, friction)
-        return speed, turn, across * (1 / self.system.inductance)
-
-    def _balances(
-        self, direction: FloatPair, phase: FloatPair, speed: FloatScalar, current: FloatScalar, friction: FloatScalar
-    ) -> FloatPair:
-        """The equations of motion (eqs 1, 2): angular acceleration (rad/s^2), and voltage across the inductance (V).
-
-        `direction`, `phase`: sine and cosine of the motor angle and of the phase of the voltage. `friction`: N m.
-        """
-        system, (sine, cosine) = self.system, direction
-        inertia = system.cart_mass * system.eccentricity**2
-        carried = speed * speed if system.equation == "physical" else speed
-        driving = system.motor_constant * current - system.motor_damping * speed - friction
-        torque = driving - inertia * sine * cosine * carried
-        drop = system.resistance * current + system.motor_constant * speed
-        across = self.smooth.mean + self.smooth.amplitude * phase[0] - drop
-        return torque / (system.motor_inertia + inertia * sine * sine), across
-
-    def step_limit(self, age: FloatScalar, step: FloatScalar, y: State, sign: FloatScalar) -> FloatScalar:
-        # After a jump of the torque the current has a transient, which needs shorter steps: in a slip for the
-        # integrator, in a stick so that no step holds both the extremum of the transient and others.
-        transient = self.system.inductance / self.system.resistance
-        turn = _LONGEST_TURN * self.system.angle_scale / jnp.maximum(jnp.abs(y[1]), 1e-9)
-        slip = jnp.minimum(step, jnp.minimum(turn, self.system.longest_response(self.smooth)))
-        slip = slip * jnp.minimum(1, 0.1 + age / (6 * transient))
-        stick = jnp.minimum(2 * np.pi / (16 * self.smooth.angular_frequency), transient / 2 + age / 3)
-        return jnp.where(sign == 0, stick, slip)
-
-    def at_rest(self, forcing: FloatScalar, y: State) -> BoolScalar:
-        return jnp.abs(y[1]) <= self.noise(forcing, y, jnp.ones_like(y[1]))
-
-    def slip_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
-        sine, cosine = sincos(y[0])
-        # Exactly at dead centre r is 0, and its sign follows from its rate, r' = cos(alpha) alpha'^2.
-        at_dead_center = jnp.abs(sine) <= jnp.finfo(y[0].dtype).eps * jnp.maximum(jnp.abs(y[0]), 1)
-        return jnp.where(at_dead_center, jnp.sign(cosine), jnp.sign(sine * y[1]))
-
-    def guard(self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
-        sine, cosine = sincos(y[0])
-        _, turn, current_rate = self.rates(forcing, tau, y, sign)
-        rate = turn * sine + y[1] * y[1] * cosine
-        held = self.system.largest_friction_torque * jnp.abs(sine)
-        per_held = jnp.where(held > 0, self.system.motor_constant / jnp.where(held > 0, held, 1), 0)
-        share, share_rate = y[2] * per_held, current_rate * per_held
-        sticking = sign == 0
-        guard = jnp.where(sticking, 1 - share * share, sign * sine * y[1])
-        return guard, jnp.where(sticking, -2 * share * share_rate, sign * rate)
-
-    def guard_scale(self, forcing: FloatScalar, y: State, sign: FloatScalar) -> FloatScalar:
-        return jnp.where(sign == 0, 2.0, self.system.ideal_speed(self.smooth) + jnp.abs(y[1]))
-
-    def on_base(self, forcing: FloatScalar, y: State) -> State:
-        return y[0], jnp.zeros_like(y[1]), y[2]
-
-    def can_stick(self, forcing: FloatScalar, y: State) -> BoolScalar:
-        held = self.system.largest_friction_torque * jnp.abs(sincos(y[0])[0])
-        return (jnp.abs(self.system.motor_constant * y[2]) <= held) & (held > 0)
-
-    def release_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
-        # The motor starts in the direction of the torque of its current.
-        return jnp.where(y[2] * sincos(y[0])[0] > 0, 1, -1).astype(y[0].dtype)
-
-    @property
-    def friction(self) -> FrictionLaw:
-        return Coulomb(1.0)  # a share of the largest friction torque
-
-    def rates_under(self, forcing: FloatScalar, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
-        direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)
-        friction = coefficient * self.system.largest_friction_torque * jnp.abs(direction[0])
-        turn, across = self._balances(direction, phase, y[1], y[2], friction)
-        return y[1], turn, across / self.system.inductance
-
-    def slip_direction(self, y: State, sign: FloatScalar) -> FloatScalar:
-        # Slips go by the sign of the cart's velocity, `rates_under` and `relative_velocity` by that of the motor's.
-        return sign * self.heading(y)
-
-    def heading(self, y: State) -> FloatScalar:
-        """+1 on the half with sin(alpha) > 0, where the cart moves against its axis as the angle grows; else -1."""
-        return jnp.where(jnp.sin(y[0]) < 0, -1.0, 1.0).astype(y[0].dtype)
-
-    def relative_velocity(self, forcing: FloatScalar, tau: FloatScalar, y: State) -> FloatScalar:
-        # Velocity of the pin that moves the cart, ``eccentricity alpha'``: zero in sticks only.
-        return self.system.eccentricity * y[1]
-
-    def relative_acceleration(self, forcing: FloatScalar, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
-        return self.system.eccentricity * rates[1]
-
-    def _steady(self, forcing: FloatScalar, tau: FloatScalar) -> FloatScalar:
-        """The steady current in a stick, when its transient has decayed, A."""
-        system, voltage = self.system, self.smooth
-        reactance = system.inductance * voltage.angular_frequency
-        gain = voltage.amplitude / (system.resistance**2 + reactance**2)
-        sine, cosine = sincos(forcing + voltage.angular_frequency * tau)
-        return voltage.mean / system.resistance + gain * (system.resistance * sine - reactance * cosine)
-
-
-def _turned(direction: FloatPair, angle: FloatScalar) -> FloatPair:
-    """Sine and cosine after a rotation by a small angle."""
-    sine, cosine = direction
-    small_sine, small_cosine = sincos_of_small(angle)
-    return sine * small_cosine + cosine * small_sine, cosine * small_cosine - sine * small_sine

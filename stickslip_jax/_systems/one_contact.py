@@ -77,6 +77,10 @@ class OneContactModel(SwitchedModel[F]):
     def friction(self) -> FrictionLaw:
         """The friction law of the contact."""
 
+    def friction_at(self, y: State) -> FrictionLaw:
+        """The friction law by the `relative_velocity` in the state `y`, of which it may depend on the position."""
+        return self.friction
+
     @abc.abstractmethod
     def rates_under(self, forcing: F, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
         """The time derivative of the state under this signed friction coefficient; affine in it."""

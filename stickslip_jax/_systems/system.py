@@ -85,6 +85,9 @@ class StepCount(NamedTuple):
 # 288,000. A Runge-Kutta method needs more.
 PERIOD, SOLVED = StepCount(16.0, 10.0), StepCount(48.0, 12.0)
 
+# Of the times in a slip with friction that depends on the speed; its error is controlled.
+PASSED, DECAYED = StepCount(6.0, 1.0), StepCount(2.0, 1.0)
+
 SOFT = 0.01  # rad/s, of a spring that does not set the time in which a motion changes
 
 

@@ -44,19 +44,17 @@ def stick_bounds(
     """
     signal: Any = unphased(voltage)
     stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind
-    given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
-    _checks.numeric("mu", given, ndim=1)
+    systems = _by_label(system, mu)
     ax = _style.axes_or_new(ax, (5.6, 4.0))
     period = system.coordinates[0].period
     assert period is not None
     angles = np.linspace(0, period, _POINTS)
-    for one in given:
-        longest = np.asarray(stick_duration_bound(dataclasses.replace(system, mu=float(one)), signal, angles), float)
+    for name, one in systems.items():
+        longest = np.asarray(stick_duration_bound(one, signal, angles), float)
         endless = np.isinf(longest)
         color, line = _style.free_look(ax)
         none = not np.any(longest > 0)
-        label = rf"$\mu$ = {one:g}"
-        label += f", no limit at {100 * endless.mean():.0f} % of the angles" if endless.any() else ""
+        label = f"{name}, no limit at {100 * endless.mean():.0f} % of the angles" if endless.any() else name
         # A curve that is zero throughout lies on the axis, below the ends of the others.
         look: dict[str, Any] = {"lw": (2.5 if none else 1) * _style.SLIP_WIDTH, "zorder": 3 if none else 2}
         label += ": no stick" if none else ""
@@ -69,3 +67,12 @@ def stick_bounds(
     longest_label = max(map(len, ax.get_legend_handles_labels()[1]))
     legend_above(ax, columns=2 if longest_label > _LONG else 3)
     return ax
+
+
+def _by_label(system: MotorCart, mu: Sequence[float] | np.ndarray | None) -> dict[str, MotorCart]:
+    """The systems of which to draw the bound, by what legends call them."""
+    if mu is None and system.friction is not None:
+        return {type(system.friction).__name__: system}
+    given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
+    _checks.numeric("mu", given, ndim=1)
+    return {rf"$\mu$ = {one:g}": dataclasses.replace(system, mu=float(one), friction=None) for one in given}

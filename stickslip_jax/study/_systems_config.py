@@ -11,7 +11,7 @@ from pydantic import Field
 from .._fields import described
 from .._systems.friction import Coulomb
 from .._systems.mass_spring import MassSpring
-from .._systems.motor_cart import MotorCart
+from .._systems.motor_cart import USUAL_MU, MotorCart
 from ._forces_config import FRICTION, ForceConfig, FrictionConfig, WithFriction
 from ._sections import default_tag, key_of, section_of
 from ._structures_config import BlockRowConfig, LinearStructureConfig, StoreysOnBearingConfig
@@ -37,11 +37,16 @@ class MassSpringConfig(section_of(MassSpring, "model", _USUAL, base=WithFriction
         return MassSpring(friction=self.law_of_friction, force=force, **numbers)
 
 
-class MotorCartConfig(section_of(MotorCart, "model")):
+class MotorCartConfig(section_of(MotorCart, "model", {"mu": USUAL_MU}, base=WithFriction)):
     """Section ``[system]`` with the model `MotorCart`: a cart driven by a motor; the defaults are the paper's."""
 
     driven_by_voltage: ClassVar[bool] = True
-    has_inner_states: ClassVar[bool] = False
+    friction: FrictionConfig | None = FRICTION
+
+    def build(self) -> MotorCart:
+        """The system as the simulation takes it. Raises ValueError for values that do not fit together."""
+        numbers = {name: getattr(self, name) for name in described(MotorCart)}
+        return MotorCart(friction=None if self.friction is None else self.friction.build(), **numbers)
 
 
 SystemConfig = Annotated[

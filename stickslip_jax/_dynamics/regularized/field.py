@@ -28,7 +28,7 @@ class Field(NamedTuple):
     def rates(self, forcing: object, tau: FloatArray, y: State) -> State:
         """The time derivative of the state."""
         speed = self.model.relative_velocity(forcing, tau, y)
-        return self.model.rates_under(forcing, tau, y, self.switch.coefficient(self.model.friction, speed))
+        return self.model.rates_under(forcing, tau, y, self.switch.coefficient(self.model.friction_at(y), speed))
 
     def need(self, forcing: object, tau: FloatArray, y: State) -> FloatArray:
         """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction."""
@@ -49,7 +49,7 @@ class Field(NamedTuple):
     def _accelerations(self, forcing: object, tau: FloatArray, y: State) -> tuple[FloatArray, FloatArray]:
         """The relative acceleration without friction, and the largest one that friction causes, m/s^2."""
         free, gain = self.model.effect_of_friction(forcing, tau, y)
-        return free, jnp.abs(gain) * self.model.friction.stick_limit(free)
+        return free, jnp.abs(gain) * self.model.friction_at(y).stick_limit(free)
 
     def seen(
         self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State

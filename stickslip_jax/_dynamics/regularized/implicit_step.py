@@ -48,7 +48,7 @@ def implicit_step(
     """
     speed = model.relative_velocity(forcing, jnp.zeros_like(h), y)
     slides = None if band is None else jnp.where(jnp.abs(speed) > band, jnp.sign(speed), 0)
-    start = model.rates_under(forcing, jnp.zeros_like(h), y, switch.coefficient(model.friction, speed))
+    start = model.rates_under(forcing, jnp.zeros_like(h), y, switch.coefficient(model.friction_at(y), speed))
     expected = moved(y, GAMMA * h, start)
     middle = _stage(model, switch, forcing, GAMMA * h, y, expected, GAMMA * h, slides)
     base, expected = moved(y, (1 - GAMMA) * h, middle.rates), moved(y, h, middle.rates)
@@ -120,9 +120,9 @@ def _stage(
         lambda state: model.relative_velocity(forcing, tau, state), (moved(expected, 1.0, without),), (per_unit,)
     )
     if slides is None:
-        coefficient = _balance(switch, model.friction, speed, -gain)
+        coefficient = _balance(switch, model.friction_at(expected), speed, -gain)
     else:
-        coefficient, slides = balance_with_static(switch, model.friction, speed, -gain, slides)
+        coefficient, slides = balance_with_static(switch, model.friction_at(expected), speed, -gain, slides)
     change = tuple(a + coefficient * b for a, b in zip(without, per_unit, strict=True))
     _, turned = jax.jvp(free, (expected,), (change,))
     alone = tuple(r + t for r, t in zip(rates, turned, strict=True))
