@@ -19,6 +19,12 @@ from ._uncertainty.families import (
 from ._uncertainty.random_number import RandomNumber as RandomNumber, Truncated as Truncated
 from ._calibration.call import calibrate as calibrate
 from ._calibration.result import Calibration as Calibration
+from ._calibration.stick_result import (
+    MomentFit as MomentFit,
+    Overidentification as Overidentification,
+    StickCalibration as StickCalibration,
+)
+from ._calibration.sticks import calibrate_sticks as calibrate_sticks
 from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.call import simulate_ensemble as simulate_ensemble
 from ._ensemble.contacts import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts

@@ -103,7 +103,7 @@ def sensitivity(
     problem = problem._replace(statistics=tuple(one for kind in kinds for one in kind.statistics))
     asked = estimator or _asked_for(step, relative_bandwidth)
     _require_differences(asked, method)
-    if asked == "finite-difference" or not (asked or all(_cheaper(kind) == "corrected" for kind in kinds)):
+    if asked == "finite-difference" or not (asked or all(cheaper(kind) == "corrected" for kind in kinds)):
         found = _by_differences(problem, kinds, pilot, elasticity, step)
     else:
         found = _corrected(problem, kinds, pilot, elasticity, relative_bandwidth)
@@ -121,7 +121,7 @@ def _asked_for(step: float | None, relative_bandwidth: float | None) -> Estimato
     return None if relative_bandwidth is None else "corrected"
 
 
-def _cheaper(problem: Problem) -> Estimator:
+def cheaper(problem: Problem) -> Estimator:
     """The estimator with the smaller error in the same time (measured: docs/sensitivity.md)."""
     if isinstance(problem.method, Regularized):
         return "finite-difference"
@@ -149,7 +149,7 @@ def _corrected(
         require_precision(kind)
         require_correctable(kind)
     widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
-    sources = [_source_of(kind, pilot, widest) for kind in kinds]
+    sources = [source_of(kind, pilot, widest) for kind in kinds]
     accumulated = run_chunks(sources, problem.samples, problem.threads)
     grazing = warn_if_grazing(kinds[0])
     widths = [source.widths for source, kind in zip(sources, kinds, strict=True) for _ in kind.statistics]
@@ -167,7 +167,7 @@ def _corrected(
     return results
 
 
-def _source_of(problem: Problem, pilot: Pilot, widest: float) -> Source:
+def source_of(problem: Problem, pilot: Pilot, widest: float) -> Source:
     """How the corrected derivatives of statistics of one kind are found."""
     if problem.is_paired:
         return differenced(problem, pilot, widest * np.array(windows.PAIRED), with_pathwise=True)

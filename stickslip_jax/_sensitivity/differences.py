@@ -226,7 +226,7 @@ def _simulated(problem: Problem, model: Model) -> _ValuesOf:
         if problem.is_counted:
             return _of_totals(problem, stick_time, sticks, slips, status)
         each = [
-            _parts_of_sequences(one, many.require_sticks(), problem.t1, problem.dtype) for one in problem.statistics
+            parts_of_sequences(one, many.require_sticks(), problem.t1, problem.dtype) for one in problem.statistics
         ]
         parts = np.stack(each)
         return _Values(parts, status.astype(int), _for_each(parts, sticks))
@@ -242,7 +242,8 @@ def _of_outputs(runner: OutputRunner, first: int, number: int) -> _Values:
     return _Values(parts, np.where(known, Status.FINISHED, Status.NOT_FINITE).astype(int), values)
 
 
-def _parts_of_sequences(statistic: StickStatistic, sticks: FlatSticks, t1: float, dtype: DType) -> np.ndarray:
+def parts_of_sequences(statistic: StickStatistic, sticks: FlatSticks, t1: float, dtype: DType) -> np.ndarray:
+    """Numerator and denominator of each sample, (samples, 2)."""
     most = 8 * -(-(int(sticks.count.max()) + 1) // 8)  # few sizes: each is compiled
     slots = np.arange(len(sticks.start)) - np.repeat(sticks.first, sticks.count)
     columns = np.zeros((2, len(sticks.count), most), dtype)

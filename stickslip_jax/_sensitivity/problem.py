@@ -25,12 +25,14 @@ from .statistic import OfOutput, OfTotals, StickStatistic
 class Pilot(NamedTuple):
     """Results of the pilot simulation: means of total stick time (s) and number of sticks of a realisation.
 
-    `most`: the largest number of sticks, for statistics of single sticks; else None.
+    `most`: the largest number of sticks, for statistics of single sticks; else None. `fewest`: the smallest buffer of a
+    realisation, so that neighbouring problems are compiled once.
     """
 
     stick_time: float
     sticks: float
     most: int | None
+    fewest: BufferSizes = BufferSizes(0, 0, 0)
 
 
 class Problem(NamedTuple):
@@ -202,7 +204,7 @@ def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
         excitation, step = Arguments(problem.system, problem.law, problem.method, problem.t1).checked_step("law")
         intervals = steps_for(problem.system, excitation, problem.t1, step)
     slots = 8 * -(-pilot.most // 8) + 8
-    return BufferSizes(-(-intervals // BLOCK), slots, 2 * slots)
+    return BufferSizes(*map(max, (-(-intervals // BLOCK), slots, 2 * slots), pilot.fewest))
 
 
 def lanes_and_rows(problem: Problem) -> tuple[int, int, int]:

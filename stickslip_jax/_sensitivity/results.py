@@ -68,7 +68,7 @@ def _single(
             asked=problem.samples,
             sticks_in_window=int(in_window[chosen]),
             relative_bandwidth=float(widths[chosen]),
-            parameter_unit=_unit_at(problem, parameter.path),
+            parameter_unit=unit_at(problem, parameter.path),
             origin=tuple(int(word) for word in np.asarray(problem.key_data)),
         )
     return results
@@ -98,14 +98,14 @@ def _with_shared_errors(
     ]
 
 
-def _unit_at(problem: Problem, path: Path) -> str:
+def unit_at(problem: Problem, path: Path) -> str:
     """The unit of the number at `path`, "1" where none is known."""
     *above, last = path
     if above == ["y0"]:
         return problem.system.coordinates[int(last)].unit
     holder: Any = number_at(problem.model, tuple(above))
     if isinstance(holder, RandomNumber):
-        return _unit_at(problem, tuple(above))
+        return unit_at(problem, tuple(above))
     about = described(type(holder)).get(str(last)) if dataclasses.is_dataclass(holder) else None
     unit = about.unit if isinstance(about, Quantity) else ""
     if unit == SIGNAL_UNIT:

@@ -1,0 +1,114 @@
+"""The search for the parameters of a fit, by SciPy's trust region, and how well they are determined."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .stick_weights import Part
+
+_Vector = Float[np.ndarray, " parameters"]
+_Square = Float[np.ndarray, "parameters parameters"]
+
+_ENOUGH = 1e-3  # what the best step would still gain, in squared standard errors: it is a thirtieth of one
+_CONVERGED = 0.1  # the same
+_STANDS = 3  # iterations in which no smaller step gains anything: the simulated means have small jumps
+_INFLUENCE = 4.0  # times what noise alone would be
+_EXACT = 1e-10  # relative, as round-off leaves it where derivatives are proportional
+_INVOLVED = 0.1
+
+
+class Found(NamedTuple):
+    """Where a search ended: coordinates, what was found there, whether it is the minimum, how often it looked."""
+
+    x: _Vector
+    part: Part
+    converged: bool
+    evaluations: int
+
+
+def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Found:
+    """The minimum near `x` of what `at` returns, None where there is nothing.
+
+    `most`: iterations. The trust region is in coordinates, that of logarithms for most parameters.
+    """
+    from scipy import optimize  # noqa: PLC0415 - takes long to load
+
+    known: dict[bytes, Part | None] = {}
+    stands = 0
+    last = x
+
+    def part(x: _Vector) -> Part | None:
+        if x.tobytes() not in known:
+            known[x.tobytes()] = at(x)
+        return known[x.tobytes()]
+
+    def value(x: _Vector) -> float:
+        found = part(x)
+        return np.inf if found is None else found.value
+
+    def stop(intermediate_result: Any) -> None:
+        nonlocal stands, last
+        now = np.asarray(intermediate_result.x)
+        stands = stands + 1 if np.array_equal(now, last) else 0
+        last = now
+        if stands >= _STANDS or gain(part(now)) < _ENOUGH:
+            raise StopIteration
+
+    def known_part(x: _Vector) -> Part:
+        found = part(x)
+        assert found is not None
+        return found
+
+    start = known_part(x)
+    if gain(start) >= _ENOUGH:
+        found = optimize.minimize(
+            value, x, method="trust-exact", jac=lambda x: known_part(x).gradient, hess=lambda x: known_part(x).hessian,
+            callback=stop, options={"initial_trust_radius": 0.5, "max_trust_radius": 2.0, "maxiter": most, "gtol": 0.0},
+        )  # fmt: skip
+        x = np.asarray(found.x)
+    end = known_part(x)
+    return Found(x, end, gain(end) < _CONVERGED, len(known))
+
+
+def gain(part: Part | None) -> float:
+    """What the step of Gauss and Newton would gain, in squared standard errors."""
+    if part is None:
+        return np.inf
+    step = np.linalg.lstsq(part.hessian, part.gradient, rcond=_EXACT)[0]
+    return float(step @ part.gradient)
+
+
+class Precision(NamedTuple):
+    """How well a fit determines coordinates.
+
+    - `covariance`: infinite for those that are not determined.
+    - `lost`: for each combination of coordinates that is not determined, which of them it holds.
+    - `noise_share`: how much of the information is noise of the derivatives, in the worst determined direction.
+    """
+
+    covariance: _Square
+    lost: tuple[Bool[np.ndarray, " parameters"], ...]
+    noise_share: float
+
+
+def precision(part: Part) -> Precision:
+    """The covariance of the minimum, by the sandwich: the errors of derivatives add no information."""
+    from scipy import linalg  # noqa: PLC0415 - takes long to load
+
+    size = np.sqrt(np.maximum(np.diag(part.hessian), np.finfo(float).tiny))
+    scale = np.outer(size, size)
+    whole, noise, scores = part.hessian / scale, part.noise / scale, part.scores / scale
+    floor = noise + _EXACT * np.eye(len(size))
+    ratios, directions = linalg.eigh(whole, floor)
+    directions = directions / np.linalg.norm(directions, axis=0)
+    kept = directions[:, ratios > _INFLUENCE]
+    lost = tuple(np.abs(one) > _INVOLVED for one in directions[:, ratios <= _INFLUENCE].T)
+    inner = np.linalg.inv(kept.T @ (whole - noise) @ kept) if kept.size else np.zeros((0, 0))
+    bread = kept @ inner @ kept.T
+    covariance = bread @ scores @ bread / scale
+    for one in lost:
+        covariance[one] = covariance[:, one] = np.nan
+        covariance[one, one] = np.inf
+    return Precision(covariance, lost, float(1 / max(ratios[0], 1.0)))
