@@ -4,13 +4,14 @@ Every evaluation gives the residuals with all their derivatives, by one compiled
 once, whatever is searched: all numbers, or some while others stay (`Free`).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, sparse
 
-from .._types import FloatArray
+from .._types import AnyArray, FloatArray
 from .problem import Model, with_slopes
 from .record import Windows
 
@@ -82,7 +83,7 @@ class Problem(NamedTuple):
                 latest[:] = [(vector.copy(), self.seen(_point(vector, start, free)))]
             return latest[0][1].over(sigma)
 
-        begin, number = _vector(start, free), np.count_nonzero(free.x)
+        begin, number = _vector(start, free), int(np.count_nonzero(free.x))
         first = self.model.first_guess[free.x]
         rope = LOOSE * np.eye(number, len(begin))
 
@@ -97,10 +98,9 @@ class Problem(NamedTuple):
 
         if not len(begin):
             return Fit(start, self.seen(start), True)
-        found = optimize.least_squares(
-            residuals, begin, jacobian, x_scale="jac",
-            ftol=_TOLERANCE, xtol=_TOLERANCE, gtol=None, max_nfev=_MOST_EVALUATIONS,
-        )  # fmt: skip
+        options: dict[str, Any] = {"jac": jacobian, "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS}
+        tolerances: dict[str, Any] = {"ftol": _TOLERANCE, "xtol": _TOLERANCE, "gtol": None}
+        found = optimize.least_squares(residuals, begin, **options, **tolerances)
         point = _point(found.x, start, free)
         return Fit(point, self.seen(point), found.status > 0)
 
@@ -135,5 +135,5 @@ def _point(vector: np.ndarray, start: Point, free: Free) -> Point:
 
 
 @eqx.filter_jit
-def _with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return with_slopes(model, windows, x, s)
+def _with_slopes(model: Model, windows: Windows, x: AnyArray, s: AnyArray) -> tuple[FloatArray, FloatArray]:
+    return with_slopes(model, windows, jnp.asarray(x), jnp.asarray(s))

@@ -104,7 +104,7 @@ class Model(eqx.Module):
 
     def motion(self, numbers: FloatArray, y: FloatArray, resting: BoolArray | None, window: Windows) -> Simulation:
         """The motion in a window from the state `y` (coordinates,)."""
-        begin, end = window.begins, window.ends
+        begin, end = jnp.asarray(window.begins), jnp.asarray(window.ends)
         system, base = self.setting_at(numbers)
         if isinstance(self.method, Regularized):
             return simulate(system, base, t1=end, y0=tuple(y), method=self.method)
@@ -121,7 +121,7 @@ class Model(eqx.Module):
     ) -> FloatArray:
         """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end."""
         one = self.motion(self.scale.number(x), origin + s, resting, window)
-        return jnp.stack([observe(one, window.times) for observe in self.observers])
+        return jnp.stack([observe(one, jnp.asarray(window.times)) for observe in self.observers])
 
 
 def with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:

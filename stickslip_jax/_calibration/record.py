@@ -12,7 +12,7 @@ from .._dynamics.common.stopping_scan import padded_length
 from .._dynamics.switched.path import StepPath
 from .._simulation.result import Simulation
 from .._systems.system import System
-from .._types import FloatArray
+from .._types import AnyArray, FloatArray
 
 Observer: TypeAlias = Callable[[Simulation, FloatArray], FloatArray]
 """What a channel measures: a function of a simulation and of times (s, (times,)), with one number for each time."""
@@ -103,11 +103,11 @@ class Windows(NamedTuple):
     and which of these were measured; the others are fillings.
     """
 
-    begins: np.ndarray
-    ends: np.ndarray
-    times: np.ndarray
-    values: np.ndarray
-    is_measured: np.ndarray
+    begins: AnyArray
+    ends: AnyArray
+    times: AnyArray
+    values: AnyArray
+    is_measured: AnyArray
 
     def in_order(self, values: np.ndarray, record: Record) -> np.ndarray:
         """Numbers (windows, channels, times) along the record, (channels, times); NaN where nothing was measured."""

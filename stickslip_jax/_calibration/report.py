@@ -1,6 +1,6 @@
 """From a fit to its result: estimates with their errors, and what to know about them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -17,10 +17,8 @@ from .information import Information, information_of
 from .problem import Setting
 from .record import Record, Windows
 from .result import Calibration
+from .search import Found
 from .whiteness import whiteness
-
-if TYPE_CHECKING:
-    from .call import Found
 
 _SHARE = 0.05  # of a direction, below which a number has no part in it
 _VAGUE = 3.0  # standard error of an initial state, in its unit, beyond which the record does not tell it
@@ -31,7 +29,7 @@ def result_of(
     record: Record,
     arguments: Arguments,
     parameters: tuple[Parameter, ...],
-    found: "Found",
+    found: Found,
     start_is_searched: bool,
     given_up: float | None,
 ) -> Calibration:
@@ -76,7 +74,7 @@ def result_of(
         system=system,
         base=base,
         start=dict(zip(names[number:], estimates[number:], strict=True)) if with_start else None,
-        start_times=windows.begins,
+        start_times=np.asarray(windows.begins),
         start_states=states,
         channels=tuple(channel.name for channel in record.channels),
         units=tuple(channel.unit for channel in record.channels),
