@@ -118,7 +118,9 @@ def disks(
 def _extent(values: np.ndarray) -> tuple[float, float, float]:
     """The smallest and the largest value, and their distance: the size of the motion, or 1 where nothing moves."""
     low, high = float(np.min(values)), float(np.max(values))
-    return low, high, (high - low) or abs(high) or 1.0
+    largest = max(abs(low), abs(high))
+    # A motion of the size of the round-off is none.
+    return low, high, high - low if high - low > 1e-9 * largest else largest or 1.0
 
 
 def _round_down(value: float) -> float:

@@ -168,7 +168,7 @@ def _draw(
 ) -> Move:  # fmt: skip
     """Draw all of a film into its figure; `shown`: the number of the coordinate in the history."""
     rows = _has_rows(result)
-    ratios = (2.2, 1.0, 0.3 + 0.08 * len(sticks)) if rows else (1.9, 1.0)
+    ratios = (2.2, 1.0, 0.3 + 0.08 * min(len(sticks), _MOST_NAMES)) if rows else (1.9, 1.0)
     above, below, *others = figure.subplots(len(ratios), 1, height_ratios=ratios)
     moves = [
         _draw_mechanism(above, mechanism, result, sticking),
