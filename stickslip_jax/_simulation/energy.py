@@ -82,7 +82,8 @@ def _sum(terms: energy.Terms) -> FloatScalar:
 def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float[Array, "*times"]:
     """The friction force of a `Simulation` at `times`; see there."""
     inner = one.system.inner_model(one._path.smooth)
-    if inner is not None and inner.contacts is None:
+    if inner is not None and isinstance(inner.inner, OneContactModel):
+        energy.require_known(one.system, inner.inner, "friction_force")
         found = _inner_forces(inner, one._path, one.time_reached, times.reshape(-1))
         return found.reshape(times.shape)
     model = one.system.one_contact_model(one._path.smooth, None)

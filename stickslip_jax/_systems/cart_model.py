@@ -216,6 +216,10 @@ class CartModel(OneContactModel[FloatScalar]):
         law = self.friction
         return OnPin(law, jnp.sin(y[0])) if law.depends_on_direction or not law.constant else law
 
+    def to_inner_law(self, y: State) -> FloatPair:
+        # The law is that of the cart, which moves with -sin(alpha) times the velocity of the pin.
+        return -jnp.sin(y[0]), -self.heading(y)
+
     def rates_under(self, forcing: FloatScalar, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
         direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)
         friction = coefficient * self.system.friction_torque_of_one * jnp.abs(direction[0])

@@ -98,6 +98,9 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
     def varying_normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
         return self._normal_forces(forcing, tau, y)
 
+    def normal_forces_at(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
+        return self._normal_forces(forcing, tau, y)
+
     def normal_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
         t, base = self._base_at(forcing, jnp.zeros_like(y[0]))
         normal, slopes = self._normal(forcing, t, y, base), jax.jacrev(lambda y: self._normal(forcing, t, y, base))(y)

@@ -74,10 +74,11 @@ class InnerStates(eqx.Module):
         return self.inner.varying_normal_forces(forcing, tau, y[:-1])
 
     def coefficients(self, forcing: Any, tau: FloatScalar, y: State) -> Array:
-        """The friction coefficient in each contact."""
+        """The friction coefficient in each contact, as the rates of the `inner` model take it."""
         velocity = self.relative_velocity(forcing, tau, y)
-        if self.contacts is None:
-            return jnp.asarray(self.laws[0].coefficient(y[-1], velocity))
+        if isinstance(self.inner, OneContactModel):
+            to_law, from_law = self.inner.to_inner_law(y[:-1])
+            return jnp.asarray(from_law * self.laws[0].coefficient(y[-1], to_law * velocity))
         return jnp.stack([law.coefficient(y[-1][i], velocity[i]) for i, law in enumerate(self.laws)])
 
     def rates(self, forcing: Any, tau: FloatScalar, y: State) -> State:
@@ -85,7 +86,7 @@ class InnerStates(eqx.Module):
         velocity, coefficients = self.relative_velocity(forcing, tau, y), self.coefficients(forcing, tau, y)
         if isinstance(self.inner, OneContactModel):
             rates = self.inner.rates_under(forcing, tau, y[:-1], coefficients)
-            return *rates, jnp.asarray(self.laws[0].rate(y[-1], velocity))
+            return *rates, jnp.asarray(self.laws[0].rate(y[-1], self.inner.to_inner_law(y[:-1])[0] * velocity))
         now = self.inner.instant(forcing, tau, y[:-1])
         # An open contact has no friction; its inner state goes on with the motion.
         force = coefficients * jnp.maximum(self.inner.normal_forces_at(forcing, tau, y[:-1]), 0)

@@ -23,7 +23,7 @@ from .cart_model import LONGEST_TURN, CartModel, OnPin
 from .composed_friction import AtAge
 from .dynamic_friction import DynamicFriction
 from .friction import FrictionLaw, times_of_slips
-from .inner_states import inner_laws_of
+from .inner_states import InnerStates, inner_laws_of
 from .layouts import motor_and_cart
 from .mechanism import Mechanism
 from .system import (
@@ -61,7 +61,8 @@ class MotorCart(System):
     With a `friction` law its coefficient at the velocity of the cart is in place of mu. The cart is at ``d cos(alpha)``
     on its rail, with the velocity ``-d sin(alpha) alpha'``: that is the relative velocity of the law, positive (forward
     slips) while the motor turns forward with ``sin alpha < 0``, or backward with ``sin alpha > 0``. The age of the
-    stick, where static friction grows, follows the other numbers of the state.
+    stick, where static friction grows, follows the other numbers of the state, as does the inner state of a law that
+    has one (`LuGre`), which is simulated by ``Regularized()``.
 
     Args:
         mu: Friction coefficient of cart and rail, zero or positive; by default 0.2, or None with a `friction` law.
@@ -215,6 +216,13 @@ class MotorCart(System):
         _require_sine(smooth)  # a realisation of a random law, say
         model = CartModel(self, smooth)
         return model if self.friction is None else with_ages(model, 3, self.friction.grows, self.friction.growth_time)
+
+    def inner_model(self, smooth: Signal | None) -> InnerStates | None:
+        if not self.inner_laws:
+            return None
+        assert isinstance(smooth, SourceVoltage)
+        _require_sine(smooth)
+        return InnerStates(CartModel(self, smooth), self.inner_laws, 3)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         scales = {

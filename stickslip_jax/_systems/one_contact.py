@@ -81,6 +81,14 @@ class OneContactModel(SwitchedModel[F]):
         """The friction law by the `relative_velocity` in the state `y`, of which it may depend on the position."""
         return self.friction
 
+    def to_inner_law(self, y: State) -> FloatPair | tuple[float, float]:
+        """What a law with an inner state, of this contact, takes and gives, by what the engines do.
+
+        Returns:
+            Its velocity over the `relative_velocity`, and the coefficient of `rates_under` over its coefficient.
+        """
+        return 1.0, 1.0
+
     @abc.abstractmethod
     def rates_under(self, forcing: F, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
         """The time derivative of the state under this signed friction coefficient; affine in it."""

@@ -26,8 +26,10 @@ from .._numerics.primal import without_derivatives
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
 from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, InitialState, Number, Scalar, Solver, State
 from .ageing_model import AgeingContact, AgeingContacts, with_ages
+from .dynamic_friction import DynamicFriction
 from .friction import Coulomb, FrictionLaw
 from .general_contacts import GeneralContactsModel
+from .inner_states import InnerStates
 from .one_contact import OneContactModel
 from .switched_model import FloatPair, Segments, with_change
 from .system import AGE, SHORTEST_TIME, SOLVED, Coordinate, TimeScale, ages_of, shortest_period
@@ -192,8 +194,18 @@ class SwitchedSystem(WithContacts):
         return None
 
     @property
+    def inner_laws(self) -> tuple[DynamicFriction, ...]:
+        """The friction laws with an inner state, such as `LuGre`, one for each contact; none by default.
+
+        Overridden: `friction` of `rates` is the friction coefficient of each law at its relative velocity, which
+        `rates` multiplies by the normal force; with `normal_forces` it is the friction force. The inner states are part
+        of the state, after the numbers that `state_names` lists, and the method is ``Regularized()``.
+        """
+        return ()
+
+    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return *map(Coordinate.of, self.state_names), *self.ages
+        return *map(Coordinate.of, self.state_names), *self.ages, *self.inner_states
 
     @property
     def ages(self) -> tuple[Coordinate, ...]:
@@ -234,6 +246,15 @@ class SwitchedSystem(WithContacts):
             fastest = jnp.asarray(_SLOWEST if shortest is None else 2 * np.pi / shortest, float)
             return GeneralContactsModel(solver=solver, system=self, smooth=smooth, fastest=fastest)
         return GeneralModel(self, smooth, solver)
+
+    def inner_model(self, smooth: Signal | None) -> InnerStates | None:
+        if not self.inner_laws:
+            return None
+        return InnerStates(self.model_without_ages(smooth, None), self.inner_laws, len(self.state_names))
+
+    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
+        known = (1.0,) * (len(self.state_names) + len(self.ages))
+        return *known, *(law.state_scale for law in self.inner_laws)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         with _checks.traceable(f"The property shortest_time of {type(self).__name__}"):

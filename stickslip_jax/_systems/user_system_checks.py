@@ -13,6 +13,7 @@ import numpy as np
 from .. import _checks
 from .._excitation.force_steps import ForceSteps
 from .._types import AnyArray, Array, Number
+from .dynamic_friction import DynamicFriction
 from .structure_checks import MOST_CONTACTS
 from .system import System
 from .users_forcing import UsersBase
@@ -66,11 +67,37 @@ def check_fields(system: Any) -> None:
         )
     if system.ages:
         _check_ages(system)
+    _check_inner_laws(system)
     for name in ("shortest_time", "speed_scale"):
         with _checks.traceable(f"The property {name} of {kind}"):
             value = getattr(system, name)
         if value is not None:
             _checks.positive(name, value)
+
+
+def _check_inner_laws(system: Any) -> None:
+    """Check the `inner_laws` of a system, if it has some."""
+    kind, laws, number = type(system).__name__, system.inner_laws, system.contacts or 1
+    if not isinstance(laws, tuple) or not all(isinstance(law, DynamicFriction) for law in laws):
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must be a tuple of friction laws with an inner state, such as LuGre, but "
+            f"{_checks.show(laws)} was given; other laws are written in rates."
+        )
+    if laws and len(laws) != number:
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must hold a law for each of its contacts, {number}, but {len(laws)} were "
+            "given."
+        )
+    ratio = system.static_ratio
+    if laws and (system.ages or (not _checks.is_traced(ratio) and np.max(np.asarray(ratio)) > 1)):
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must come without static_ratio and static_ratio_after, which are those of "
+            "exact sticks, but both were given; keep one of them."
+        )
+    if laws and system.coordinates[len(system.state_names) :] != system.inner_states:
+        raise ValueError(
+            f"Argument coordinates of a {kind} must end with the inner states of its laws: add *self.inner_states."
+        )
 
 
 def _check_ages(system: Any) -> None:

@@ -1,5 +1,6 @@
 """Systems whose friction laws have inner states: against scipy's implicit solver, and Coulomb's exact sticks."""
 
+import dataclasses
 import math
 
 import diffrax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support import cart_memory as cart
 
 import stickslip_jax as ss
 
@@ -192,6 +194,161 @@ def test_contact_that_opens():
     assert len(starts)
     for start, end in zip(starts, ends, strict=True):
         assert np.all(1 + 1.5 * np.cos(2 * np.linspace(start, end, 100)) > -1e-3)
+
+
+CART_LAW = ss.LuGre(0.3, 0.4, 0.05, stiffness=2e4, damping=20.0, viscous=0.1)
+
+
+def test_a_motor_and_its_cart_against_scipy():
+    """The law is that of the cart, not of the pin that moves it: past dead centre, where the cart reverses, too."""
+    system, voltage = ss.MotorCart(friction=CART_LAW), ss.SourceVoltage(cart.MEAN, cart.AMPLITUDE, cart.FREQUENCY)
+    one = ss.simulate(system, voltage, t1=0.6, y0=(2.0, 5.0, 0.0), method=ACCURATE)
+
+    def rates(t, y):
+        angle, speed, current, z = y
+        sine, cosine = math.sin(angle), math.cos(angle)
+        v = -cart.ARM * sine * speed
+        bent = v - 2e4 * abs(v) * z / (0.3 + 0.1 * math.exp(-((v / 0.05) ** 2)))
+        force = (2e4 * z + 20 * bent + 0.1 * v) * cart.MASS * 9.81
+        torque = cart.CONSTANT * current - cart.DAMPING * speed - cart.MASS * cart.ARM**2 * sine * cosine * speed**2
+        torque += force * cart.ARM * sine
+        across = cart.voltage(t) - cart.RESISTANCE * current - cart.CONSTANT * speed
+        return [speed, torque / (cart.INERTIA + cart.MASS * cart.ARM**2 * sine**2), across / cart.INDUCTANCE, bent]
+
+    run = solve_ivp(rates, (0, 0.6), [2.0, 5.0, 0, 0], method="Radau", rtol=1e-10, atol=1e-13, dense_output=True)
+    assert np.ptp(run.y[0]) > math.pi
+    np.testing.assert_allclose(one.final_state, run.y[:, -1], rtol=0, atol=1e-5)
+    spans = below(run, lambda y: cart.ARM * y[1], float(one.method.threshold), float(one.method.minimum_duration))
+    assert len(spans)
+    np.testing.assert_allclose(np.stack(listed(one.sticks), axis=1), spans, rtol=0, atol=1e-4)
+    times = np.array([0.05, 0.2, 0.3])
+    # The force on the cart is that of the law, against its velocity.
+    angle, speed, _, z = run.sol(times)
+    v = -cart.ARM * np.sin(angle) * speed
+    bent = v - 2e4 * np.abs(v) * z / (0.3 + 0.1 * np.exp(-((v / 0.05) ** 2)))
+    force = -(2e4 * z + 20 * bent + 0.1 * v) * cart.MASS * 9.81
+    np.testing.assert_allclose(one.friction_force(times), force, rtol=0, atol=0.05)
+    with pytest.raises(ValueError, match=r"Argument method must be Regularized\(\) for friction laws with an inner"):
+        ss.simulate(system, voltage, t1=0.6, y0=(2.0, 5.0, 0.0))
+
+
+class Own(ss.SwitchedSystem):
+    """The mass on a spring as a system of one's own."""
+
+    law: ss.DynamicFriction
+    normal: float = 1.0
+
+    @property
+    def state_names(self):
+        return "position in m", "velocity in m/s"
+
+    @property
+    def inner_laws(self):
+        return (self.law,)
+
+    def rates(self, t, y, base, friction):
+        return y[1], -2 * y[0] - self.normal * friction
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+
+    @property
+    def shortest_time(self):
+        return 2 * math.pi / 2**0.5
+
+    @property
+    def speed_scale(self):
+        return 1.0
+
+
+class Owns(ss.SwitchedSystem):
+    """Two blocks in a row, the second of which is pressed on by the spring between them."""
+
+    laws: tuple[ss.DynamicFriction, ...]
+    contacts = 2
+
+    @property
+    def state_names(self):
+        return "position 1 in m", "position 2 in m", "velocity 1 in m/s", "velocity 2 in m/s"
+
+    @property
+    def inner_laws(self):
+        return self.laws
+
+    def rates(self, t, y, base, friction):
+        pull = 0.7 * (y[1] - y[0])
+        return y[2], y[3], pull - 2 * y[0] - friction[0], -pull - 2.5 * y[1] - friction[1]
+
+    def relative_velocity(self, t, y, base):
+        return y[2] - base.velocity, y[3] - base.velocity
+
+    def normal_forces(self, t, y, base):
+        return 1.0 + 0 * t, 1.0 + 0.3 * y[0]
+
+
+def test_equations_of_ones_own_against_scipy():
+    one = ss.simulate(Own(LUGRE), ss.Constant(0.1), t1=20.0, method=ACCURATE)
+
+    def rates(t, y):
+        force, rate = bristles(y[1] - 0.1, y[2])
+        return [y[1], -2 * y[0] - force, rate]
+
+    run = solve_ivp(rates, (0, 20), [0, 0, 0], method="Radau", rtol=1e-10, atol=1e-14, dense_output=True)
+    np.testing.assert_allclose(one.final_state, run.y[:, -1], rtol=0, atol=1e-6)
+    spans = below(run, lambda y: y[1] - 0.1, float(one.method.threshold), float(one.method.minimum_duration))
+    np.testing.assert_allclose(np.stack(listed(one.sticks), axis=1), spans, rtol=0, atol=1e-4)
+    assert [c.meaning for c in one.system.coordinates][-1] == "deflection in m"
+    with pytest.raises(ValueError, match="friction_force needs a MassSpring or a MotorCart"):
+        one.friction_force(1.0)
+
+
+@pytest.mark.slow
+def test_several_contacts_of_ones_own_against_scipy():
+    method = dataclasses.replace(ACCURATE, threshold=1e-3, minimum_duration=0.01)
+    one = ss.simulate(Owns((LUGRE, LUGRE)), ss.Constant(0.1), t1=8.0, y0=(0.3, -0.2, 0.0, 0.0), method=method)
+
+    def rates(t, y):
+        force, rate = zip(*(bristles(y[2 + i] - 0.1, y[4 + i]) for i in range(2)), strict=True)
+        pull = 0.7 * (y[1] - y[0])
+        second = -pull - 2.5 * y[1] - (1 + 0.3 * y[0]) * force[1]
+        return [*y[2:4], pull - 2 * y[0] - force[0], second, *rate]
+
+    run = solve_ivp(rates, (0, 8), [0.3, -0.2, 0, 0, 0, 0], method="Radau", rtol=1e-10, atol=1e-14, dense_output=True)
+    np.testing.assert_allclose(one.final_state, run.y[:, -1], rtol=0, atol=1e-6)
+    for contact in range(2):
+        spans = below(run, lambda y, i=contact: y[2 + i] - 0.1, 1e-3, 0.01)
+        found = np.stack(listed(one.of_contact(contact).sticks), axis=1)
+        np.testing.assert_allclose(found, spans, rtol=0, atol=1e-4)
+
+
+class TooFew(Owns):
+    @property
+    def inner_laws(self):
+        return self.laws[:1]
+
+
+class WithRatio(Own):
+    static_ratio = 1.5
+
+
+class Unseen(Own):
+    @property
+    def coordinates(self):
+        return tuple(map(ss.Coordinate.of, self.state_names))
+
+
+@pytest.mark.parametrize(
+    ("system", "message"),
+    [
+        (Own(ss.Coulomb(0.3)), "Argument inner_laws of a Own must be a tuple of friction laws with an inner state"),
+        (TooFew((LUGRE,)), "Argument inner_laws of a TooFew must hold a law for each of its contacts, 2, but 1 were"),
+        (WithRatio(LUGRE), "Argument inner_laws of a WithRatio must come without static_ratio"),
+        (Unseen(LUGRE), "Argument coordinates of a Unseen must end with the inner states of its laws"),
+    ],
+)
+def test_laws_of_ones_own_equations_that_do_not_fit(system, message, annotations_unchecked):
+    with pytest.raises(ValueError, match=message):
+        ss.simulate(system, ss.Constant(0.1), t1=1.0, method=ACCURATE)
 
 
 SYSTEM = ss.MassSpring(1.0, 4.0, 1.0, ss.LuGre(0.5, 0.7, 0.05, stiffness=1e3, damping=10.0))
