@@ -77,6 +77,8 @@ from ._sensitivity import (
     StickSequence as StickSequence,
     StickStart as StickStart,
     StickStatistic as StickStatistic,
+    SumOfSquaredDurations as SumOfSquaredDurations,
+    TimeToFirstStick as TimeToFirstStick,
     differentiable as differentiable,
     sensitivity as sensitivity,
 )

@@ -4,45 +4,27 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .. import _checks
 from .._ensemble.result import Ensemble
 from .._sensitivity.differences import parts_of_sequences
-from .._sensitivity.statistic import AnyStatistic, OfOutput, OfTotals, StickSequence, StickStatistic, statistics_of
+from .._sensitivity.statistic import (
+    OfOutput,
+    OfTotals,
+    StickSequence,
+    StickStatistic,
+    SumOfSquaredDurations,
+    TimeToFirstStick,
+    statistics_of,
+)
 from .._statistics.totals import mean_stick_count, mean_total_stick_time
 from .._status import Status
 from .._types import Array, Scalar
 
 _ROUND_OFF = 1e-12
 _DEPENDENT = 1e-9  # smallest eigenvalue of the correlations of moments that do not determine each other
-
-
-@dataclasses.dataclass(frozen=True)
-class SumOfSquares(StickStatistic):
-    """The mean over realisations of the sum of squared stick durations, s^2. Sticks of zero length do not change it."""
-
-    name = "mean sum of squared stick durations"
-    unit = "s^2"
-
-    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
-        value = jnp.sum(sticks.duration**2)
-        return value, jnp.ones_like(value)
-
-
-@dataclasses.dataclass(frozen=True)
-class TimeToFirstStick(StickStatistic):
-    """The mean over realisations of the time until a stick begins after t = 0, or until ``t1`` where none does, s."""
-
-    name = "mean time to the first stick"
-    unit = "s"
-
-    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
-        begins = sticks.mask & (sticks.start > 0)
-        value = jnp.min(jnp.where(begins, sticks.start, jnp.asarray(t1, sticks.start.dtype)))
-        return value, jnp.ones_like(value)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +65,7 @@ class Recorded(StickStatistic):
         return self.of.parts(sticks, t1)
 
 
-DEFAULT = (mean_total_stick_time, mean_stick_count, SumOfSquares(), TimeToFirstStick())
+DEFAULT = (mean_total_stick_time, mean_stick_count, SumOfSquaredDurations(), TimeToFirstStick())
 
 
 class Observed(NamedTuple):
@@ -110,7 +92,9 @@ class Observed(NamedTuple):
         """The same with fewer moments."""
         at = list(chosen)
         statistics = tuple(self.statistics[index] for index in at)
-        return Observed(statistics, self.mean[at], self.covariance[np.ix_(at, at)], self.values[:, at], self.t1, self.has_ratios)
+        return Observed(
+            statistics, self.mean[at], self.covariance[np.ix_(at, at)], self.values[:, at], self.t1, self.has_ratios
+        )
 
 
 def moments_of(moments: object) -> tuple[StickStatistic, ...]:
@@ -147,7 +131,7 @@ def observed_ensembles(observed: object) -> list[Ensemble]:
             )
         if one.flat_sticks is None:
             raise ValueError(
-                f'Argument {name} must hold every stick, but this ensemble did not keep them; simulate it with '
+                f"Argument {name} must hold every stick, but this ensemble did not keep them; simulate it with "
                 'keep="sticks".'
             )
         if not len(one.flat_sticks.start):
@@ -192,8 +176,7 @@ def check_covariance(observed: Observed, name: str) -> None:
     if observed.recordings < moments + 2:
         raise ValueError(
             f"Argument {name} must hold at least {moments + 2} recordings for the covariance of {moments} moments, but "
-            f'it holds {observed.recordings}; take fewer moments, or objective="likelihood", which takes their covariance '
-            "from the model."
+            f"it holds {observed.recordings}; take fewer moments, or objective='likelihood', which has the model's."
         )
     fixed = without_scatter(observed)
     if fixed:

@@ -2,22 +2,20 @@
 
 import math
 
-import numpy as np
-
-from .stick_result import MomentFit, Overidentification
-from .stick_search import Found, Precision
+from .stick_result import Overidentification
+from .stick_search import Precision
 
 _NOISY = 0.2  # share of the information
 _WRONG = 1e-3  # p-value
 
 
 def remarks_of(
-    names: tuple[str, ...], found: Found, certain: Precision, test: Overidentification | None,
-    fits: tuple[MomentFit, ...], unfinished: int, simulated: int,
+    names: tuple[str, ...], certain: Precision, test: Overidentification | None,
+    unfinished: int, simulated: int,
 ) -> tuple[str, ...]:  # fmt: skip
     """The remarks, those that matter most first."""
     said = []
-    if not found.converged:
+    if not certain.converged:
         said.append(
             "The search has not found the minimum: the estimates are where it ended; start from other values, or with "
             "more samples."
@@ -41,12 +39,12 @@ def remarks_of(
             f"estimates less certain; take {more} times as many samples."
         )
     if test is not None and test.p_value < _WRONG:
-        worst = max(fits, key=lambda one: np.abs(one.residual))
         said.append(
-            f"The model cannot have all moments at once (Hansen's test: p = {test.p_value:.2g}); the largest misfit, "
-            f"{worst.residual:+.1f} standard errors, is that of the {worst.observed.name}. Its errors are those of a "
-            "right model."
+            f"The model cannot have all moments at once (Hansen's test: p = {test.p_value:.2g}): something "
+            "in it is not as in the recordings, and standard errors are those of a right model."
         )
     if unfinished:
-        said.append(f"{unfinished} of {simulated} simulated trajectories did not finish, and are left out of all means.")
+        said.append(
+            f"{unfinished} of {simulated} simulated trajectories did not finish, and are left out of all means."
+        )
     return tuple(said)

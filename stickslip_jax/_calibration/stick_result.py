@@ -19,13 +19,18 @@ class MomentFit(NamedTuple):
         experiment: Its number in `observed`, from 0.
         observed: The mean over recordings, with its standard error.
         fitted: The mean over simulated realisations, with its standard error.
-        residual: Their difference in standard errors of it.
+        error: The standard error of their difference.
     """
 
     experiment: int
     observed: Estimate
     fitted: Estimate
-    residual: float
+    error: float
+
+    @property
+    def residual(self) -> float:
+        """The difference in standard errors."""
+        return (self.observed.value - self.fitted.value) / self.error
 
     def __str__(self) -> str:
         return (

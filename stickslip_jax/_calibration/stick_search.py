@@ -20,12 +20,10 @@ _INVOLVED = 0.1
 
 
 class Found(NamedTuple):
-    """Where a search ended: coordinates, what was found there, whether it is the minimum, how often it looked."""
+    """Where a search ended: coordinates, and what was found there."""
 
     x: _Vector
     part: Part
-    converged: bool
-    evaluations: int
 
 
 def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Found:
@@ -56,20 +54,24 @@ def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Fo
         if stands >= _STANDS or gain(part(now)) < _ENOUGH:
             raise StopIteration
 
-    def known_part(x: _Vector) -> Part:
+    def gradient(x: _Vector) -> _Vector:
         found = part(x)
-        assert found is not None
-        return found
+        return np.zeros(len(x)) if found is None else found.gradient
 
-    start = known_part(x)
-    if gain(start) >= _ENOUGH:
+    def hessian(x: _Vector) -> _Square:
+        # SciPy asks for it where there is nothing too, before it goes back.
+        found = part(x)
+        return np.eye(len(x)) if found is None else found.hessian
+
+    if gain(part(x)) >= _ENOUGH:
         found = optimize.minimize(
-            value, x, method="trust-exact", jac=lambda x: known_part(x).gradient, hess=lambda x: known_part(x).hessian,
-            callback=stop, options={"initial_trust_radius": 0.5, "max_trust_radius": 2.0, "maxiter": most, "gtol": 0.0},
+            value, x, method="trust-exact", jac=gradient, hess=hessian, callback=stop,
+            options={"initial_trust_radius": 0.5, "max_trust_radius": 2.0, "maxiter": most, "gtol": 0.0},
         )  # fmt: skip
         x = np.asarray(found.x)
-    end = known_part(x)
-    return Found(x, end, gain(end) < _CONVERGED, len(known))
+    end = part(x)
+    assert end is not None
+    return Found(x, end)
 
 
 def gain(part: Part | None) -> float:
@@ -85,11 +87,13 @@ class Precision(NamedTuple):
 
     - `covariance`: infinite for those that are not determined.
     - `lost`: for each combination of coordinates that is not determined, which of them it holds.
+    - `converged`: whether the best step would gain nothing in the directions that are determined.
     - `noise_share`: how much of the information is noise of the derivatives, in the worst determined direction.
     """
 
     covariance: _Square
     lost: tuple[Bool[np.ndarray, " parameters"], ...]
+    converged: bool
     noise_share: float
 
 
@@ -107,8 +111,10 @@ def precision(part: Part) -> Precision:
     lost = tuple(np.abs(one) > _INVOLVED for one in directions[:, ratios <= _INFLUENCE].T)
     inner = np.linalg.inv(kept.T @ (whole - noise) @ kept) if kept.size else np.zeros((0, 0))
     bread = kept @ inner @ kept.T
+    left = kept.T @ (part.gradient / size)
+    still = float(np.sum(left**2 / np.sum(kept * (whole @ kept), axis=0)))
     covariance = bread @ scores @ bread / scale
     for one in lost:
         covariance[one] = covariance[:, one] = np.nan
         covariance[one, one] = np.inf
-    return Precision(covariance, lost, float(1 / max(ratios[0], 1.0)))
+    return Precision(covariance, lost, still < _CONVERGED, float(1 / max(ratios[0], 1.0)))

@@ -15,6 +15,7 @@ from .._sensitivity.differences import differenced
 from .._sensitivity.estimate import Estimator
 from .._sensitivity.pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .._sensitivity.problem import Pilot, Problem, buffer_sizes_for
+from .._sensitivity.products import products_among
 from .._sensitivity.results import unit_at
 from .._sensitivity.sequences import BufferSizes
 from .._sensitivity.statistic import StickStatistic
@@ -56,7 +57,7 @@ class Simulated(NamedTuple):
 
     def scaled(self, by: Float[np.ndarray, " parameters"]) -> "Simulated":
         """With derivatives by coordinates; `by`: those of the parameters by the coordinates."""
-        moments, parameters = self.slope.shape
+        moments = len(self.mean)
         factor = np.concatenate([np.ones(moments), np.tile(by, moments)])
         return self._replace(slope=self.slope * by, error=self.error * np.outer(factor, factor))
 
@@ -71,6 +72,7 @@ class Simulator:
     """Simulates the moments of one experiment, at any parameters with the same random numbers.
 
     - `statistics`, `t1` (s), `samples`, `key`, `wrt`: as for `sensitivity`.
+    - `units`: of the parameters, and `products`: sentences about those that act together only, both once it was called.
     - `estimator`: that of the derivatives; by default for each kind of statistic the cheaper one.
     """
 
@@ -83,6 +85,7 @@ class Simulator:
         self.estimator: Estimator | None = estimator
         self.fewest = BufferSizes(0, 0, 0)
         self.units: tuple[str, ...] = ()
+        self.products: set[str] = set()
 
     def __call__(self, model: Model) -> Simulated:
         """The moments of `model`. Raises ValueError for what `sensitivity` refuses."""
@@ -95,6 +98,7 @@ class Simulator:
         self.units = tuple(unit_at(problem, parameter.path) for parameter in problem.parameters)
         sources = [self._source(kind, pilot, relative_bandwidth_of(problem, pilot)) for kind in kinds]
         accumulated = run_chunks(sources, problem.samples, problem.threads)
+        self.products = set(products_among(problem, accumulated))
         order = [one for kind in kinds for one in kind.statistics]
         return _simulated(accumulated, [order.index(one) for one in self.statistics], len(self.wrt), self.samples)
 

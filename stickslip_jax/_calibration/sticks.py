@@ -96,7 +96,9 @@ def calibrate_sticks(
     _checks.chosen("objective", objective, get_args(Objective))
     ensembles = observed_ensembles(observed)
     models = Models.of(system, law, y0, wrt, len(ensembles))
-    fit = _Fit(models, _observations(ensembles, moments, objective), objective, samples, key, method, threads, estimator)
+    fit = _Fit(
+        models, _observations(ensembles, moments, objective), objective, samples, key, method, threads, estimator
+    )
     found = fit.found()
     certain = precision(found.part)
     result = fit.result(found, certain)
@@ -143,7 +145,9 @@ class _Fit:
             )
         products = with_products if objective == "likelihood" else tuple
         self.simulators = [
-            Simulator(products(one.statistics), one.t1, samples, key_of(key, at), models.names, method, threads, estimator)
+            Simulator(
+                products(one.statistics), one.t1, samples, key_of(key, at), models.names, method, threads, estimator
+            )
             for at, one in enumerate(observations)
         ]
         self.simulated: dict[bytes, list[Simulated] | None] = {}
@@ -164,6 +168,11 @@ class _Fit:
         values = self.models.values(x)
         slopes = self.models.slopes(values)
         found = [one(model).scaled(slopes) for one, model in zip(self.simulators, self.models.at(values), strict=True)]
+        everywhere = set.intersection(*(one.products for one in self.simulators))
+        if everywhere:
+            raise ValueError(
+                f"Argument wrt must name parameters that can be told apart, but {min(everywhere)}; fit one."
+            )
         for one, seen in zip(found, self.observations, strict=True):
             if not one.is_known:
                 raise ValueError(
@@ -171,7 +180,9 @@ class _Fit:
                     "every motion grazes the base velocity; start from other values."
                 )
             size = len(seen.mean)
-            if self.objective == "likelihood" and np.any(np.diag(one.covariance)[:size] <= 1e-24 * one.mean[:size] ** 2):
+            if self.objective == "likelihood" and np.any(
+                np.diag(one.covariance)[:size] <= 1e-24 * one.mean[:size] ** 2
+            ):
                 raise ValueError(
                     "Argument moments must differ between realisations, but one is the same in all that were simulated "
                     f"at {self._shown(values)}; leave it out."
@@ -206,8 +217,7 @@ class _Fit:
         if self.objective == "likelihood":
             return first
         known = self.covariances(first.x)
-        second = minimised(lambda x: self.part(x, known), first.x, _MOST)
-        return second._replace(converged=first.converged and second.converged)
+        return minimised(lambda x: self.part(x, known), first.x, _MOST)
 
     def result(self, found: Found, certain: Precision) -> StickCalibration:
         """What the user gets."""
@@ -236,9 +246,9 @@ class _Fit:
             recordings=recordings,
             samples=self.samples,
             unfinished=unfinished,
-            converged=found.converged,
+            converged=certain.converged,
             evaluations=len(self.simulated),
-            remarks=remarks_of(self.models.names, found, certain, test, fits, unfinished, self.samples * len(simulated)),
+            remarks=remarks_of(self.models.names, certain, test, unfinished, self.samples * len(simulated)),
         )
 
     def _test(self, found: Found, moments: int) -> Overidentification | None:
@@ -280,5 +290,5 @@ def _fits(experiment: int, observed: Observed, simulated: Simulated) -> list[Mom
         error = fitted.standard_error * math.sqrt(1 + simulated.samples / observed.recordings)
         if observed.recordings > 1:
             error = math.hypot(seen.standard_error, fitted.standard_error)
-        found.append(MomentFit(experiment, seen, fitted, (seen.value - fitted.value) / error))
+        found.append(MomentFit(experiment, seen, fitted, error))
     return found

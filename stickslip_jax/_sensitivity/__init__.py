@@ -10,6 +10,8 @@ from .statistic import (
     StickSequence,
     StickStart,
     StickStatistic,
+    SumOfSquaredDurations,
+    TimeToFirstStick,
 )
 
 __all__ = [
@@ -21,6 +23,8 @@ __all__ = [
     "StickSequence",
     "StickStart",
     "StickStatistic",
+    "SumOfSquaredDurations",
+    "TimeToFirstStick",
     "differentiable",
     "sensitivity",
 ]

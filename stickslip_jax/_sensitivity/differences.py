@@ -225,9 +225,7 @@ def _simulated(problem: Problem, model: Model) -> _ValuesOf:
         )
         if problem.is_counted:
             return _of_totals(problem, stick_time, sticks, slips, status)
-        each = [
-            parts_of_sequences(one, many.require_sticks(), problem.t1, problem.dtype) for one in problem.statistics
-        ]
+        each = [parts_of_sequences(one, many.require_sticks(), problem.t1, problem.dtype) for one in problem.statistics]
         parts = np.stack(each)
         return _Values(parts, status.astype(int), _for_each(parts, sticks))
 

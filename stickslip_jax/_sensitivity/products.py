@@ -18,10 +18,16 @@ _PROPORTIONAL = 1e-9  # of the squares: what is not proportional, relative to th
 
 def warn_of_products(problem: Problem, accumulated: JointAccumulator) -> None:
     """RuntimeWarning for each pair of parameters whose derivatives are proportional in every sample."""
+    for sentence in products_among(problem, accumulated):
+        warnings.warn(f"{sentence}; vary one of them only.", RuntimeWarning, 4)
+
+
+def products_among(problem: Problem, accumulated: JointAccumulator) -> list[str]:
+    """A sentence for each pair of parameters whose derivatives are proportional in every sample."""
     first, second = accumulated.halves
-    moments = first.merge(second)
+    moments, found = first.merge(second), []
     if moments.number < 2:
-        return
+        return found
     squares = moments.scatter / moments.number + np.outer(moments.mean, moments.mean)  # means of products of columns
     places = [_columns(accumulated, index, squares) for index in range(len(problem.parameters))]
     for one, other in combinations(range(len(places)), 2):
@@ -30,7 +36,8 @@ def warn_of_products(problem: Problem, accumulated: JointAccumulator) -> None:
             continue
         names = [problem.parameters[index].name for index in (one, other)]
         values = [problem.parameters[index].value for index in (one, other)]
-        warnings.warn(_sentence(names, exponent * values[1] / values[0] if values[0] else math.nan), RuntimeWarning, 4)
+        found.append(_sentence(names, exponent * values[1] / values[0] if values[0] else math.nan))
+    return found
 
 
 def _columns(accumulated: JointAccumulator, parameter: int, squares: np.ndarray) -> np.ndarray:
@@ -70,5 +77,5 @@ def _sentence(names: list[str], exponent: float) -> str:
         together = f"their ratio {one} / {other}"
     return (
         f"{one} and {other} act on this only through {together}: their derivatives are proportional in every sample, "
-        "so that nothing found here can tell them apart (a fit to both has rank 1); vary one of them only."
+        "so that nothing found here can tell them apart (a fit to both has rank 1)"
     )

@@ -153,6 +153,34 @@ class StickDuration(_OfNumber):
 
 
 @dataclasses.dataclass(frozen=True)
+class SumOfSquaredDurations(StickStatistic):
+    """The mean over realisations of the sum of squared stick durations, s^2.
+
+    Unlike the number of sticks, it hardly changes where short sticks escape notice.
+    """
+
+    name = "mean sum of squared stick durations"
+    unit = "s^2"
+
+    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
+        value = jnp.sum(sticks.duration**2)
+        return value, jnp.ones_like(value)
+
+
+@dataclasses.dataclass(frozen=True)
+class TimeToFirstStick(StickStatistic):
+    """The mean over realisations of the time until a stick begins after t = 0, or until ``t1`` where none does, s."""
+
+    name = "mean time to the first stick"
+    unit = "s"
+
+    def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
+        begins = sticks.mask & (sticks.start > 0)
+        value = jnp.min(jnp.where(begins, sticks.start, jnp.asarray(t1, sticks.start.dtype)))
+        return value, jnp.ones_like(value)
+
+
+@dataclasses.dataclass(frozen=True)
 class StickFunctional(StickStatistic):
     """The mean over realisations of a user-supplied function of the stick sequence.
 

@@ -22,6 +22,7 @@ from ._animations import Animation, animate
 from ._basins import basins
 from ._bounds import stick_bounds
 from ._branches import orbit_branch
+from ._calibration_moments import calibration_moments
 from ._calibrations import calibration
 from ._convergences import convergence
 from ._curves import curve
@@ -52,6 +53,7 @@ __all__ = [
     "basins",
     "bifurcation_diagram",
     "calibration",
+    "calibration_moments",
     "convergence",
     "curve",
     "energies",

@@ -30,7 +30,7 @@ def sensitivity_curve(
     Raises:
         ValueError: For arguments of another kind, and if statistics or parameters differ.
     """
-    points, width = _checked(results), _width(level)
+    points, width = _checked(results), width_of(level)
     parameters = {point.parameter for point in points}
     if len(parameters) > 1:
         raise ValueError(
@@ -80,7 +80,7 @@ def tornado(
         ValueError: For arguments of another kind, and if statistics differ.
     """
     bars = _checked(list(results.values()) if isinstance(results, Mapping) else results)
-    width = _width(level)
+    width = width_of(level)
     ax = _style.axes_or_new(ax, (5.6, 0.45 * len(bars) + 2.0))
     bars = sorted(bars, key=lambda bar: abs(bar.derivative))
     heights = np.arange(len(bars))
@@ -102,7 +102,7 @@ def tornado(
     return ax
 
 
-def _width(level: float) -> float:
+def width_of(level: float) -> float:
     """Half the width of a confidence interval, in standard errors."""
     check_level(level)
     from scipy import special  # noqa: PLC0415 - adds a filter of warnings
