@@ -18,6 +18,7 @@ from ._uncertainty.families import (
 )
 from ._uncertainty.random_number import RandomNumber as RandomNumber, Truncated as Truncated
 from ._calibration.call import calibrate as calibrate
+from ._calibration.likelihood import LogLikelihood as LogLikelihood, log_likelihood as log_likelihood
 from ._calibration.result import Calibration as Calibration
 from ._calibration.stick_result import (
     MomentFit as MomentFit,
@@ -25,6 +26,7 @@ from ._calibration.stick_result import (
     StickCalibration as StickCalibration,
 )
 from ._calibration.sticks import calibrate_sticks as calibrate_sticks
+from ._calibration.simulator import StickSimulator as StickSimulator, stick_simulator as stick_simulator
 from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.call import simulate_ensemble as simulate_ensemble
 from ._ensemble.contacts import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts

@@ -143,24 +143,25 @@ def with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) ->
     return seen, slopes
 
 
+@eqx.filter_custom_jvp
 def predicted(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> FloatArray:
-    """What is seen of the motions in all windows, (windows, channels, times), with derivatives of first order.
+    """What is seen of the motions in all windows, (windows, channels, times), with derivatives of first order by x, s.
 
-    They are all computed at once, by `with_slopes`; reverse mode multiplies by them.
+    They are all computed at once, by `with_slopes`; reverse mode multiplies by them. Where a motion does not reach its
+    end they are zero, so that a `where` can leave it out.
     """
+    return jax.vmap(model.observed, in_axes=(None, 0, 0, 0, 0))(x, s, model.state_origin, model.resting, windows)
 
-    @jax.custom_jvp
-    def values(x: FloatArray, s: FloatArray) -> FloatArray:
-        return jax.vmap(model.observed, in_axes=(None, 0, 0, 0, 0))(x, s, model.state_origin, model.resting, windows)
 
-    @values.defjvp
-    def _(primals: tuple[FloatArray, FloatArray], tangents: tuple[FloatArray, FloatArray]):
-        (x, s), (dx, ds) = primals, tangents
-        seen, slopes = with_slopes(model, windows, x, s)
-        changes = jnp.concatenate([jnp.broadcast_to(dx, (s.shape[0], x.shape[0])), ds], axis=1)
-        return seen, jnp.einsum("wctp,wp->wct", slopes, changes)
-
-    return values(x, s)
+@predicted.def_jvp
+def _(primals: Any, tangents: Any) -> tuple[FloatArray, FloatArray]:
+    (model, windows, x, s), (of_model, of_windows, dx, ds) = primals, tangents
+    assert not jax.tree.leaves((of_model, of_windows)), "only x and s have derivatives"
+    dx, ds = jnp.zeros_like(x) if dx is None else dx, jnp.zeros_like(s) if ds is None else ds
+    seen, slopes = with_slopes(model, windows, x, s)
+    slopes = jnp.where(jnp.isfinite(seen)[..., None], slopes, 0)
+    changes = jnp.concatenate([jnp.broadcast_to(dx, (s.shape[0], x.shape[0])), ds], axis=1)
+    return seen, jnp.einsum("wctp,wp->wct", slopes, changes)
 
 
 @eqx.filter_jit

@@ -1,0 +1,257 @@
+"""`log_likelihood`: how likely a record of motion is, as a function for samplers of posteriors."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from jax.typing import ArrayLike
+
+from .. import _checks
+from .. import _diffrax as diffrax
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._dynamics.common.stopping_scan import padded_length
+from .._dynamics.common.validation import Arguments, working_dtype
+from .._dynamics.switched.run import steps_for
+from .._excitation.excitation import BaseMotion
+from .._fields import Quantity, described, modules_in
+from .._forks import require_threads_of_jax
+from .._numerics.leaves import as_arrays
+from .._systems.friction import FrictionLaw
+from .._systems.system import System
+from .._types import Array, BoolArray, FloatArray, InitialState
+from .._uncertainty.numbers import Parameter, number_at, parameters_of
+from .problem import Model, Setting, predicted
+from .record import Observer, Record, Windows
+
+_SPARE = 2  # times as many loop steps as with the first guesses: elsewhere the motion may be faster
+_ROUND_OFF = 1e-12  # relative, of static friction below kinetic
+
+
+class LogLikelihood(eqx.Module):
+    """The logarithm of the probability density of a record of motion, by the numbers that are not known.
+
+    ``likelihood({"mu": 0.6, "stiffness": 4.0})`` or ``likelihood(array)``, with the numbers in the order of `names` and
+    in their own units, is a scalar in JAX: `jit`, `vmap` and `grad` take it. The noise is independent and Gaussian; all
+    constants are in it. ``likelihood(values, noise={"position": 0.01})`` gives standard deviations in the units of the
+    channels, in place of those given before.
+
+    It is minus infinity, with derivative zero, for numbers outside the bounds of their fields, for static friction
+    below kinetic friction, for noise that is not positive, and where the motion does not reach the end of the record.
+    Otherwise its derivatives are exact; they are computed in forward mode, and reverse mode multiplies by them. They hold between events: where a stick appears or vanishes as the numbers change, the motion after it may have a kink or a
+    jump (a jump where `mu_static` is above `mu`, for example). `jax.hessian` gives second derivatives.
+
+    - `names`: of the numbers, in their order. `first_guess`: their values in the system, the base and the start, in
+      their own units, (parameters,).
+    - `channels`: the names of what was measured. `noise`: the standard deviation of each, in its unit, NaN where it has
+      to be given in the call, (channels,).
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    channels: tuple[str, ...] = eqx.field(static=True)
+    first_guess: Array
+    noise: Array
+    _model: Model
+    _windows: Windows
+    _start: Array
+    _abouts: tuple[Quantity, ...] = eqx.field(static=True)
+    _coordinates: tuple[int | None, ...] = eqx.field(static=True)
+    _is_known: tuple[bool, ...] = eqx.field(static=True)
+    # By identity, so that it can be given to `jax.jit` as any function: arrays have no hash.
+    __hash__ = object.__hash__
+    __eq__ = object.__eq__
+
+    def __call__(
+        self, values: Mapping[str, ArrayLike] | ArrayLike, noise: Mapping[str, ArrayLike] | None = None
+    ) -> FloatArray:
+        """The log likelihood at `values`, a dict by name or an array (parameters,), and with this `noise`.
+
+        Raises ValueError for names or shapes that do not fit, and for noise that is not given at all.
+        """
+        return _density(self, self._numbers(values), self._sigma(noise))
+
+    def _density(self, numbers: FloatArray, sigma: FloatArray) -> FloatArray:
+        """The log likelihood at numbers (parameters,) and with standard deviations (channels,)."""
+        is_allowed = self._are_allowed(numbers) & jnp.all((sigma > 0) & jnp.isfinite(sigma))
+        # What is not selected is computed too, at numbers where nothing can go wrong: its derivatives are not NaN then.
+        numbers = jnp.where(is_allowed, numbers, self.first_guess)
+        sigma = jnp.where(is_allowed, sigma, 1.0)
+        is_there = jnp.asarray(self._windows.is_measured)
+        seen = predicted(self._model, self._windows, *self._parts(numbers))
+        reaches_end = jnp.all(jnp.isfinite(seen) | ~is_there)
+        residuals = jnp.where(is_there & reaches_end, seen - self._windows.values, 0.0)
+        counts = jnp.sum(is_there, axis=(0, 2))
+        chi_squared = jnp.sum((residuals / sigma[None, :, None]) ** 2)
+        density = -0.5 * chi_squared - jnp.sum(counts * (jnp.log(sigma) + 0.5 * math.log(2 * math.pi)))
+        return jnp.where(is_allowed & reaches_end, density, -jnp.inf)
+
+    def _numbers(self, values: Any) -> FloatArray:
+        """The numbers in their order, (parameters,)."""
+        if isinstance(values, Mapping):
+            if set(values) != set(self.names):
+                raise _checks.refused("values", f"hold a number for each of {', '.join(self.names)}", list(values))
+            values = [jnp.asarray(values[name]) for name in self.names]
+            if any(value.ndim for value in values):
+                raise ValueError(
+                    "Argument values must hold single numbers; for many points at once call it under jax.vmap."
+                )
+            values = jnp.stack(values)
+        found = jnp.asarray(values, self.first_guess.dtype)
+        if found.shape != self.first_guess.shape:
+            raise ValueError(
+                f"Argument values must hold one number for each of {', '.join(self.names)}, but an array of shape "
+                f"{found.shape} was given; for many points at once call it under jax.vmap."
+            )
+        return found
+
+    def _sigma(self, noise: Mapping[str, ArrayLike] | None) -> FloatArray:
+        """The standard deviation of each channel, (channels,)."""
+        given = {} if noise is None else noise
+        if not isinstance(given, Mapping):
+            raise _checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
+        if unknown := [name for name in given if name not in self.channels]:
+            raise ValueError(f"Argument noise must name channels of measured, but {unknown[0]!r} is none of them.")
+        known = zip(self.channels, self._is_known, strict=True)
+        if missing := [name for name, is_known in known if not is_known and name not in given]:
+            raise ValueError(
+                f"Argument noise must give the standard deviation of each channel, here or to log_likelihood, but that "
+                f"of {missing[0]!r} is missing."
+            )
+        dtype = self.noise.dtype
+        return jnp.stack([jnp.asarray(given[name], dtype) if name in given else self.noise[row]
+                          for row, name in enumerate(self.channels)])  # fmt: skip
+
+    def _are_allowed(self, numbers: FloatArray) -> BoolArray:
+        """Whether all numbers are within the bounds of their fields, and static friction is not below kinetic."""
+        holds = [jnp.all(jnp.isfinite(numbers))]
+        for number, about in zip(numbers, self._abouts, strict=True):
+            for compare, bound in (
+                (jnp.greater, about.above),
+                (jnp.greater_equal, about.at_least),
+                (jnp.less, about.below),
+            ):
+                if bound is not None:
+                    holds.append(compare(number, bound))
+        for law in modules_in(self._model.setting_at(self._parts(numbers)[0])):
+            if isinstance(law, FrictionLaw) and not law.depends_on_direction:
+                kinetic = law.kinetic(jnp.zeros((), numbers.dtype))
+                holds.append(jnp.asarray(law.static) >= kinetic * (1 - _ROUND_OFF))
+        return jnp.all(jnp.stack(holds))
+
+    def _parts(self, numbers: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What `predicted` takes: the numbers of system and base, and the state at the start, (1, coordinates)."""
+        in_setting = [i for i, coordinate in enumerate(self._coordinates) if coordinate is None]
+        state = self._start
+        for number, coordinate in zip(numbers, self._coordinates, strict=True):
+            state = state if coordinate is None else state.at[coordinate].set(number)
+        return numbers[np.array(in_setting, int)], state[None]
+
+
+# So that single calls are fast too, and the record is no constant of the program.
+_density = eqx.filter_jit(LogLikelihood._density)
+
+
+def log_likelihood(
+    system: System,
+    base: BaseMotion,
+    times: npt.ArrayLike,
+    measured: Mapping[str, npt.ArrayLike],
+    *,
+    wrt: str | tuple[str, ...] | list[str],
+    noise: Mapping[str, float] | None = None,
+    y0: InitialState | None = None,
+    observe: Mapping[str, Observer] | None = None,
+    method: Exact | Regularized = EXACT,
+) -> LogLikelihood:
+    """The log likelihood of a record of motion, as a function of numbers of the system, its base and its start.
+
+    For samplers of posteriors such as those of numpyro and blackjax (docs/howto/posteriors.md); add the logarithm of a
+    prior. One motion from t = 0 is compared with the whole record; estimates by `calibrate` are where to begin, and
+    where the motion is chaotic use its windows instead.
+
+    Args:
+        system: With first guesses of the numbers.
+        base: What drives it, as for `simulate`: a motion without randomness, measured ones as a `Recorded`.
+        times: Of the measurements, s, increasing, from 0 on, (times,).
+        measured: What was measured, (times,) each, NaN where it was not, by names as for `calibrate`.
+        wrt: The names of the numbers that are not known, as for `calibrate`; initial values are "y0[0]", "y0[1]" and so
+            on.
+        noise: The standard deviation of the noise of each channel, in its unit; those left out are given in each call.
+        y0: The state at t = 0, as for `simulate`: at rest in the origin by default. Where `wrt` names initial values,
+            their first guesses.
+        observe: Functions for channels with names of their own, as for `calibrate`.
+        method: As for `simulate`. `Exact` takes up to twice as many steps as the first guesses need, or as many as
+            its `max_steps` says; numbers that need more are taken as impossible. `Regularized` needs its `max_steps`.
+
+    Returns:
+        A `LogLikelihood`.
+
+    Raises:
+        ValueError: For arguments outside these bounds, and for names that fit no number.
+
+    >>> system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.7))
+    >>> base = ss.Harmonic(0.8, 1.3)
+    >>> times = [0.1 * i for i in range(100)]
+    >>> seen = ss.simulate(system, base, t1=10.0, y0=(0.3, 0.0)).evaluate(times)[0]
+    >>> likelihood = ss.log_likelihood(
+    ...     system, base, times, {"position": seen}, wrt="mu", noise={"position": 0.01}, y0=(0.3, 0.0)
+    ... )
+    >>> print(f"{likelihood({'mu': 0.7}):.2f}, {likelihood({'mu': -0.7})}")
+    368.62, -inf
+    """
+    require_threads_of_jax()
+    ends = _checks.numbers("times", times, ndim=1)
+    if not len(ends) or not ends[-1] > 0:
+        raise _checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
+    arguments, start = Arguments.of_one(system, base, method, float(ends[-1]), y0)
+    record = Record.of(system, times, measured, noise, observe)
+    if isinstance(method, Regularized) and method.step is None and method.adjoint is None:
+        method = dataclasses.replace(method, adjoint=diffrax.ForwardMode())
+    setting = Setting(system, base)
+    state = tuple(float(number) for number in start)
+    parameters = parameters_of({**setting._asdict(), "y0": state}, wrt)
+    dtype = working_dtype()
+    windows = record.cut(np.zeros(1, int), 0.0)
+    of_setting = [parameter for parameter in parameters if parameter.path[0] != "y0"]
+    model = Model(
+        setting=as_arrays(setting, dtype), state_origin=jnp.zeros((1, len(state)), dtype), resting=None, method=method,
+        origin=jnp.zeros(len(of_setting), dtype), size=jnp.ones(len(of_setting), dtype),
+        is_positive=(False,) * len(of_setting), paths=tuple(parameter.path for parameter in of_setting),
+        observers=tuple(channel.observe for channel in record.channels), steps=_steps(arguments),
+    )  # fmt: skip
+    return LogLikelihood(
+        names=tuple(parameter.name for parameter in parameters),
+        channels=tuple(channel.name for channel in record.channels),
+        first_guess=jnp.asarray([parameter.value for parameter in parameters], dtype),
+        noise=jnp.asarray(record.noise, dtype),
+        _model=model,
+        _windows=jax.tree.map(jnp.asarray, windows),
+        _start=jnp.asarray(state, dtype),
+        _abouts=tuple(_about(setting, parameter) for parameter in parameters),
+        _coordinates=tuple(int(p.path[1]) if p.path[0] == "y0" else None for p in parameters),
+        _is_known=tuple(bool(np.isfinite(sigma)) for sigma in record.noise),
+    )
+
+
+def _steps(arguments: Arguments) -> int:
+    """Loop steps for the whole record, at numbers other than the first guesses too."""
+    if isinstance(arguments.method, Regularized):
+        return 0
+    if arguments.method.max_steps is not None:
+        return arguments.method.max_steps
+    excitation, step = arguments.checked_step()
+    return padded_length(_SPARE * steps_for(arguments.system, excitation, arguments.t1, step))
+
+
+def _about(setting: Setting, parameter: Parameter) -> Quantity:
+    """The bounds of a parameter; none where its field has none."""
+    if parameter.path[0] == "y0":
+        return Quantity()
+    holder: Any = number_at(setting, parameter.path[:-1])
+    about = described(type(holder)).get(str(parameter.path[-1])) if isinstance(holder, eqx.Module) else None
+    return about if isinstance(about, Quantity) else Quantity()
