@@ -119,9 +119,9 @@ def _checked(
     arguments, start = Arguments.of_one(system, base, method, float(end[-1]), y0)
     if isinstance(method, Regularized) and method.step is None and method.adjoint is None:
         method = dataclasses.replace(method, adjoint=diffrax.ForwardMode())
-    arguments = arguments._replace(
-        base=base, method=method
-    )  # base, whose numbers may be estimated, not those of its realisation
+    if isinstance(method, Exact):  # smoothed friction follows a realisation, which has no numbers to estimate
+        arguments = arguments._replace(base=base)
+    base, arguments = arguments.base, arguments._replace(method=method)
     record = Record.of(system, times, measured, noise, observe)
     parameters = parameters_of(Setting(system, base)._asdict(), wrt)
     scale = scale_of(Setting(system, base), parameters)
