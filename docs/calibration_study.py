@@ -46,7 +46,9 @@ def main() -> None:
           f"scatter {np.std(exact, ddof=1):.5f}, standard error {error:.5f}")  # fmt: skip
     smooth = {width: estimates(ss.Regularized(width)) for width in WIDTHS}
     for width, (found, _) in smooth.items():
-        print(f"tanh of width {width} m/s: bias {np.mean(found) - MU:+.5f}, {(np.mean(found) - MU) / error:+.1f} errors")
+        print(
+            f"tanh of width {width} m/s: bias {np.mean(found) - MU:+.5f}, {(np.mean(found) - MU) / error:+.1f} errors"
+        )
     _, ax = plt.subplots(figsize=(6.0, 3.8), layout="constrained")
     for width, (found, _) in smooth.items():
         ax.plot(np.full(RECORDS, width), found, ".", color="#0072B2", ms=4)

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._excitation.excitation import BaseMotion
 from .._statistics.estimate import Estimate, format_with_error
+from .._statistics.summary import wrapped
 from .._statistics.verdicts import HypothesisTest
 from .._systems.system import System
 from .bounds import Bounds
@@ -89,6 +90,8 @@ class Calibration:
                 lines.append(f"  {name}: not told by the record")
         for name in self.channels:
             kind = "given" if self.noise_is_known[name] else "estimated"
-            lines.append(f"  noise of {name}: {self.noise[name]:.3g} ({kind}); residuals: {self.whiteness[name]}")
+            test = self.whiteness[name]
+            white = f"residuals white: p = {test.p_value:.2g}" if test.made else f"no test of residuals: {test.reason}"
+            lines.append(f"  noise of {name}: {self.noise[name]:.3g} ({kind}), {white}")
         lines.append(f"  chi-squared {self.chi_squared:.1f} for {self.degrees_of_freedom} degrees of freedom")
-        return "\n".join([*lines, *(f"  {remark}" for remark in self.remarks)])
+        return "\n".join([*lines, *(wrapped(remark, "  ", "  ") for remark in self.remarks)])

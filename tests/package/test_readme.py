@@ -13,6 +13,7 @@ DOCUMENTS = {
     "docs/clusters.md": 2,
     "docs/designs.md": 8,
     "docs/howto/animation.md": 2,
+    "docs/howto/calibration.md": 3,
     "docs/howto/contacts.md": 11,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 10,
