@@ -41,6 +41,7 @@ from .system import (
 
 USUAL_MU = 0.2
 _FOR_EVER = 1e30  # s: a stick that ends lasts less than a period of the voltage
+_ENDLESS = 1e30  # N m: times the sine of dead centre it is still zero
 _LONGEST_RESPONSE = 0.85  # of the current in a step; with the values of the paper four electrical time constants
 _CONSTANT = StepCount(7.0, 4.0)  # the mechanical time constant is no period
 _DECAY = StepCount(1 / 3, 1 / 4)  # steps beyond four electrical time constants are not stable
@@ -361,11 +362,11 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
 
 
 def _torques_in_the_end(system: MotorCart, sine: FloatArray) -> tuple[FloatArray | Scalar, FloatArray | Scalar]:
-    """The `held_torques` of sticks that have lasted for ever; infinite where a law does not say them."""
+    """The `held_torques` of sticks that have lasted for ever; `_ENDLESS` where they grow without a limit."""
     if system.friction is None:
         return system.largest_friction_torque, system.largest_friction_torque
     held = jax.vmap(lambda one: system.held_torques(one, jnp.asarray(_FOR_EVER, one.dtype)))(sine.reshape(-1))
-    backward, forward = (jnp.where(jnp.isnan(torque), jnp.inf, torque).reshape(sine.shape) for torque in held)
+    backward, forward = (jnp.nan_to_num(torque, nan=_ENDLESS, posinf=_ENDLESS).reshape(sine.shape) for torque in held)
     return backward, forward
 
 

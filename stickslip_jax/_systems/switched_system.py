@@ -99,6 +99,9 @@ class SwitchedSystem(WithContacts):
     N m), to be multiplied by the friction coefficient. Where a normal force is zero or negative its contact is open: no
     friction, and no stick.
 
+    Laws with an inner state, such as `LuGre`, are named by `inner_laws`; static friction that grows while a stick lasts
+    by `static_ratio_after`.
+
     The position of a stick is the first number of the state. Figures label their axes by `state_names`; override
     `coordinates`, `body_name`, `stick_band` and others of `System` to change what they show.
 

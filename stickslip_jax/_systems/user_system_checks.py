@@ -91,8 +91,8 @@ def _check_inner_laws(system: Any) -> None:
     ratio = system.static_ratio
     if laws and (system.ages or (not _checks.is_traced(ratio) and np.max(np.asarray(ratio)) > 1)):
         raise ValueError(
-            f"Argument inner_laws of a {kind} must come without static_ratio and static_ratio_after, which are those "
-            "of exact sticks, but both were given; keep one of them."
+            f"Argument inner_laws of a {kind} must come without static_ratio and static_ratio_after, those of exact "
+            "sticks, but both were given; keep one of them."
         )
     if laws and system.coordinates[len(system.state_names) :] != system.inner_states:
         raise ValueError(

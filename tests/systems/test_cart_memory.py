@@ -215,6 +215,8 @@ def test_bound_of_sticks_with_a_memory():
     np.testing.assert_allclose(bound, ss.stick_duration_bound(ss.MotorCart(mu=0.4), slow, angles), rtol=1e-12)
     endless = ss.Ageing(ss.Coulomb(0.2), lambda age: age)
     assert np.all(np.isinf(ss.stick_duration_bound(cart(endless), slow, angles)))
+    for law in (endless, ss.Ageing(ss.Coulomb(0.2), lambda age: age**11)):  # infinite at the end
+        assert ss.stick_duration_bound(cart(law), slow, 0.0) == 0
     lopsided = cart(ss.Directional(ss.Coulomb(0.2), ss.Coulomb(0.5)))
     found = ss.stick_duration_bound(lopsided, slow, angles)
     # The torque of this voltage is forward throughout: the cart goes backward on the first half.

@@ -43,7 +43,7 @@ def test_a_motion_goes_on_from_any_time(name):
 
 def test_contacts_begin_at_rest_where_they_are_told_to():
     """Static friction above kinetic holds a mass on the base; with a small relative velocity it would slip."""
-    near = jnp.asarray(0.3), jnp.asarray(0.3 + 1e-3)
+    near = jnp.asarray(0.3), jnp.asarray(0.3 - 1e-3)
     run = jax.jit(lambda mu, speed, y, resting: continued(  # traced, as where numbers are searched
         ss.Coulomb(mu, mu_static=1.7), ss.Constant(speed), y, resting=resting))  # fmt: skip
     held, done = run(0.4, 0.3, near, jnp.asarray(True))
