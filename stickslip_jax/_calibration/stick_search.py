@@ -13,7 +13,7 @@ _Square = Float[np.ndarray, "parameters parameters"]
 
 _ENOUGH = 1e-3  # what the best step would still gain, in squared standard errors: it is a thirtieth of one
 _CONVERGED = 0.1  # the same
-_STANDS = 3  # iterations in which no smaller step gains anything: the simulated means have small jumps
+_STANDS = 5  # iterations in which no smaller step gains anything: the simulated means have small jumps
 _INFLUENCE = 4.0  # times what noise alone would be
 _EXACT = 1e-10  # relative, as round-off leaves it where derivatives are proportional
 _INVOLVED = 0.1
