@@ -19,18 +19,16 @@ from .._dynamics.common.stopping_scan import padded_length
 from .._dynamics.common.validation import Arguments, working_dtype
 from .._dynamics.switched.run import steps_for
 from .._excitation.excitation import BaseMotion
-from .._fields import Quantity, described, modules_in
+from .._fields import Quantity, described
 from .._forks import require_threads_of_jax
 from .._numerics.leaves import as_arrays
-from .._systems.friction import FrictionLaw
 from .._systems.system import System
 from .._types import Array, BoolArray, FloatArray, InitialState
 from .._uncertainty.numbers import Parameter, number_at, parameters_of
-from .problem import Model, Setting, predicted
+from .problem import Model, Setting, predicted, static_holds
 from .record import Observer, Record, Windows
 
 _SPARE = 2  # times as many loop steps as with the first guesses: elsewhere the motion may be faster
-_ROUND_OFF = 1e-12  # relative, of static friction below kinetic
 
 
 class LogLikelihood(eqx.Module):
@@ -43,8 +41,9 @@ class LogLikelihood(eqx.Module):
 
     It is minus infinity, with derivative zero, for numbers outside the bounds of their fields, for static friction
     below kinetic friction, for noise that is not positive, and where the motion does not reach the end of the record.
-    Otherwise its derivatives are exact; they are computed in forward mode, and reverse mode multiplies by them. They hold between events: where a stick appears or vanishes as the numbers change, the motion after it may have a kink or a
-    jump (a jump where `mu_static` is above `mu`, for example). `jax.hessian` gives second derivatives.
+    Otherwise its derivatives are exact; they are computed in forward mode, and reverse mode multiplies by them. They
+    hold between events: where a stick appears or vanishes as the numbers change, the motion after it may have a kink or
+    a jump (a jump where `mu_static` is above `mu`, for example). `jax.hessian` gives second derivatives.
 
     - `names`: of the numbers, in their order. `first_guess`: their values in the system, the base and the start, in
       their own units, (parameters,).
@@ -137,10 +136,7 @@ class LogLikelihood(eqx.Module):
             ):
                 if bound is not None:
                     holds.append(compare(number, bound))
-        for law in modules_in(self._model.setting_at(self._parts(numbers)[0])):
-            if isinstance(law, FrictionLaw) and not law.depends_on_direction:
-                kinetic = law.kinetic(jnp.zeros((), numbers.dtype))
-                holds.append(jnp.asarray(law.static) >= kinetic * (1 - _ROUND_OFF))
+        holds.append(static_holds(self._model.setting_at(self._parts(numbers)[0])))
         return jnp.all(jnp.stack(holds))
 
     def _parts(self, numbers: FloatArray) -> tuple[FloatArray, FloatArray]:

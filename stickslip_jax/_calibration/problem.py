@@ -15,13 +15,16 @@ from .._dynamics.switched.run import run_trajectory
 from .._excitation.excitation import BaseMotion, excitation_of
 from .._excitation.merged import merged
 from .._excitation.segments import first_segment, segment_at
-from .._fields import Quantity, described
+from .._fields import Quantity, described, modules_in
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
+from .._systems.friction import FrictionLaw
 from .._systems.system import System
 from .._types import Array, BoolArray, FloatArray
 from .._uncertainty.numbers import Parameter, Path, number_at, with_numbers
 from .record import Observer, Windows
+
+_ROUND_OFF = 1e-12  # relative, of static friction below kinetic
 
 
 class Setting(NamedTuple):
@@ -68,6 +71,16 @@ def scale_of(setting: Setting, parameters: tuple[Parameter, ...]) -> Scale:
         is_positive.append(positive)
     origin = np.array([parameter.value for parameter in parameters])
     return Scale(tuple(is_positive), origin, np.maximum(np.abs(origin), 1e-3))
+
+
+def static_holds(setting: Setting) -> BoolArray:
+    """Whether in no friction law static friction is below kinetic friction."""
+    holds = jnp.ones((), bool)
+    for law in modules_in(setting):
+        if isinstance(law, FrictionLaw) and law.inner_state is None and not law.depends_on_direction:
+            kinetic = jnp.asarray(law.kinetic(jnp.zeros(())))
+            holds = holds & (jnp.asarray(law.static) >= kinetic * (1 - _ROUND_OFF))
+    return holds
 
 
 class Model(eqx.Module):
@@ -119,9 +132,12 @@ class Model(eqx.Module):
     def observed(
         self, x: FloatArray, s: FloatArray, origin: FloatArray, resting: BoolArray | None, window: Windows
     ) -> FloatArray:
-        """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end."""
+        """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end, and for
+        static friction below kinetic friction.
+        """
         one = self.motion(self.scale.number(x), origin + s, resting, window)
-        return jnp.stack([observe(one, jnp.asarray(window.times)) for observe in self.observers])
+        seen = jnp.stack([observe(one, jnp.asarray(window.times)) for observe in self.observers])
+        return jnp.where(static_holds(Setting(one.system, one.base)), seen, jnp.nan)
 
 
 def with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:

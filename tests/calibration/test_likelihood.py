@@ -141,8 +141,9 @@ def test_smoothed_friction(record):
 
 @pytest.mark.slow
 def test_single_precision(record):
-    with jax.enable_x64(False), pytest.warns(UserWarning, match="float32"):
-        of = ss.log_likelihood(SYSTEM, BASE, TIMES, record, wrt=("mu", "y0[0]", "stiffness"), noise=NOISE, y0=START)
+    with jax.enable_x64(False):
+        with pytest.warns(UserWarning, match="float32"):
+            of = ss.log_likelihood(SYSTEM, BASE, TIMES, record, wrt=("mu", "y0[0]", "stiffness"), noise=NOISE, y0=START)
         value = of(jnp.asarray(POINTS[0], jnp.float32))
     assert value.dtype == np.float32
     assert_allclose(value, directly(record, *POINTS[0]), rtol=1e-4)
