@@ -12,18 +12,20 @@ _Vector = Float[np.ndarray, " parameters"]
 _Square = Float[np.ndarray, "parameters parameters"]
 
 _ENOUGH = 1e-3  # what the best step would still gain, in squared standard errors: it is a thirtieth of one
-_CONVERGED = 0.1  # the same
-_STANDS = 5  # iterations in which no smaller step gains anything: the simulated means have small jumps
+_CONVERGED = 0.1  # the same; where no step gains anything 1, as errors of derivatives make it look
+_STANDS, _GAINED = 5, 0.005
+"""A search ends after so many iterations in a row without gain: simulated means have small jumps."""
 _INFLUENCE = 4.0  # times what noise alone would be
 _EXACT = 1e-10  # relative, as round-off leaves it where derivatives are proportional
 _INVOLVED = 0.1
 
 
 class Found(NamedTuple):
-    """Where a search ended: coordinates, and what was found there."""
+    """Where a search ended: coordinates, what was found there, and whether it ended because no step gains anything."""
 
     x: _Vector
     part: Part
+    stands: bool
 
 
 def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Found:
@@ -34,8 +36,7 @@ def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Fo
     from scipy import optimize  # noqa: PLC0415 - takes long to load
 
     known: dict[bytes, Part | None] = {}
-    stands = 0
-    last = x
+    stands, last = 0, np.inf
 
     def part(x: _Vector) -> Part | None:
         if x.tobytes() not in known:
@@ -49,8 +50,8 @@ def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Fo
     def stop(intermediate_result: Any) -> None:
         nonlocal stands, last
         now = np.asarray(intermediate_result.x)
-        stands = stands + 1 if np.array_equal(now, last) else 0
-        last = now
+        stands = 0 if value(now) < last - _GAINED else stands + 1
+        last = min(last, value(now))
         if stands >= _STANDS or gain(part(now)) < _ENOUGH:
             raise StopIteration
 
@@ -71,7 +72,7 @@ def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Fo
         x = np.asarray(found.x)
     end = part(x)
     assert end is not None
-    return Found(x, end)
+    return Found(x, end, stands >= _STANDS)
 
 
 def gain(part: Part | None) -> float:
@@ -97,8 +98,11 @@ class Precision(NamedTuple):
     noise_share: float
 
 
-def precision(part: Part) -> Precision:
-    """The covariance of the minimum, by the sandwich: the errors of derivatives add no information."""
+def precision(part: Part, stands: bool = False) -> Precision:
+    """The covariance of the minimum, by the sandwich: the errors of derivatives add no information.
+
+    `stands`: as in `Found`.
+    """
     from scipy import linalg  # noqa: PLC0415 - takes long to load
 
     size = np.sqrt(np.maximum(np.diag(part.hessian), np.finfo(float).tiny))
@@ -117,4 +121,4 @@ def precision(part: Part) -> Precision:
     for one in lost:
         covariance[one] = covariance[:, one] = np.nan
         covariance[one, one] = np.inf
-    return Precision(covariance, lost, still < _CONVERGED, float(1 / max(ratios[0], 1.0)))
+    return Precision(covariance, lost, still < (1 if stands else _CONVERGED), float(1 / max(ratios[0], 1.0)))

@@ -117,7 +117,7 @@ class Simulator:
             return pilot
         needed = buffer_sizes_for(problem, pilot)
         if any(size > room for size, room in zip(needed, self.fewest, strict=True)):
-            self.fewest = BufferSizes(*(8 * math.ceil(1.4 * size / 8) for size in needed))
+            self.fewest = BufferSizes(*(2 ** math.ceil(math.log2(1.2 * size + 1)) for size in needed))
         return pilot._replace(fewest=self.fewest)
 
 

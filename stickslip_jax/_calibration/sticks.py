@@ -100,7 +100,7 @@ def calibrate_sticks(
         models, _observations(ensembles, moments, objective), objective, samples, key, method, threads, estimator
     )
     found = fit.found()
-    certain = precision(found.part)
+    certain = precision(found.part, found.stands)
     result = fit.result(found, certain)
     for remark in result.remarks:
         warnings.warn(remark, RuntimeWarning, stacklevel=2)
@@ -114,7 +114,8 @@ def _observations(ensembles: list[Ensemble], moments: object, objective: Objecti
         statistics = tuple(map(Recorded, statistics))
     for number, one in enumerate(ensembles):
         seen = observed_moments(statistics, one)
-        fixed = without_scatter(seen) if moments is None and seen.recordings > 1 else []
+        drops = moments is None and objective == "moments" and seen.recordings > len(statistics)
+        fixed = without_scatter(seen) if drops else []
         seen = seen.only([at for at in range(len(statistics)) if at not in fixed])
         name = "observed" if len(ensembles) == 1 else f"observed[{number}]"
         if objective == "moments":

@@ -1,5 +1,6 @@
 """The algebra of fits to moments: against SciPy's normal distribution, closed forms, and drawn numbers."""
 
+import re
 from typing import Annotated
 
 import numpy as np
@@ -9,7 +10,9 @@ from scipy import optimize, stats
 import stickslip_jax as ss
 from stickslip_jax._calibration.stick_moments import Observed
 from stickslip_jax._calibration.stick_parameters import Models
-from stickslip_jax._calibration.stick_search import minimised, precision
+from stickslip_jax._calibration.stick_remarks import remarks_of
+from stickslip_jax._calibration.stick_result import Overidentification
+from stickslip_jax._calibration.stick_search import Precision, minimised, precision
 from stickslip_jax._calibration.stick_simulation import Simulated
 from stickslip_jax._calibration.stick_weights import (
     Part,
@@ -142,7 +145,28 @@ def test_directions_without_information_are_told():
     both = precision(part_of([[4.0, 6.0], [6.0, 9.0]], np.zeros((2, 2)), (1.0, 1.0)))
     assert [lost.tolist() for lost in both.lost] == [[True, True]]
     assert np.diag(both.covariance).tolist() == [np.inf, np.inf]
-    assert not precision(part_of(np.eye(2), np.zeros((2, 2)), (1.0, 0.0))).converged
+    assert not precision(part_of(np.eye(2), np.zeros((2, 2)), (0.9, 0.0))).converged
+    assert precision(part_of(np.eye(2), np.zeros((2, 2)), (0.9, 0.0)), stands=True).converged
+
+
+def test_remarks():
+    """What is told of the result, of which nothing else need be."""
+
+    def told(lost=(), converged=True, noise=0.01, p_value=0.5, unfinished=0):
+        known = Precision(np.eye(2), tuple(map(np.array, lost)), converged, noise)
+        return remarks_of(("mu", "rate"), known, Overidentification(3.0, 1, p_value), unfinished, 900)
+
+    assert told() == ()
+    for options, sentence in (
+        ({"lost": [[False, True]]}, "rate has no influence on these moments"),
+        ({"lost": [[True, True]]}, "mu and rate cannot be told apart by these moments"),
+        ({"converged": False}, "The search has not found the minimum"),
+        ({"noise": 0.4}, "40% of what the derivatives seem to tell is their own error, .* take 7 times as many"),
+        ({"p_value": 1e-4}, "The model cannot have all moments at once"),
+        ({"unfinished": 2}, "2 of 900 simulated trajectories did not finish"),
+    ):
+        (remark,) = told(**options)
+        assert re.match(sentence, remark), remark
 
 
 def test_search_goes_back_where_there_is_nothing():
