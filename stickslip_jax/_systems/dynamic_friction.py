@@ -18,6 +18,7 @@ from .._fields import Choice, Quantity
 from .._types import FloatArray, FloatScalar, Number, Scalar
 from .friction import FrictionLaw, static_at_least
 from .prescribed import force_of_dynamic
+from .series_spring import BehindSpring
 
 _MU = "friction coefficient of a fast slip"
 _STATIC = "largest friction coefficient of a slow slip, at least mu"
@@ -65,6 +66,8 @@ class DynamicFriction(FrictionLaw):
         velocity: npt.ArrayLike | Recorded | Signal,
         normal_force: Number = 1.0,
         *,
+        series_stiffness: Number | None = None,
+        backlash: Number = 0.0,
         initial_state: Number | None = None,
         rtol: float = 1e-8,
         max_steps: int | None = None,
@@ -75,8 +78,10 @@ class DynamicFriction(FrictionLaw):
         Args:
             times: s, increasing, (times,), at least 2.
             velocity: The relative velocity at these times, m/s, (times,), joined by straight lines; or a `Recorded` or
-                `Signal` such as `Harmonic`, of the same times.
-            normal_force: N, positive.
+                `Signal` such as `Harmonic`, of the same times. With a spring, that of the end of the spring.
+            normal_force: N, zero or positive; one number, or without a spring one for each time.
+            series_stiffness: N/m, of a spring in front of the contact, for `Dahl` and `BoucWen`.
+            backlash: The free play in front of the spring, m. It begins in the middle, if there is no force.
             initial_state: The inner state at the first time; by default that at rest.
             rtol: Relative tolerance of the integration, by diffrax' ``Kvaerno5``, implicit and of fifth order. The
                 absolute one is as small a part of the inner state at which the law slips steadily.
@@ -89,11 +94,25 @@ class DynamicFriction(FrictionLaw):
             which the steps were used up.
 
         Raises:
-            ValueError: For times that do not increase, velocities of another length, and numbers out of range; and
-                where the steps were used up, unless JAX traces the numbers.
+            ValueError: For times that do not increase, velocities of another length, and numbers out of range; for a
+                spring in front of a law that depends on the speed; and where the steps were used up, unless JAX traces
+                the numbers.
         """
         start = self.initial_state if initial_state is None else initial_state
-        return force_of_dynamic(self, times, velocity, normal_force, start, rtol, max_steps, adjoint)
+        _checks.bounded("initial_state", start)
+        if series_stiffness is None:
+            _checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
+            return force_of_dynamic(self, times, velocity, normal_force, start, rtol, max_steps, adjoint)
+        law = self.behind_spring(series_stiffness, backlash, normal_force)
+        return force_of_dynamic(law, times, velocity, normal_force, law.start(start), rtol, max_steps, adjoint)
+
+    def behind_spring(self, series_stiffness: Number, backlash: Number, normal_force: Number) -> BehindSpring:
+        """The law behind a spring (N/m) with a free play (m). Raises ValueError where such a slider may jump."""
+        raise ValueError(
+            f"Argument series_stiffness must be None for {type(self).__name__}, but {_checks.show(series_stiffness)} "
+            "was given: where friction depends on the speed such a slider may jump, with Dahl and BoucWen it does not. "
+            "Give it a mass: write mass, spring and backlash as a SwitchedSystem."
+        )
 
     @property
     def state_scale(self) -> Scalar:
@@ -110,6 +129,16 @@ class _Bristles(DynamicFriction):
     @property
     def inner_state(self) -> str:
         return "deflection in m"
+
+    def behind_spring(self, series_stiffness: Number, backlash: Number, normal_force: Number) -> BehindSpring:
+        owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("rate", "coefficient")]
+        if any(kind.__module__ != __name__ for kind in owners):  # a subclass may depend on the speed
+            return DynamicFriction.behind_spring(self, series_stiffness, backlash, normal_force)
+        _checks.positive("series_stiffness", series_stiffness, "N/m")
+        _checks.bounded("backlash", backlash, "m", at_least=0)
+        _checks.positive("normal_force", normal_force, "N")
+        softness = jnp.asarray(normal_force * self.stiffness / series_stiffness)
+        return BehindSpring(self, softness, jnp.asarray(backlash) / 2)
 
     @property
     def static(self) -> Scalar:

@@ -32,7 +32,6 @@ def force_of_dynamic(
     """See `DynamicFriction.force`."""
     times, motion = _checked(times, velocity)
     normal = _normal(normal_force, times)
-    _checks.bounded("initial_state", start)
     _checks.positive("rtol", rtol)
     most = (
         _FEW + _EACH * len(times) if max_steps is None else _checks.whole_number("max_steps", max_steps, maximum=_MOST)

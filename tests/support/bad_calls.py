@@ -110,9 +110,9 @@ def laws_with_a_memory() -> Iterator[Target]:
         ss.Dahl(0.3, 1e3).force, **motion, initial_state=(None, "optional number"), rtol=(1e-6, "positive"),
         max_steps=(None, "optional whole"), adjoint=(None, "optional never"),
     )  # fmt: skip
-    yield fields(
-        ss.Coulomb(0.3).force, **motion, series_stiffness=(1e3, "optional positive"), backlash=(1e-3, "not negative"),
-    )  # fmt: skip
+    spring = {"series_stiffness": (1e3, "optional positive"), "backlash": (1e-3, "not negative")}
+    yield fields(ss.Dahl(0.3, 1e3).force, **motion, **spring)
+    yield fields(ss.Coulomb(0.3).force, **motion, **spring)
 
 
 def constructors() -> Iterator[Target]:

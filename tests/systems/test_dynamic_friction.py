@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import stickslip_jax as ss
 
@@ -159,6 +160,53 @@ def test_spring_and_backlash_in_front(kind):
     assert np.ptp(np.asarray(found)) == pytest.approx(8.0, abs=1e-9)
 
 
+def branch(law, normal, x, turn):
+    """The force after the contact has slipped by `x` since its force was `turn`, forward: closed forms of both laws."""
+    most, slope = normal * 0.4, normal * 200.0
+    if isinstance(law, ss.Dahl):
+        return most + (turn - most) * math.exp(-slope * x / most)
+    if turn < 0:  # unloads as a spring, then the curve of the first loading
+        return turn + slope * x if turn + slope * x < 0 else most * math.tanh((turn + slope * x) / most)
+    return most * math.tanh(slope * x / most + math.atanh(turn / most))
+
+
+def forces_behind_a_spring(law, normal, stiffness, backlash, moves):
+    """The force at the ends of moves to and fro of the spring's end: how slip, spring and play share each of them."""
+    force, play, found = 0.0, 0.0, []
+    for move in moves:
+        way = np.sign(move)
+
+        def left(slip, start=way * force, play=way * play, move=move):
+            value = branch(law, normal, slip, start)
+            return slip + (value - start) / stiffness + np.sign(value) * backlash / 2 - play - abs(move)
+
+        start, slip = way * force, brentq(left, 0.0, 1.0, xtol=1e-16)
+        end = branch(law, normal, slip, start)
+        passed = abs(move) - slip - (end - start) / stiffness  # of the play
+        force, play = way * end, way * min(way * play + passed, backlash / 2)
+        found.append(force)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("backlash", [0.0, 1e-3])
+@pytest.mark.parametrize("law", [ss.Dahl(0.4, 200.0), ss.BoucWen(0.4, 200.0)], ids=["Dahl", "Bouc-Wen"])
+def test_bristles_behind_a_spring_with_backlash(law, backlash):
+    """Forces at the turns of moves to and fro, and their derivatives, against the curves of the laws in closed form."""
+    moves = np.array([0.004, -0.0025, 0.005, -0.008, 0.006, -0.007, 0.006])  # the second ends within the play
+    velocity = np.append(np.stack([np.zeros(7), 2 * moves], axis=1).ravel(), 0.0)  # from rest to rest, in 1 s each
+
+    def force(stiffness):
+        times, adjoint = np.arange(15) / 2, diffrax.ForwardMode()
+        return law.force(
+            times, velocity, 2.5, series_stiffness=stiffness, backlash=backlash, rtol=1e-9, adjoint=adjoint
+        )[2::2]  # fmt: skip
+
+    expected, low, high = (forces_behind_a_spring(law, 2.5, k, backlash, moves) for k in (800.0, 799.9, 800.1))
+    np.testing.assert_allclose(force(800.0), expected, rtol=0, atol=1e-6)
+    assert np.ptp(expected) > 1.5
+    np.testing.assert_allclose(jax.jacfwd(force)(800.0), (high - low) / 0.2, rtol=0, atol=1e-7)
+
+
 @pytest.mark.parametrize("law", [LUGRE, AGEING], ids=["LuGre", "ageing"])
 def test_derivatives(law):
     """Of the work done by the force with respect to every number of the law: both modes, against differences."""
@@ -181,6 +229,13 @@ def test_derivatives(law):
     np.testing.assert_allclose(backward, differences, rtol=2e-4, atol=1e-4)
 
 
+class Quick(ss.Dahl):
+    """Bristles that follow the square of the speed."""
+
+    def rate(self, z, velocity):
+        return velocity * jnp.abs(velocity) - z
+
+
 def test_what_does_not_fit_is_told(annotations_unchecked):
     times, still = [0.0, 1.0], [0.1, 0.1]
     coulomb = ss.Coulomb(0.3)
@@ -189,6 +244,9 @@ def test_what_does_not_fit_is_told(annotations_unchecked):
         (lambda: LUGRE.force(times, [0.1]), "Argument velocity must have one number for each of the 2 times"),
         (lambda: LUGRE.force(times, ss.Recorded([0.0, 0.5], [0.1, 0.1])), "within the record of 0.5 s"),
         (lambda: LUGRE.force(times, still, -1.0), "Argument normal_force must be zero or positive"),
+        (lambda: LUGRE.force(times, still, series_stiffness=1.0), "Argument series_stiffness must be None for LuGre"),
+        (lambda: Quick(0.4, 1e3).force(times, still, series_stiffness=1.0), "series_stiffness must be None for Quick"),
+        (lambda: ss.Dahl(0.4, 1e3).force(times, still, backlash=0.1), "give the series_stiffness too"),
         (lambda: LUGRE.force([0.0, 1e300], still), "Argument times must be between"),
         (lambda: LUGRE.force(times, [0.1, 1e300]), "Argument velocity must be between"),
         (lambda: LUGRE.force(times, still, [1.0, 1e300]), "Argument normal_force must be between"),
