@@ -48,26 +48,45 @@ TRUTH = np.array([0.8, 1.2])
 LOW, HIGH = np.array([0.2, 0.2]), np.array([2.0, 3.0])  # of the uniform prior
 system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(1.0))
 law = ss.PoissonSwitching(speed=1.0, rate=1.0)
-simulator = ss.stick_simulator(system, law, wrt=NAMES, t1=100.0, realizations=RECORDINGS)
-observed = simulator(TRUTH[None], jax.random.key(8))[0]
-print(f"{observed[0]:.1f} sticks in 100 s, of {observed[1]:.2f} s in all")
+
+
+def summaries(many):
+    """Of each sample: number of sticks, their total time, and the sums of squared durations of sticks and slips."""
+    squares = [np.nansum(np.square(each.duration), axis=1) for each in (many.sticks, many.slips)]
+    return np.column_stack([many.totals.sticks, many.totals.stick_time, *squares])
+
+
+options = {"wrt": NAMES, "t1": 100.0, "realizations": RECORDINGS}
+simulator = ss.stick_simulator(system, law, summaries=summaries, **options)
+observed = simulator(TRUTH[None], jax.random.key(0))[0]
+print("observed, means of ten recordings:", observed.round(2))
 
 # %% [markdown]
 # ## A million trajectories
+#
+# In batches, each with a key of its own: all sticks of a batch are in memory, for summaries of one's own. The default
+# summaries, number and total time, keep none, and take a batch of any size.
 
 # %%
 rows = np.random.default_rng(0).uniform(LOW, HIGH, size=(ROWS, 2))
-simulator(rows[:500], jax.random.key(1))  # compiles
+batches = np.array_split(rows, max(1, ROWS // 5000))
+simulator(batches[0][:500], jax.random.key(1))  # compiles
 started = time.perf_counter()
-simulated = simulator(rows, jax.random.key(2))
+keys = jax.random.split(jax.random.key(2), len(batches))
+simulated = np.concatenate([simulator(batch, key) for batch, key in zip(batches, keys, strict=True)])
 seconds = time.perf_counter() - started
 trajectories = ROWS * RECORDINGS
 print(f"{trajectories} trajectories of 100 s in {seconds:.1f} s: {trajectories / seconds:.0f} per second")
+totals = ss.stick_simulator(system, law, **options)
+totals(batches[0][:500], jax.random.key(1))
+started = time.perf_counter()
+totals(rows, jax.random.key(2))
+print(f"the default summaries: {trajectories / (time.perf_counter() - started):.0f} per second")
 
 # %% [markdown]
 # ## Rejection
 #
-# The distance: the difference of both summaries over their spread in the prior. The nearest are kept. Then a linear
+# The distance: the differences of the summaries over their spread in the prior. The nearest are kept. Then a linear
 # regression on the summaries moves each to where it would be with exactly the observed ones (Beaumont, Zhang and
 # Balding, *Genetics* 162, 2002).
 
@@ -104,9 +123,9 @@ panels[0].plot(*TRUTH, "r*", ms=12, label="truth")
 panels[0].set(xlabel="mu", ylabel="rate (1/s)", title="posterior")
 panels[0].legend()
 again = simulator(adjusted[: min(KEPT, 1000)], jax.random.key(3))
-panels[1].plot(*simulated[:3000].T, ".", ms=2, color="0.7", label="prior")
-panels[1].plot(*again.T, ".", ms=3, color="#0072B2", label="posterior, simulated again")
-panels[1].plot(*observed, "r*", ms=12, label="observed")
+panels[1].plot(*simulated[:3000, :2].T, ".", ms=2, color="0.7", label="prior")
+panels[1].plot(*again[:, :2].T, ".", ms=3, color="#0072B2", label="posterior, simulated again")
+panels[1].plot(*observed[:2], "r*", ms=12, label="observed")
 panels[1].set(xlabel="number of sticks", ylabel="total stick time (s)", title="summaries")
 panels[1].legend()
 plt.show()

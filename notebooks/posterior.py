@@ -28,16 +28,16 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-import numpyro
-from numpyro import distributions
-from numpyro.infer import MCMC, NUTS
 from scipy import stats
 
 import stickslip_jax as ss
 
-with warnings.catch_warnings():  # arviz announces its next version
-    warnings.simplefilter("ignore", FutureWarning)
+with warnings.catch_warnings():  # arviz announces its next version; tqdm misses the widgets of its bars
+    warnings.simplefilter("ignore")
     import arviz as az
+    import numpyro
+    from numpyro import distributions
+    from numpyro.infer import MCMC, NUTS
 
 jax.config.update("jax_enable_x64", True)
 
@@ -164,7 +164,7 @@ for name in ("mu", "stiffness"):
         errors.append(float(az.mcse(data, var_names=[name])[name]))
     worst = max(worst, abs(means[0] - means[1]) / np.hypot(*errors))
     spread, gaussian = float(by_numpyro.posterior[name].std()), found[name].standard_error
-    print(f"{name}: standard deviation {spread:.5f} {UNITS[name]}, standard error by calibrate {gaussian:.5f}")
+    print(f"{name}: standard deviation {spread:.5f}, standard error by calibrate {gaussian:.5f}")
 print(f"the means of both samplers agree within 4.5 of their errors: {worst < 4.5}")
 
 # %% [markdown]
@@ -198,7 +198,7 @@ PRIOR = (0.4, 0.05)  # mean and standard deviation of mu, normal
 NOISE = 0.1
 STATIC = 0.9
 LAWS = ("mu_static = 0.9", "plain Coulomb")
-RECORDS = max(6, DRAWS // 25)  # of each law
+RECORDS = max(6, DRAWS // 40)  # of each law
 GRID = jnp.linspace(0.2, 0.6, 2001)
 truths = np.append(0.4, np.random.default_rng(5).normal(*PRIOR, size=RECORDS - 1))  # the first one is shown
 
@@ -258,9 +258,11 @@ plt.show()
 
 # %% [markdown]
 # What NUTS makes of it: its proposals follow derivatives that do not know of the jump, but each is accepted by the
-# density itself. So its draws are right, jump or not; it needs more of them. The adapted step gets shorter, or fewer
-# proposals are accepted, and draws are more alike. Measured over all records: z-scores of the means by NUTS against
-# those by quadrature (standard deviation 1 where they are right), and what an independent draw costs.
+# density itself. So its draws are right, jump or not; it needs more of them: steps get shorter, and draws more alike.
+# Measured over all records: z-scores of the means by NUTS against those by quadrature (standard deviation 1 where they
+# are right), and what an independent draw costs. With 40 records of each law: 20 gradients for an independent draw where
+# the density jumps, 7 where it does not, no divergence in either. Effective sample sizes are somewhat optimistic where a
+# chain seldom crosses the jump: the largest of the 40 z-scores was 4.2 with the jump, 3.4 without.
 
 
 # %%

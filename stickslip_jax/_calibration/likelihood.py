@@ -42,8 +42,8 @@ class LogLikelihood(eqx.Module):
     It is minus infinity, with derivative zero, for numbers outside the bounds of their fields, for static friction
     below kinetic friction, for noise that is not positive, and where the motion does not reach the end of the record.
     Otherwise its derivatives are exact; they are computed in forward mode, and reverse mode multiplies by them. They
-    hold between events: where a stick appears or vanishes as the numbers change, the motion after it may have a kink or
-    a jump (a jump where `mu_static` is above `mu`, for example). `jax.hessian` gives second derivatives.
+    hold between events: where a stick appears or vanishes as the numbers change, the motion after it may have a kink,
+    or a jump (where `mu_static` is above `mu`, for example). `jax.hessian` gives second derivatives.
 
     - `names`: of the numbers, in their order. `first_guess`: their values in the system, the base and the start, in
       their own units, (parameters,).

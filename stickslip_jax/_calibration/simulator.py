@@ -46,8 +46,8 @@ class StickSimulator:
     def __call__(self, parameters: npt.ArrayLike, key: Array | None) -> np.ndarray:
         """The summaries of each row of `parameters` (batch, parameters), simulated with `key`: (batch, summaries).
 
-        Row i uses the realisations ``i * realizations``, ... that `key` draws: give each batch a key of its own (None
-        where nothing is random). Rows of which a realisation did not reach `t1` are NaN, and a warning says how many.
+        Row i uses the realisations ``i * realizations``, ... that `key` draws (None where nothing is random): give each
+        batch a key of its own. Rows of which a realisation did not reach `t1` are NaN, and a warning says how many.
 
         Raises:
             ValueError: For another shape, and for numbers that are not finite or outside the bounds of their fields.

@@ -30,6 +30,8 @@ FIGURES = {
     "structures": 5,
     "nonlinear": 5,
     "measured_friction": 2,
+    "posterior": 3,
+    "abc": 2,
 }
 """And how many figures each draws."""
 PRINTED = {
@@ -166,6 +168,17 @@ PRINTED = {
         r"no chaotic motion repeats itself: True",
         r"2 attractors, shares \[0\.\d+ 0\.\d+\]",
         r"the unstable cycle: converged True, stable False",
+    ),
+    "posterior": (
+        r"(?s)(divergences: 0 of \d+.*){2}",
+        r"the means of both samplers agree within 4\.5 of their errors: True",
+        r"(?s)(means are right: True.*){2}",
+        r"(?s)(not rejected: True.*){2}",
+    ),
+    "abc": (
+        r"the truth is within 99 % of each: True",
+        r"mu, adjusted: p = \S+; not rejected: True",
+        r"rate, adjusted: p = \S+; not rejected: True",
     ),
 }
 """And what each prints, as regular expressions: numbers that do not depend on the number of samples."""
