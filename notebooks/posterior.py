@@ -259,10 +259,10 @@ plt.show()
 # %% [markdown]
 # What NUTS makes of it: its proposals follow derivatives that do not know of the jump, but each is accepted by the
 # density itself. So its draws are right, jump or not; it needs more of them: steps get shorter, and draws more alike.
-# Measured over all records: z-scores of the means by NUTS against those by quadrature (standard deviation 1 where they
-# are right), and what an independent draw costs. With 40 records of each law: 20 gradients for an independent draw where
-# the density jumps, 7 where it does not, no divergence in either. Effective sample sizes are somewhat optimistic where a
-# chain seldom crosses the jump: the largest of the 40 z-scores was 4.2 with the jump, 3.4 without.
+# Measured over all records: z-scores of the means by NUTS against those by quadrature (standard deviation 1 where
+# they are right), and what an independent draw costs. With 40 records of each law: 20 gradients for an independent
+# draw where the density jumps, 7 where it does not, no divergence in either. Effective sample sizes are somewhat
+# optimistic where a chain seldom crosses the jump: the largest of the 40 z-scores was 4.2 with the jump, 3.4 without.
 
 
 # %%

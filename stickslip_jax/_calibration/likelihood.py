@@ -195,7 +195,8 @@ def log_likelihood(
     >>> times = [0.1 * i for i in range(100)]
     >>> seen = ss.simulate(system, base, t1=10.0, y0=(0.3, 0.0)).evaluate(times)[0]
     >>> likelihood = ss.log_likelihood(
-    ...     system, base, times, {"position": seen}, wrt="mu", noise={"position": 0.01}, y0=(0.3, 0.0)
+    ...     system, base, times, {"position": seen},
+    ...     wrt="mu", noise={"position": 0.01}, y0=(0.3, 0.0),
     ... )
     >>> print(f"{likelihood({'mu': 0.7}):.2f}, {likelihood({'mu': -0.7})}")
     368.62, -inf
