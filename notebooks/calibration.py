@@ -20,7 +20,6 @@
 import os
 
 import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -28,8 +27,8 @@ import stickslip_jax as ss
 
 jax.config.update("jax_enable_x64", True)
 
-SAMPLES = int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "1024"))
-SAMPLES = max(512, -(-SAMPLES // 256) * 256)  # of each simulation in the fit; ss.differentiable rounds up so too
+SAMPLES = int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "4096"))
+SAMPLES = max(2048, SAMPLES)  # of each simulation in the fit: with fewer its derivatives are too noisy
 T1, START = 60.0, (ss.Uniform(-0.5, 0.5), ss.Uniform(-0.5, 0.5))
 
 # %% [markdown]
@@ -85,153 +84,109 @@ same = np.array_equal(single.finished_sticks().duration, double.finished_sticks(
 print(f"mu, speed and start doubled: the same durations to the last bit: {same}")
 
 # %% [markdown]
-# ## The model and its derivative
-# The model gives the mean stick duration at each of the three speeds as a function of `mu` and rate.
-# `ss.differentiable` corrects its derivative for sticks that appear and vanish. Beside it the naive derivative: what
-# JAX makes of the mean over simulated sticks, when the number of sticks is a constant to it.
+# ## The fit
+# `ss.calibrate_sticks` finds the parameters with which simulations have the mean durations that were observed at the
+# three speeds. It weights them by their errors and adds those of the simulations. The derivatives it needs are
+# corrected for sticks that appear and vanish.
 
 # %%
 KEY = jax.random.key(1)
-duration = ss.differentiable(
-    ss.mean_stick_duration,
-    ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0)),
-    ss.PoissonSwitching(speed=1.0, rate=1.0),
-    wrt=("mu", "rate", "speed"), t1=T1, samples=SAMPLES, key=KEY, y0=START,
-)  # fmt: skip
 
 
-def corrected(parameters):
-    """The mean duration at each speed, twice: to differentiate, and as it is."""
-    values = jax.lax.map(lambda speed: duration(jnp.append(parameters, speed)), jnp.asarray(SPEEDS))
-    return values, values
+def calibrated(data, key, moments):
+    """The fit to the recordings of all experiments, from guesses that are far off."""
+    guess = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=0.7))
+    laws = [ss.PoissonSwitching(speed=speed, rate=0.5) for speed in SPEEDS]
+    return ss.calibrate_sticks(
+        guess, laws, data, wrt=("mu", "rate"), samples=SAMPLES, key=key, y0=START, moments=moments
+    )
 
 
-def naive(parameters):
-    """The same, differentiated through the simulation of each sample."""
-    system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(parameters[0]))
-
-    def at(speed):
-        def one(number):
-            key = jax.random.fold_in(KEY, number)
-            start = jax.random.uniform(jax.random.fold_in(key, 7), (2,), minval=-0.5, maxval=0.5)
-            base = ss.PoissonSwitching(speed, parameters[1]).sample(key, T1, capacity=250)
-            run = ss.simulate(system, base, t1=T1, y0=(start[0], start[1]))
-            return run.stick_time, run.sticks.count
-
-        time, number = jax.vmap(one)(jnp.arange(SAMPLES))
-        return jnp.sum(time) / jnp.sum(number)
-
-    values = jax.lax.map(at, jnp.asarray(SPEEDS))
-    return values, values
-
-
-# Forward mode: there are two parameters. Each returns the derivative (speeds, 2) and the value (speeds,).
-models = {model.__name__: jax.jit(jax.jacfwd(model, has_aux=True)) for model in (corrected, naive)}
-slopes = {name: np.asarray(model(jnp.asarray(TRUE))[0]) for name, model in models.items()}
+found = calibrated(observed, KEY, [ss.mean_stick_duration])
+print(found)
+for name, true in zip(found, TRUE, strict=True):
+    print(f"{name}: the truth is {abs(found[name] - true) / found[name].standard_error:.1f} standard errors away")
 
 # %% [markdown]
-# Which one is right, a central difference over 10 % of `mu` tells. It needs no derivative at all.
+# Three mean durations determine two parameters, with one degree of freedom left for Hansen's test of the model. More is
+# known of the recordings: by default the fit takes their total stick times, numbers of sticks, squared durations and
+# first starts, and is more certain.
 
 # %%
+whole = calibrated(observed, KEY, None)
+for name in found:
+    print(f"{found[name]} from mean durations, {whole[name].without_name()} from {len(whole.moments)} moments")
+
+# %% [markdown]
+# ## The derivative
+# Beside the corrected derivative the naive one: what JAX makes of the mean over simulated sticks, when the number of
+# sticks is a constant to it. Which one is right, a central difference over 10 % of `mu` tells. It needs no derivative
+# at all.
+
+# %%
+slopes = [
+    ss.sensitivity(
+        ss.mean_stick_duration, system, law, wrt=("mu", "rate"), t1=T1, samples=4 * SAMPLES, key=KEY, y0=START
+    )
+    for system, law in zip(found.systems, found.laws, strict=True)
+]  # fmt: skip
 ends = [
     np.array([ss.mean_stick_duration(simulated(TRUE * [factor, 1.0], speed, KEY, 4096)).value for speed in SPEEDS])
     for factor in (0.95, 1.05)
 ]
 difference = (ends[1] - ends[0]) / (0.1 * TRUE[0])
-for at, speed in enumerate(SPEEDS):
-    print(f"base speed {speed} m/s: d(mean duration)/d(mu) = {slopes['corrected'][at, 0]:.3f} s corrected, "
-          f"{slopes['naive'][at, 0]:.3f} s naive, {difference[at]:.3f} s by differences")  # fmt: skip
+for speed, slope, change in zip(SPEEDS, slopes, difference, strict=True):
+    print(f"base speed {speed} m/s: d(mean duration)/d(mu) = {slope['mu'].derivative:.3f} s corrected, "
+          f"{slope['mu'].pathwise:.3f} s naive, {change:.3f} s by differences")  # fmt: skip
 
 # %% [markdown]
-# ## The fit
-# Gauss-Newton in the logarithms of the two parameters, with the standard errors of the observed means as weights.
-
-
-# %%
-def fit(model, data, start, steps=15):
-    """The path of the parameters (steps, 2), until a step changes them by less than 1e-3."""
-    seen = np.array([ss.mean_stick_duration(one).value for one in data])
-    weight = 1 / np.array([ss.mean_stick_duration(one).standard_error for one in data])
-    path = [np.asarray(start, float)]
-    for _ in range(steps):
-        slope, value = (np.asarray(part) for part in model(jnp.asarray(path[-1])))
-        move = np.linalg.lstsq(weight[:, None] * slope * path[-1], weight * (seen - value), rcond=None)[0]
-        path.append(path[-1] * np.exp(np.clip(move, -0.5, 0.5)))
-        if np.abs(move).max() < 1e-3:
-            break
-    return np.array(path)
-
-
-paths = {}
-for name, model in models.items():
-    paths[name] = fit(model, observed, (0.7, 0.5))
-    steps, (mu, rate) = len(paths[name]) - 1, paths[name][-1]
-    last = np.abs(np.diff(np.log(paths[name][-2:]), axis=0)).max()
-    print(f"{name}: mu = {mu:.4f}, rate = {rate:.4f} 1/s after {steps} steps, the last of {100 * last:.2g} %")
-
-# %% [markdown]
-# ## How certain is it
 # To first order the estimate is the truth plus `A` times the errors of the means, with `A = (J' W J)^-1 J' W`,
-# derivative `J` and weights `W`. The errors are those of the observations, independent of each other, and those of the
-# simulations, which see the same realisations at all three speeds; so their covariance matrix is needed.
+# derivative `J` and weights `W`. So wrong derivatives make wrong errors.
 
 
 # %%
-def errors(slope, fitted, data):
-    """Standard errors of the two parameters from the observations alone, and with those of the simulations."""
-    variance = np.array([ss.mean_stick_duration(one).standard_error ** 2 for one in data])
-    a = np.linalg.solve(slope.T @ (slope / variance[:, None]), slope.T / variance)
-    parts = []
-    for speed in SPEEDS:
-        totals = simulated(fitted, speed, KEY, SAMPLES).totals
-        ratio = totals.stick_time.mean() / totals.sticks.mean()
-        parts.append((totals.stick_time - ratio * totals.sticks) / totals.sticks.mean())
-    both = np.diag(variance) + np.cov(parts) / SAMPLES
-    return np.sqrt(np.diag(a @ np.diag(variance) @ a.T)), np.sqrt(np.diag(a @ both @ a.T))
+def covariance(kind):
+    """Of the two parameters, if this `kind` of derivative were the right one."""
+    j = np.array([[getattr(slope[name], kind) for name in found] for slope in slopes])
+    return np.linalg.inv(j.T @ (j / np.array([[one.error**2] for one in found.moments])))
 
 
-estimate = paths["corrected"][-1]
-slope = np.asarray(models["corrected"](jnp.asarray(estimate))[0])
-alone, whole = errors(slope, estimate, observed)
-for at, (name, unit) in enumerate((("mu", ""), ("rate", " 1/s"))):
-    print(f"{name} = {estimate[at]:.3f} +- {whole[at]:.3f}{unit}, of which {alone[at]:.3f} from the observations; "
-          f"the truth is {abs(estimate[at] - TRUE[at]) / whole[at]:.1f} standard errors away")  # fmt: skip
-too_small = errors(np.asarray(models["naive"](jnp.asarray(estimate))[0]), estimate, observed)[1]
-print(f"with the naive derivative the standard error of mu would be {too_small[0]:.3f}")
+naive = covariance("pathwise")
+for at, name in enumerate(found):
+    print(
+        f"standard error of {name}: {found[name].standard_error:.4f}, by the naive derivative {naive[at, at] ** 0.5:.4f}"
+    )
 
 # %% [markdown]
 # ## Twelve times again
-# Other recordings, same truth. The simulations of the fit stay the same, so the scatter of the estimates is due to the
-# observations alone, and must be what the delta method says.
+# Other recordings and other simulations, same truth. The estimates must scatter by their standard errors.
 
 # %%
 REPEATS = 12  # of the three experiments
-again = np.array([fit(models["corrected"], observe(1 + at), estimate, steps=4)[-1] for at in range(REPEATS)])
-scatter = again.std(axis=0, ddof=1)
-for at, name in enumerate(("mu", "rate")):
-    print(f"{name}: scatter of {REPEATS} estimates {scatter[at]:.4f} +- {scatter[at] / np.sqrt(2 * REPEATS - 2):.4f}, "
-          f"by the delta method {alone[at]:.4f}")  # fmt: skip
-near = np.abs(again - TRUE) < 3 * whole
-print(
-    f"within 3 standard errors of the truth: mu {near[:, 0].sum()} of {REPEATS}, rate {near[:, 1].sum()} of {REPEATS}"
-)
+again = [calibrated(observe(1 + at), jax.random.fold_in(KEY, at), [ss.mean_stick_duration]) for at in range(REPEATS)]
+for name, true in zip(found, TRUE, strict=True):
+    values = np.array([float(one[name]) for one in again])
+    error, scatter = np.mean([one[name].standard_error for one in again]), values.std(ddof=1)
+    near = np.sum(abs(values - true) < 3 * error)
+    print(f"{name}: scatter of {REPEATS} estimates {scatter:.4f} +- {scatter / np.sqrt(2 * REPEATS - 2):.4f}, "
+          f"standard error {error:.4f}; within 3 of it from the truth: {near} of {REPEATS}")  # fmt: skip
 
 # %% [markdown]
-# ## The misfit and the two paths
-# The sum of squares of the misfits, each over its standard error, from a parameter sweep with the realisations of the
-# fit, and the paths of both iterations.
+# ## The misfit
+# The sum of squares of the misfits, each over its standard error, from a parameter sweep with one set of realisations,
+# and the regions that hold the truth with a probability of 95 %, by both derivatives.
 
 # %%
 sweep = ss.Sweep(
     ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0)),
     ss.PoissonSwitching(speed=1.0, rate=1.0),
-    over={"mu": np.linspace(0.6, 1.6, 9), "rate": np.linspace(0.3, 1.5, 7), "speed": SPEEDS},
+    over={"mu": np.linspace(1.1, 1.3, 9), "rate": np.linspace(0.4, 1.4, 9), "speed": SPEEDS},
     t1=T1, samples=SAMPLES, key=KEY, y0=START, keep="totals", statistics=["mean_stick_duration"],
 )  # fmt: skip
 grid = sweep.run(progress=False)
-misfit = np.zeros((9, 7))
-for at, one in enumerate(map(ss.mean_stick_duration, observed)):
-    misfit += ((grid.mean_stick_duration.isel(speed=at).values - one.value) / one.standard_error) ** 2
+misfit = np.zeros((9, 9))
+for speed, one in zip(SPEEDS, found.moments, strict=True):
+    misfit += ((grid.mean_stick_duration.sel(speed=speed).values - one.observed.value) / one.error) ** 2
 
 # %%
 figure, ax = plt.subplots(figsize=(7.5, 5), layout="constrained")
@@ -239,9 +194,12 @@ ss.plot.parameter_map(
     grid.mu.values, grid.rate.values, misfit, xlabel="friction coefficient mu", ylabel="switching rate in 1/s",
     label="sum of squares of misfits / standard errors", log=True, contours=False, ax=ax,
 )  # fmt: skip
-ax.plot(*TRUE, "D", ms=11, mew=2, mfc="none", mec="#0072B2", ls="none", label="truth")
-for (name, path), color, marker in zip(paths.items(), ("#000000", "#CC79A7"), ("o", "s"), strict=True):
-    ax.plot(*path.T, marker=marker, ms=4, lw=1.2, color=color, label=f"{name}, {len(path) - 1} steps")
+around = np.stack([np.cos(turn := np.linspace(0, 2 * np.pi, 100)), np.sin(turn)])
+center = np.array([[float(found[name])] for name in found])
+for matrix, color, name in ((found.covariance, "#000000", "corrected"), (naive, "#CC79A7", "naive")):
+    edge = center + np.sqrt(5.99) * np.linalg.cholesky(matrix) @ around  # 95 % of a chi-squared of 2
+    ax.plot(*edge, lw=1.6, color=color, label=name)
+ax.plot(*TRUE, "D", ms=9, mew=2, mfc="none", mec="#0072B2", ls="none", label="truth")
 ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
 plt.show()
 
@@ -252,7 +210,8 @@ plt.show()
 # truth differ as well; how much, says a second set of them.
 
 # %%
-fitted, first = (simulated(point, 1.0, KEY, SAMPLES) for point in (estimate, paths["corrected"][0]))
+points = [float(one) for one in found.values()], (0.7, 0.5)
+fitted, first = (simulated(point, 1.0, KEY, SAMPLES) for point in points)
 sets = {"observed": observed[1], "observed again": observe(1)[1], "fitted": fitted, "at the start of the fit": first}
 durations = {name: one.statistics.duration for name, one in sets.items()}
 bins = ss.common_bins(list(durations.values()), bins=40)
@@ -276,5 +235,6 @@ plt.show()
 
 # %% [markdown]
 # **Verdict.** Three mean durations at known speeds determine friction coefficient and rate, and the estimates scatter
-# as the delta method says. The naive derivative by `mu` is about one and a half times the right one. With it the
-# iteration had not settled after 15 steps, and the standard error of `mu` would come out too small.
+# by their standard errors. The naive derivative by `mu` is more than one and a half times the right one, and that by the
+# rate is wrong too: the standard error of the rate would come out several times too large. More moments of the same
+# recordings make both parameters more certain.
