@@ -153,9 +153,8 @@ def covariance(kind):
 
 naive = covariance("pathwise")
 for at, name in enumerate(found):
-    print(
-        f"standard error of {name}: {found[name].standard_error:.4f}, by the naive derivative {naive[at, at] ** 0.5:.4f}"
-    )
+    right, wrong = found[name].standard_error, np.sqrt(naive[at, at])
+    print(f"standard error of {name}: {right:.4f}, by the naive derivative {wrong:.4f}")
 
 # %% [markdown]
 # ## Twelve times again
@@ -235,6 +234,6 @@ plt.show()
 
 # %% [markdown]
 # **Verdict.** Three mean durations at known speeds determine friction coefficient and rate, and the estimates scatter
-# by their standard errors. The naive derivative by `mu` is more than one and a half times the right one, and that by the
-# rate is wrong too: the standard error of the rate would come out several times too large. More moments of the same
-# recordings make both parameters more certain.
+# by their standard errors. The naive derivative by `mu` is more than one and a half times the right one, and that by
+# the rate is wrong too: the standard error of the rate would come out several times too large. More moments of the
+# same recordings make both parameters more certain.

@@ -133,6 +133,7 @@ PRINTED = {
         r"base speed 0\.7 m/s, 9477 sticks: mean stick duration \(pooled\): 0\.4301 \+- 0\.0025 s",
         r"mu, speed and start doubled: the same durations to the last bit: True",
         r"naive, 0\.268 s by differences",
+        r"mu: 1\.20\d* \+- 0\.0\d+ from mean durations, 1\.20\d* \+- 0\.00\d+ from 12 moments",
     ),
     "scaling": (
         r"numbers that are those of a sweep never stopped: (\d+) of \1\b",

@@ -14,6 +14,7 @@ DOCUMENTS = {
     "docs/designs.md": 8,
     "docs/howto/animation.md": 2,
     "docs/howto/calibration.md": 3,
+    "docs/howto/calibration_sticks.md": 2,
     "docs/howto/contacts.md": 11,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 10,
