@@ -35,7 +35,7 @@ class MomentFit(NamedTuple):
     def __str__(self) -> str:
         return (
             f"{self.observed.name}: observed {self.observed.without_name()}, fitted {self.fitted.without_name()}, "
-            f"{self.residual:+.1f} standard errors"
+            f"z = {self.residual:+.1f}"
         )
 
 
