@@ -34,7 +34,7 @@ class MomentFit(NamedTuple):
 
     def __str__(self) -> str:
         return (
-            f"{self.observed.name}: observed {self.observed.without_name()}, fitted {self.fitted.without_name()}, "
+            f"{self.observed.name}: {self.observed.without_name()}, fitted {self.fitted.without_name()}, "
             f"z = {self.residual:+.1f}"
         )
 
