@@ -75,7 +75,8 @@ def calibrate_sticks(
         y0: Initial state of all experiments, as for `sensitivity`.
         moments: What is compared: statistics of sticks as `sensitivity` takes them, a list. By default the mean total
             stick time, the mean number of sticks, the mean sum of squared durations, and the mean time to the first
-            stick. The likelihood takes means over all realisations, no ratios such as `mean_stick_duration`.
+            stick, but for those that are the same in all recordings. The likelihood takes means over all realisations,
+            no ratios such as `mean_stick_duration`.
         objective: "moments" or "likelihood".
         estimator: Of the derivatives: "corrected" for sticks that appear and vanish, or "finite-difference" with common
             random numbers over 10 % of each parameter. By default the one with the smaller error in the same time:
