@@ -192,7 +192,7 @@ def log_likelihood(
 
     >>> system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.7))
     >>> base = ss.Harmonic(0.8, 1.3)
-    >>> times = [0.1 * i for i in range(100)]
+    >>> times = 0.1 * jax.numpy.arange(100)
     >>> seen = ss.simulate(system, base, t1=10.0, y0=(0.3, 0.0)).evaluate(times)[0]
     >>> likelihood = ss.log_likelihood(
     ...     system, base, times, {"position": seen},

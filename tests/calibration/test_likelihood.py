@@ -117,6 +117,18 @@ def test_a_motion_that_needs_more_steps_than_there_are(record):
     assert_allclose(slope, 0)
 
 
+def test_a_channel_that_has_no_value():
+    def root(one, times):
+        return jnp.sqrt(one.evaluate(times)[0] - 10.0)
+
+    of = ss.log_likelihood(
+        SYSTEM, BASE, TIMES, {"root": 0 * TIMES}, wrt="mu", noise={"root": 1.0}, y0=START, observe={"root": root}
+    )
+    value, slope = jax.value_and_grad(of)(jnp.asarray([0.7]))
+    assert value == -np.inf
+    assert_allclose(slope, 0)
+
+
 def test_static_friction_below_kinetic_friction_is_impossible(record):
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.7, mu_static=0.8))
     of = ss.log_likelihood(system, BASE, TIMES, record, wrt=("friction.mu", "mu_static"), noise=NOISE, y0=START)
