@@ -1,5 +1,6 @@
 """Parameters from recordings of sticks: they are recovered, and their errors are what repeats scatter by."""
 
+import re
 import warnings
 from functools import cache
 
@@ -98,7 +99,8 @@ def test_estimates_know_their_correlation(found):
 def test_result_tells_itself(found):
     said = repr(found)
     assert said.startswith(f"{found['mu']}\n{found['rate']}\nHansen's test: ")
-    assert "mean number of sticks: observed " in said
+    assert all(str(one) in said for one in found.moments)
+    assert re.search(r"mean number of sticks: [0-9.]+ \+- [0-9.]+, fitted [0-9.]+ \+- [0-9.]+, z = [+-][0-9.]+", said)
     assert "Hansen" in found._repr_html_()
     ax = plot.calibration_moments(found)
     assert [label.get_text() for label in ax.get_yticklabels()] == [one.observed.name for one in found.moments[::-1]]
