@@ -64,7 +64,7 @@ def _answer(tokens: Sequence[str]) -> int:
 def _run_or_fail(tokens: Sequence[str], left: str) -> int:
     try:
         # Imported only here, so that help and errors in the arguments appear without loading the simulation.
-        from .study._commands import run  # noqa: PLC0415 - needs the extra
+        from ._commands import run  # noqa: PLC0415 - needs the extra
         from .study._errors import StudyError  # noqa: PLC0415
     except ImportError as error:
         return _fail(error, 1)

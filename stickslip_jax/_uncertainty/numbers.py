@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._fields import is_distribution
+from .._fields import Quantity, described, is_distribution
 
 Path = tuple[str | int, ...]
 
@@ -44,6 +44,13 @@ def number_at(tree: Any, path: Path) -> Any:
     for step in path:
         tree = tree[step] if isinstance(step, int) else getattr(tree, step)
     return tree
+
+
+def quantity_at(tree: Any, path: Path) -> Quantity:
+    """What is known of the number of `tree` at `path`, its unit and bounds; an empty `Quantity` where nothing is."""
+    holder = number_at(tree, path[:-1])
+    about = described(type(holder)).get(str(path[-1])) if dataclasses.is_dataclass(holder) else None
+    return about if isinstance(about, Quantity) else Quantity()
 
 
 def with_numbers(tree: Any, paths: Sequence[Path], values: Any) -> Any:

@@ -37,10 +37,14 @@ class MassSpringConfig(section_of(MassSpring, "model", _USUAL, base=WithFriction
         return MassSpring(friction=self.law_of_friction, force=force, **numbers)
 
 
-class MotorCartConfig(section_of(MotorCart, "model", {"mu": USUAL_MU}, base=WithFriction)):
+_, _CART_MU = key_of(MotorCart, "mu", default=USUAL_MU, description="friction coefficient, or [system.friction]")
+
+
+class MotorCartConfig(section_of(MotorCart, "model", base=WithFriction)):
     """Section ``[system]`` with the model `MotorCart`: a cart driven by a motor; the defaults are the paper's."""
 
     driven_by_voltage: ClassVar[bool] = True
+    mu: float | None = _CART_MU
     friction: FrictionConfig | None = FRICTION
 
     def build(self) -> MotorCart:

@@ -53,6 +53,8 @@ ROWS = (
     "design",
     "papers",
     "study",
+    "_explore",
+    "_commands",
     "_cli",
     "__init__",
     "__main__",

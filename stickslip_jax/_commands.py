@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Annotated
 import jax
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
-from .. import __version__, _compilation_cache
-from ._errors import StudyError
-from ._options import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
+from . import __version__, _compilation_cache
+from .study._errors import StudyError
+from .study._options import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
 
 if TYPE_CHECKING:
     import xarray
 
-    from .._sweep.sweep import Sweep
+    from ._sweep.sweep import Sweep
 
 _STUDY, _SWEEP, _EXECUTORS = StudyOptions(), SweepOptions(), ExecutorOptions()
 
@@ -81,7 +81,7 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
         TOML file that describes the study; without it, the mass and spring of Lima and Sampaio's conference paper on
         a base that switches at random. Files that it names are relative to its folder.
     """
-    from ._reading import OPTIONS, read_config  # noqa: PLC0415
+    from .study._reading import OPTIONS, read_config  # noqa: PLC0415
 
     if config is not None and options.print_example is not None:
         raise StudyError(
@@ -94,8 +94,8 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
         return
     prepare_jax(described.run.dtype)
 
-    from ._report import as_json, table  # noqa: PLC0415
-    from ._run import run_study  # noqa: PLC0415
+    from .study._report import as_json, table  # noqa: PLC0415
+    from .study._run import run_study  # noqa: PLC0415
 
     result = run_study(described, force=options.force, progress=False if options.quiet else options.progress)
     if not options.quiet:
@@ -122,7 +122,7 @@ def sweep(
     config
         TOML file that describes the sweep, with a section [sweep.over]; without it, --paper parametric-analysis.
     """
-    from ._reading import read_sweep_config  # noqa: PLC0415
+    from .study._reading import read_sweep_config  # noqa: PLC0415
 
     if config is not None and options.paper is not None:
         raise StudyError(f"{config} and --paper {options.paper} were both given; leave out one of them.")
@@ -133,7 +133,7 @@ def sweep(
         print(described.to_toml(), end="")
         return
     prepare_jax(described.run.dtype)
-    from ._sweep_run import sweep_of  # noqa: PLC0415
+    from .study._sweep_run import sweep_of  # noqa: PLC0415
 
     source = "" if config is None else f"{config}: "
     _run_sweep(sweep_of(described, source), options.out.expanduser(), executors)
@@ -150,8 +150,8 @@ def resume(
     folder
         Folder of the sweep.
     """
-    from .._sweep.store import Store  # noqa: PLC0415
-    from .._sweep.sweep import Sweep  # noqa: PLC0415
+    from ._sweep.store import Store  # noqa: PLC0415
+    from ._sweep.sweep import Sweep  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
     _run_sweep(Sweep.load(folder), folder, executors)
@@ -166,8 +166,8 @@ def status(folder: Path, /) -> None:
     folder
         Folder of the sweep.
     """
-    from .._sweep.dataset import status_of  # noqa: PLC0415
-    from ._sweep_report import status_text  # noqa: PLC0415
+    from ._sweep.dataset import status_of  # noqa: PLC0415
+    from .study._sweep_report import status_text  # noqa: PLC0415
 
     print(status_text(folder, status_of(folder)))
 
@@ -189,8 +189,8 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
     """
     if out is not None and out.suffix.lower() not in FIGURES:
         raise StudyError(f"option --out must be a file that ends in {', '.join(FIGURES)}, but {out} was given.")
-    from .._sweep.dataset import stored_dataset  # noqa: PLC0415
-    from .._sweep.store import Store  # noqa: PLC0415
+    from ._sweep.dataset import stored_dataset  # noqa: PLC0415
+    from ._sweep.store import Store  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
     if out is not None:
@@ -203,8 +203,8 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
 
 
 def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None:
-    from .._sweep.store import DATA  # noqa: PLC0415
-    from ._sweep_run import run_stored  # noqa: PLC0415
+    from ._sweep.store import DATA  # noqa: PLC0415
+    from .study._sweep_run import run_stored  # noqa: PLC0415
 
     dataset = run_stored(sweep, folder, executors)
     if not executors.quiet:
@@ -213,7 +213,7 @@ def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None
 
 
 def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[str]:
-    from ._sweep_report import chosen_statistics, sweep_table  # noqa: PLC0415
+    from .study._sweep_report import chosen_statistics, sweep_table  # noqa: PLC0415
 
     names = chosen_statistics(dataset, wanted)
     print(sweep_table(dataset, names))
@@ -221,7 +221,7 @@ def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[
 
 
 def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) -> None:
-    from .. import plot  # noqa: PLC0415 - slow to load
+    from . import plot  # noqa: PLC0415 - slow to load
 
     dimensions = len(dataset["samples"].dims)
     if dimensions > 2:
@@ -234,7 +234,7 @@ def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) 
 
 def _check_figure(path: Path, force: bool) -> None:
     """Raise StudyError where no figure can be written."""
-    from .._files import file_to_write  # noqa: PLC0415
+    from ._files import file_to_write  # noqa: PLC0415
 
     try:
         file_to_write(path, overwrite=force)
