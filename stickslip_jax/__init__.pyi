@@ -69,6 +69,7 @@ from ._excitation.spectra import (
 )
 from ._excitation.velocity import base_velocity as base_velocity
 from ._excitation.voltage import SourceVoltage as SourceVoltage
+from ._explore.call import explore as explore
 from ._fields import Quantity as Quantity
 from ._sensitivity import (
     RealizationMeanDuration as RealizationMeanDuration,

@@ -1,4 +1,5 @@
-"""The commands of ``stickslip``: ``study`` for one ensemble; ``sweep``, ``resume``, ``status`` and ``show`` for many.
+"""The commands of ``stickslip``: ``study`` for one ensemble; ``sweep``, ``resume``, ``status`` and ``show`` for many;
+``explore`` for a page with sliders.
 
 What only a simulation needs is imported in the functions, so that help and mistakes in options appear without it.
 """
@@ -41,7 +42,7 @@ def run(tokens: Sequence[str]) -> None:
         help="Exact simulation of stick-slip (dry-friction) oscillators under random motion of their base.",
         help_formatter="plain",
     )
-    for command in (study, sweep, resume, status, show):
+    for command in (study, sweep, resume, status, show, explore):
         app.command(command, name=command.__name__)
     try:
         command, bound, _ = app.parse_args(list(tokens), exit_on_error=False, print_error=False)
@@ -200,6 +201,41 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
     if out is not None:
         _draw(dataset, names, out, force)
         print(f"The figure is in {out}.")
+
+
+def explore(
+    config: Path | None = None, /, *, samples: int = 2000, port: int = 0, browser: bool = True
+) -> None:  # fmt: skip
+    """Show a system with sliders for its numbers in the browser of this machine; Ctrl-C ends it.
+
+    Parameters
+    ----------
+    config
+        TOML file of a study to begin with; without it, the default study.
+    samples
+        Number of realisations that are simulated whenever a slider moves.
+    port
+        Of the page's address; by default any that is free.
+    browser
+        Whether to open the page; its address is printed.
+    """
+    from ._explore.call import require_panel  # noqa: PLC0415
+    from .study._reading import read_config  # noqa: PLC0415
+
+    require_panel()
+    described = read_config(config, {"samples": samples})
+    prepare_jax(described.run.dtype)
+    from ._explore.catalogue import scene_of  # noqa: PLC0415
+    from ._explore.server import serve  # noqa: PLC0415
+
+    try:
+        scene = scene_of(described)
+    except ValueError as error:
+        raise StudyError(str(error)) from None
+    try:
+        serve(scene, port=port, opens=browser, say=lambda said: print(said, flush=True))
+    except KeyboardInterrupt:
+        print("\nThe explorer has ended.")
 
 
 def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None:

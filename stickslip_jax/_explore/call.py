@@ -1,0 +1,71 @@
+"""`explore`: the explorer in a notebook."""
+
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from .. import _checks
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._excitation.excitation import BaseMotion, law_of
+from .._systems.system import System
+from .._types import InitialState
+
+if TYPE_CHECKING:
+    from .page import Explorer
+
+NEEDED = ("panel", "bokeh", "pydantic", "xarray")
+
+
+def require_panel() -> None:
+    """Raise ImportError where the extra ``explore`` is not installed."""
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if missing:
+        raise ImportError(f"The explorer needs {', '.join(missing)}: pip install 'stickslip_jax[explore]'.")
+
+
+def explore(
+    system: System,
+    law: BaseMotion,
+    *,
+    t1: float = 200.0,
+    y0: InitialState | None = None,
+    samples: int = 2000,
+    seed: int = 0,
+    method: Exact | Regularized = EXACT,
+) -> "Explorer":
+    """Show a system with sliders for its numbers, in a notebook: what moves is simulated anew at once.
+
+    Beside the sliders are the phase portrait and the time history of the first realisation, histograms and means over
+    all realisations, the derivative of the mean stick duration by the number that was moved last, and on a base without
+    randomness the bifurcation diagram over it. What is shown can be copied as Python, saved as a study's file, or saved
+    as figures. ``stickslip explore`` in a terminal shows the same in a browser.
+
+    Args:
+        system: With the numbers to begin with, as for `simulate_ensemble`; one of your own too.
+        law: What drives it, likewise.
+        t1: Duration of each realisation, s.
+        y0: Initial state, as for `simulate_ensemble`; zeros by default.
+        samples: Number of realisations.
+        seed: Of the random numbers: their key is ``jax.random.key(seed)``.
+        method: As for `simulate_ensemble`.
+
+    Returns:
+        What a notebook shows. Its `scene` holds the system, the law and the numbers as they are now.
+
+    Raises:
+        ValueError: For arguments that do not fit.
+        ImportError: Without the extra ``explore``.
+    """
+    require_panel()
+    if not isinstance(system, System):
+        raise _checks.refused("system", "be a system such as MassSpring", system)
+    import panel as pn  # noqa: PLC0415 - an extra
+
+    from .page import MOST_SAMPLES, Explorer  # noqa: PLC0415
+    from .scene import Scene  # noqa: PLC0415
+
+    _checks.positive("t1", t1, "s")
+    number = _checks.whole_number("samples", samples, minimum=2, maximum=MOST_SAMPLES)
+    start = tuple(0.0 for _ in system.coordinates) if y0 is None else tuple(y0)
+    scene = Scene(system, law_of(law), start, float(t1), number, _checks.whole_number("seed", seed, minimum=0), method)
+    pn.extension()
+    return Explorer(scene)

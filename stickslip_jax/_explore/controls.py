@@ -1,0 +1,82 @@
+"""The controls of the explorer: what is simulated, and a slider with a box for each of its numbers."""
+
+from collections.abc import Callable
+from typing import Any
+
+import panel as pn
+
+from .scene import MovableNumber, read_number
+
+_BOX = 96  # px
+
+
+class NumberControl:
+    """A slider, and a box for a number that the slider does not reach. `moved` is called with a number.
+
+    A box with something else in it says what is wrong, and nothing moves.
+    """
+
+    def __init__(self, number: MovableNumber, moved: Callable[[MovableNumber], None]):
+        self.number, self._moved, self._is_quiet = number, moved, False
+        self._slider = pn.widgets.FloatSlider(
+            name=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
+            show_value=False, sizing_mode="stretch_width", margin=(0, 10, 0, 5),
+        )  # fmt: skip
+        self._box = pn.widgets.TextInput(name="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
+        self._problem = pn.pane.Str("", visible=False, styles={"color": "#b00020"}, css_classes=["problem"])
+        self._slider.param.watch(self._slid, "value")
+        self._box.param.watch(self._written, "value")
+        self.view = pn.Column(
+            pn.Row(self._slider, self._box, sizing_mode="stretch_width", margin=0),
+            self._problem, sizing_mode="stretch_width", margin=0,
+        )  # fmt: skip
+
+    def refuse(self, why: str) -> None:
+        """Say why the number is not taken."""
+        self._problem.object, self._problem.visible = why, bool(why)
+
+    def _slid(self, event: Any) -> None:
+        if self._is_quiet:
+            return
+        # The ends of the range and the step are not round in binary.
+        value = float(f"{event.new:.6g}")
+        self._show(value, slider=False)
+
+    def _written(self, event: Any) -> None:
+        if self._is_quiet:
+            return
+        try:
+            value = read_number(event.new)
+        except ValueError as error:
+            self.refuse(str(error))
+            return
+        self._show(value, slider=True)
+
+    def _show(self, value: float, *, slider: bool) -> None:
+        self.refuse("")
+        self.number = self.number.at(value)
+        self._is_quiet = True
+        try:
+            if slider:
+                self._slider.param.update(start=self.number.low, end=self.number.high, value=value)
+            else:
+                self._box.value = f"{value:.6g}"
+        finally:
+            self._is_quiet = False
+        self._moved(self.number)
+
+
+def choice(name: str, options: list[str], value: str, chosen: Callable[[str], None]) -> pn.widgets.Select:
+    """A list to choose from."""
+    widget = pn.widgets.Select(name=name, options=options, value=value, sizing_mode="stretch_width")
+    widget.param.watch(lambda event: chosen(event.new), "value")
+    return widget
+
+
+def whole_number(
+    name: str, value: int, low: int, high: int, chosen: Callable[[int], None]
+) -> pn.widgets.IntInput:  # fmt: skip
+    """A box for a whole number."""
+    widget = pn.widgets.IntInput(name=name, value=value, start=low, end=high, width=130)
+    widget.param.watch(lambda event: chosen(event.new), "value")
+    return widget

@@ -1,0 +1,236 @@
+"""The page of the explorer: controls on the left, pictures on the right, and what connects them."""
+
+import io
+import warnings
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import panel as pn
+
+from .. import _html
+from .._sensitivity.estimate import Sensitivity
+from ..study._config import StudyConfig
+from ..study._from_objects import config_of
+from .bifurcation import is_deterministic, section_of
+from .catalogue import FRICTIONS, SYSTEMS, bases_for, friction_called, has_friction_to_choose, scene_of, with_friction
+from .controls import NumberControl, choice, whole_number
+from .figures import Figures, SectionFigure
+from .pictures import Pictures, pictures_of, slope_of
+from .python_code import as_python
+from .scene import MovableNumber, Scene, numbers_of
+from .sheet import sheet_of
+from .work import Worker
+
+GIVEN = "as given"
+MOST_SAMPLES = 20_000
+_THREADS = ThreadPoolExecutor(1, "pictures"), ThreadPoolExecutor(1, "derivatives")
+_SIDE = {"flex": "1 1 300px", "max-width": "430px"}
+_MAIN = {"flex": "3 1 330px", "min-width": "0"}
+_PANE = {"width": "min(100%, max(300px, 49%))"}
+_FIRST = "The programs for this system are compiled: the first pictures take some seconds."
+_COPY = """
+navigator.clipboard.writeText(code.value).then(() => { button.label = "Copied"; });
+setTimeout(() => { button.label = "Copy as Python"; }, 2000);
+"""
+
+
+class Explorer(pn.viewable.Viewer):
+    """A system and what it does, as a page in a browser or the output of a cell in a notebook.
+
+    `scene`: what is shown now.
+    """
+
+    def __init__(self, scene: Scene, **params: Any):
+        super().__init__(**params)
+        self._given, self.scene, self._moving, self._shown = scene, scene, numbers_of(scene)[0], scene
+        document = pn.state.curdoc
+        self._pictures, self._slopes = (Worker(document, threads) for threads in _THREADS)
+        self._numbers, self._base = pn.Column(sizing_mode="stretch_width"), pn.Column(sizing_mode="stretch_width")
+        self._frames = pn.FlexBox(sizing_mode="stretch_width")
+        self._alert = pn.pane.Alert("", alert_type="danger", visible=False, css_classes=["alert-of-scene"])
+        self._statistics = pn.pane.HTML(_html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
+        self._slope = pn.pane.HTML("", sizing_mode="stretch_width", css_classes=["slope"])
+        self._code = pn.widgets.TextAreaInput(
+            name="Python", rows=12, disabled=True, sizing_mode="stretch_width", max_length=100_000
+        )
+        self._section = SectionFigure()
+        self._section_note = pn.pane.HTML("", css_classes=["section-note"])
+        self._tabs = pn.Tabs(sizing_mode="stretch_width")
+        self._tabs.param.watch(lambda _: self._draw_section(), "active")
+        self._view = pn.FlexBox(
+            pn.Column(*self._choices(), self._numbers, styles=_SIDE),
+            pn.Column(self._alert, self._tabs, self._buttons(), self._code, styles=_MAIN),
+            sizing_mode="stretch_width",
+        )
+        self._renew()
+
+    def __panel__(self) -> Any:
+        return self._view
+
+    # --- what is chosen
+
+    def _choices(self) -> list[Any]:
+        systems, scene = [GIVEN, *SYSTEMS], self.scene
+        self._friction = choice("Friction", [GIVEN, *FRICTIONS], GIVEN, self._choose_friction)
+        self._friction.visible = has_friction_to_choose(scene.system)
+        size = whole_number("Realisations", scene.samples, 2, MOST_SAMPLES, partial(self._count, "samples"))
+        seed = whole_number("Seed", scene.seed, 0, 2**32 - 1, partial(self._count, "seed"))
+        self._drives = choice("Base", [GIVEN, *bases_for(scene)], GIVEN, self._choose_base)
+        return [
+            choice("System", systems, GIVEN, self._choose_system), self._friction, self._drives, pn.Row(size, seed),
+        ]  # fmt: skip
+
+    def _choose_system(self, name: str) -> None:
+        samples, seed = self.scene.samples, self.scene.seed
+        new = self._given if name == GIVEN else scene_of(StudyConfig.model_validate(dict(SYSTEMS[name])))
+        self.scene = new._replace(samples=samples, seed=seed)
+        self._start = self.scene
+        self._friction.param.update(value=GIVEN, visible=has_friction_to_choose(new.system))
+        self._drives.param.update(options=[GIVEN, *bases_for(self.scene)], value=GIVEN)
+        self._renew()
+
+    def _choose_friction(self, name: str) -> None:
+        start = getattr(self, "_start", self._given)
+        if name == GIVEN:
+            self.scene = self.scene._replace(system=start.system, y0=start.y0)
+        else:
+            new = with_friction(self.scene.system, friction_called(name, self.scene.system))
+            self.scene = self.scene._replace(system=new)
+        self._renew()
+
+    def _choose_base(self, name: str) -> None:
+        start = getattr(self, "_start", self._given)
+        law = start.law if name == GIVEN else bases_for(self.scene)[name]
+        self.scene = self.scene._replace(law=law)
+        self._renew()
+
+    def _count(self, which: str, number: int | None) -> None:
+        if number is not None:
+            self.scene = self.scene._replace(**{which: number})
+            self._compute()
+
+    def _moved(self, control: NumberControl, number: MovableNumber) -> None:
+        try:
+            self.scene = self.scene.with_number(number.path, number.value)
+        except ValueError as error:
+            control.refuse(str(error))
+            return
+        self._moving = number
+        self._compute()
+
+    # --- what is shown
+
+    def _renew(self) -> None:
+        """Make controls and figures for another system or base."""
+        numbers = numbers_of(self.scene)
+        controls: list[NumberControl] = []
+        for number in numbers:
+            control = NumberControl(number, lambda now, which=len(controls): self._moved(controls[which], now))
+            controls.append(control)
+        self._numbers.objects = [one.view for one in controls]
+        self._moving = next((one for one in numbers if one.path[-1] in ("mu", "mu_static")), numbers[0])
+        self._figures = Figures(self.scene)
+        panes = [pn.pane.Bokeh(one, styles=_PANE, margin=0) for one in self._figures.all]
+        motion = pn.Column(
+            pn.FlexBox(self._statistics, self._slope), pn.FlexBox(*panes, sizing_mode="stretch_width"),
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+        tabs: list[Any] = [("Motion and statistics", motion)]
+        if is_deterministic(self.scene):
+            section = pn.Column(
+                self._section_note, pn.pane.Bokeh(self._section.plot, sizing_mode="stretch_width"),
+                sizing_mode="stretch_width",
+            )  # fmt: skip
+            tabs.append(("Bifurcation", section))
+        self._tabs[:] = tabs
+        self._compute()
+
+    def _compute(self) -> None:
+        scene, moving = self.scene, self._moving
+        self._pictures.do(
+            partial(pictures_of, scene), partial(self._show, scene), partial(self._fail, "The pictures are of before: ")
+        )
+        name = moving.name
+        if name == "t1":
+            self._slope.object = ""
+        else:
+            self._slopes.do(
+                partial(_quietly, slope_of, scene, name), partial(self._show_slope, moving), partial(self._no_slope, moving)
+            )
+        self._draw_section()
+
+    def _show(self, scene: Scene, pictures: Pictures) -> None:
+        self._shown = scene
+        self._figures.show(scene, pictures)
+        rows = [
+            (one.name, one.without_name().replace("+-", "±"), "{:.4g} to {:.4g}".format(*one.interval()))
+            for one in pictures.statistics
+        ]
+        table = _html.table(rows, ("of all realisations", "mean", "95 % interval"))
+        left = f"<p>{pictures.unfinished:,} of {scene.samples:,} realisations did not finish.</p>"
+        self._statistics.object = table + (left if pictures.unfinished else "")
+        self._alert.param.update(object=pictures.problem, visible=bool(pictures.problem))
+        try:
+            self._code.value = as_python(scene)
+        except ValueError as error:
+            self._code.value = f"# {error}"
+
+    def _show_slope(self, number: MovableNumber, found: tuple[Sensitivity, list[str]]) -> None:
+        slope, remarks = found
+        said = f"{slope} {_unit_of(slope)}".replace("+-", "±")
+        self._slope.object = _html.escaped(said) + "".join(map(_html.escaped, remarks))
+
+    def _no_slope(self, number: MovableNumber, error: BaseException) -> None:
+        self._slope.object = _html.escaped(f"No derivative by {number.name}: {error}")
+
+    def _fail(self, before: str, error: BaseException) -> None:
+        self._alert.param.update(object=f"{before}{error}", visible=True)
+
+    def _draw_section(self) -> None:
+        if self._tabs.active != 1 or not is_deterministic(self.scene):
+            return
+        self._section_note.object = _html.escaped(f"Computing over {self._moving.label} ...")
+        self._slopes.do(
+            partial(section_of, self.scene, self._moving), self._show_section,
+            lambda error: setattr(self._section_note, "object", _html.escaped(str(error))),
+        )  # fmt: skip
+
+    def _show_section(self, section: Any) -> None:
+        self._section.show(section)
+        self._section_note.object = _html.escaped("From one start at each value, after 100 periods.")
+
+    # --- what is taken away
+
+    def _buttons(self) -> Any:
+        copy = pn.widgets.Button(name="Copy as Python", button_type="primary")
+        copy.js_on_click(args={"code": self._code, "button": copy}, code=_COPY)
+        toml = pn.widgets.FileDownload(
+            callback=self._toml, filename="study.toml", label="Save as TOML", button_type="primary"
+        )
+        figure = pn.widgets.FileDownload(
+            callback=self._sheet, filename="explorer.pdf", label="Save the figure", button_type="primary"
+        )
+        return pn.FlexBox(copy, toml, figure)
+
+    def _toml(self) -> io.BytesIO:
+        scene = self.scene
+        config = config_of(
+            scene.system, scene.law, y0=scene.y0, t1=scene.t1, samples=scene.samples, seed=scene.seed
+        )
+        return io.BytesIO(config.to_toml().encode())
+
+    def _sheet(self) -> io.BytesIO:
+        return io.BytesIO(sheet_of(self.scene))
+
+
+def _unit_of(slope: Sensitivity) -> str:
+    return slope.unit if slope.parameter_unit == "1" else f"{slope.unit} per {slope.parameter_unit}"
+
+
+def _quietly(function: Any, *arguments: Any) -> tuple[Any, list[str]]:
+    """What a function returns, with the sentences of its warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", RuntimeWarning)
+        return function(*arguments), [str(one.message) for one in caught]
