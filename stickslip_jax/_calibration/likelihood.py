@@ -19,12 +19,12 @@ from .._dynamics.common.stopping_scan import padded_length
 from .._dynamics.common.validation import Arguments, working_dtype
 from .._dynamics.switched.run import steps_for
 from .._excitation.excitation import BaseMotion
-from .._fields import Quantity, described
+from .._fields import Quantity
 from .._forks import require_threads_of_jax
 from .._numerics.leaves import as_arrays
 from .._systems.system import System
 from .._types import Array, BoolArray, FloatArray, InitialState
-from .._uncertainty.numbers import Parameter, number_at, parameters_of
+from .._uncertainty.numbers import parameters_of, quantity_at
 from .problem import Model, Setting, predicted, static_holds
 from .record import Observer, Record, Windows
 
@@ -229,7 +229,7 @@ def log_likelihood(
         _model=model,
         _windows=jax.tree.map(jnp.asarray, windows),
         _start=jnp.asarray(state, dtype),
-        _abouts=tuple(_about(setting, parameter) for parameter in parameters),
+        _abouts=tuple(Quantity() if p.path[0] == "y0" else quantity_at(setting, p.path) for p in parameters),
         _coordinates=tuple(int(p.path[1]) if p.path[0] == "y0" else None for p in parameters),
         _is_known=tuple(bool(np.isfinite(sigma)) for sigma in record.noise),
     )
@@ -243,12 +243,3 @@ def _steps(arguments: Arguments) -> int:
         return arguments.method.max_steps
     excitation, step = arguments.checked_step()
     return padded_length(_SPARE * steps_for(arguments.system, excitation, arguments.t1, step))
-
-
-def _about(setting: Setting, parameter: Parameter) -> Quantity:
-    """The bounds of a parameter; none where its field has none."""
-    if parameter.path[0] == "y0":
-        return Quantity()
-    holder: Any = number_at(setting, parameter.path[:-1])
-    about = described(type(holder)).get(str(parameter.path[-1])) if isinstance(holder, eqx.Module) else None
-    return about if isinstance(about, Quantity) else Quantity()

@@ -15,13 +15,13 @@ from .._dynamics.switched.run import run_trajectory
 from .._excitation.excitation import BaseMotion, excitation_of
 from .._excitation.merged import merged
 from .._excitation.segments import first_segment, segment_at
-from .._fields import Quantity, described, modules_in
+from .._fields import modules_in
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.friction import FrictionLaw
 from .._systems.system import System
 from .._types import Array, BoolArray, FloatArray
-from .._uncertainty.numbers import Parameter, Path, number_at, with_numbers
+from .._uncertainty.numbers import Parameter, Path, quantity_at, with_numbers
 from .record import Observer, Windows
 
 _ROUND_OFF = 1e-12  # relative, of static friction below kinetic
@@ -60,9 +60,8 @@ def scale_of(setting: Setting, parameters: tuple[Parameter, ...]) -> Scale:
     """The scale of each parameter. Raises ValueError for a first guess that a logarithm cannot take."""
     is_positive = []
     for parameter in parameters:
-        holder: Any = number_at(setting, parameter.path[:-1])
-        about = described(type(holder)).get(str(parameter.path[-1])) if isinstance(holder, eqx.Module) else None
-        positive = isinstance(about, Quantity) and (about.above == 0 or about.at_least == 0)
+        about = quantity_at(setting, parameter.path)
+        positive = about.above == 0 or about.at_least == 0
         if positive and not parameter.value > 0:
             raise ValueError(
                 f"Argument wrt names {parameter.name!r}, which is searched by its logarithm, but its first guess is "

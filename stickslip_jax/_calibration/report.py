@@ -2,15 +2,13 @@
 
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 from scipy import stats
 
 from .._dynamics.common.validation import Arguments
-from .._excitation.smooth import SIGNAL_UNIT
-from .._fields import Quantity, described
 from .._statistics.estimate import Estimate, SharedErrors, shared_estimate
-from .._uncertainty.numbers import Parameter, number_at, with_numbers
+from .._systems.units import unit_at
+from .._uncertainty.numbers import Parameter, with_numbers
 from .bounds import Bounds, bounds_of
 from .fit import chi_squared
 from .information import Information, information_of
@@ -52,7 +50,7 @@ def result_of(
     states = np.asarray(problem.model.state_origin) + fit.point.s
     coordinates = arguments.system.coordinates
     names = [parameter.name for parameter in parameters] + [one.name for one in coordinates] * with_start
-    units = [_unit_at(setting, one) for one in parameters] + [one.unit for one in coordinates] * with_start
+    units = [unit_at(setting, one.path) for one in parameters] + [one.unit for one in coordinates] * with_start
     values = np.concatenate([numbers, states[0] * with_start if with_start else []])
     estimates = _estimates(names, values, units, covariance, freedom)
     windows = Windows(*map(np.asarray, problem.windows))
@@ -111,16 +109,6 @@ def _estimates(
         shared_estimate(name, float(value), float(error), unit, max(freedom, 1) + 1, origin, (shared, place))
         for place, (name, value, error, unit) in enumerate(zip(names, values, errors, units, strict=True))
     ]
-
-
-def _unit_at(setting: Setting, parameter: Parameter) -> str:
-    """The unit of a parameter, "1" where none is known."""
-    holder: Any = number_at(setting, parameter.path[:-1])
-    about = described(type(holder)).get(str(parameter.path[-1])) if isinstance(holder, eqx.Module) else None
-    unit = about.unit if isinstance(about, Quantity) else ""
-    if unit == SIGNAL_UNIT:
-        return "m/s" if parameter.path[0] == "base" else "N"
-    return unit or "1"
 
 
 def _about_numbers(

@@ -9,9 +9,8 @@ from jaxtyping import Float
 
 from .. import _checks
 from .._excitation.excitation import law_of
-from .._fields import Quantity, described
 from .._uncertainty.inputs import Model
-from .._uncertainty.numbers import Parameter, check_numbers, number_at, parameters_of, with_numbers
+from .._uncertainty.numbers import Parameter, check_numbers, parameters_of, quantity_at, with_numbers
 
 _Vector = Float[np.ndarray, " parameters"]
 
@@ -107,10 +106,7 @@ def _for_each(name: str, given: object, experiments: int) -> list[Any]:
 
 
 def _coordinate(model: Model, parameter: Parameter) -> Coordinate:
-    *above, last = parameter.path
-    holder: Any = number_at(model, tuple(above))
-    about = described(type(holder)).get(str(last)) if dataclasses.is_dataclass(holder) else None
-    about = about if isinstance(about, Quantity) else Quantity()
+    about = quantity_at(model, parameter.path)
     lows = [float(one) for one in (about.above, about.at_least) if one is not None]
     low, high = max(lows, default=-math.inf), math.inf if about.below is None else float(about.below)
     if not low < parameter.value < high:

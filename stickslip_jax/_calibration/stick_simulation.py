@@ -16,9 +16,9 @@ from .._sensitivity.estimate import Estimator
 from .._sensitivity.pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
 from .._sensitivity.problem import Pilot, Problem, buffer_sizes_for
 from .._sensitivity.products import products_among
-from .._sensitivity.results import unit_at
 from .._sensitivity.sequences import BufferSizes
 from .._sensitivity.statistic import StickStatistic
+from .._systems.units import unit_at
 from .._types import Array, InitialState
 from .._uncertainty.inputs import Model
 
@@ -95,7 +95,7 @@ class Simulator:
         )
         pilot = self._with_room(problem, pilot)
         kinds = problem.kinds()
-        self.units = tuple(unit_at(problem, parameter.path) for parameter in problem.parameters)
+        self.units = tuple(unit_at(problem.model, parameter.path) for parameter in problem.parameters)
         sources = [self._source(kind, pilot, relative_bandwidth_of(problem, pilot)) for kind in kinds]
         accumulated = run_chunks(sources, problem.samples, problem.threads)
         self.products = set(products_among(problem, accumulated))

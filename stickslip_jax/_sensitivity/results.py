@@ -2,15 +2,11 @@
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 
-from .._excitation.smooth import SIGNAL_UNIT
-from .._fields import Quantity, described
 from .._statistics.estimate import SharedErrors
-from .._uncertainty.numbers import Path, number_at
-from .._uncertainty.random_number import RandomNumber
+from .._systems.units import unit_at
 from . import windows
 from .chunks import Accumulator, JointAccumulator
 from .estimate import Estimator, Sensitivity
@@ -68,7 +64,7 @@ def _single(
             asked=problem.samples,
             sticks_in_window=int(in_window[chosen]),
             relative_bandwidth=float(widths[chosen]),
-            parameter_unit=unit_at(problem, parameter.path),
+            parameter_unit=unit_at(problem.model, parameter.path),
             origin=tuple(int(word) for word in np.asarray(problem.key_data)),
         )
     return results
@@ -96,18 +92,3 @@ def _with_shared_errors(
         {name: dataclasses.replace(one, _shared=(shared, next(places))) for name, one in by_name.items()}
         for by_name in found
     ]
-
-
-def unit_at(problem: Problem, path: Path) -> str:
-    """The unit of the number at `path`, "1" where none is known."""
-    *above, last = path
-    if above == ["y0"]:
-        return problem.system.coordinates[int(last)].unit
-    holder: Any = number_at(problem.model, tuple(above))
-    if isinstance(holder, RandomNumber):
-        return unit_at(problem, tuple(above))
-    about = described(type(holder)).get(str(last)) if dataclasses.is_dataclass(holder) else None
-    unit = about.unit if isinstance(about, Quantity) else ""
-    if unit == SIGNAL_UNIT:
-        return "m/s" if path[0] == "law" else "N"
-    return unit or "1"

@@ -13,9 +13,8 @@ from .. import _checks
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.common.validation import entries_of
 from .._excitation.excitation import BaseMotion, excitation_of, law_of
-from .._excitation.smooth import SIGNAL_UNIT
-from .._fields import Quantity, described
 from .._systems.system import System, checked_system, require_system
+from .._systems.units import unit_at
 from .._types import InitialState
 from .._uncertainty.inputs import Model
 from .._uncertainty.numbers import Path, check_numbers, matching, number_at, paths_of_numbers, shown, with_numbers
@@ -195,23 +194,18 @@ def label_and_unit(setting: Setting, name: str) -> tuple[str, str]:
     """
     known = list(paths_of_numbers(setting._asdict()))
     if _fits(name, known):
-        return _label_and_unit_at(setting, known[matching("over", name, known)])
+        path = known[matching("over", name, known)]
+        return _label_at(setting, path), unit_at(setting, path)
     return (f"{name}, {_GROUPS[name].meaning}" if name in _GROUPS else name), "1"
 
 
 _SYMBOLS = {"mu": "friction coefficient", "mu_static": "static friction coefficient"}
 
 
-def _label_and_unit_at(setting: Setting, path: Path) -> tuple[str, str]:
+def _label_at(setting: Setting, path: Path) -> str:
     *above, last = path
     if above == ["y0"]:
-        coordinate = require_system(setting.system).coordinates[int(last)]
-        return f"initial {coordinate.name}", coordinate.unit
-    label, holder = _SYMBOLS.get(str(last), str(last).replace("_", " ")), number_at(setting, tuple(above))
-    if isinstance(holder, RandomNumber):
-        label = f"{label} of {_label_and_unit_at(setting, tuple(above))[0]}"
-    about = described(type(holder)).get(str(last))
-    unit = about.unit if isinstance(about, Quantity) else ""
-    if unit == SIGNAL_UNIT:
-        unit = {"law": "m/s", "system": "N"}.get(str(path[0]), unit)
-    return label, unit or "1"
+        return f"initial {require_system(setting.system).coordinates[int(last)].name}"
+    label = _SYMBOLS.get(str(last), str(last).replace("_", " "))
+    is_of_distribution = isinstance(number_at(setting, tuple(above)), RandomNumber)
+    return f"{label} of {_label_at(setting, tuple(above))}" if is_of_distribution else label

@@ -17,7 +17,7 @@ def unit_at(setting: Any, path: Path) -> str:
         return setting.system.coordinates[int(last)].unit
     holder = number_at(setting, tuple(above))
     if isinstance(holder, RandomNumber):
-        return "1" if last in getattr(holder, 'shape_numbers', ()) else unit_at(setting, tuple(above))
+        return "1" if last in holder.shape_numbers else unit_at(setting, tuple(above))
     unit = quantity_at(setting, path).unit
     if unit == SIGNAL_UNIT:  # the base's own, or a force of the system
         return "N" if path[0] == "system" else "m/s"

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -75,6 +75,7 @@ class LogNormal(RandomNumber):
     Raises ValueError for numbers outside these bounds.
     """
 
+    shape_numbers: ClassVar[tuple[str, ...]] = ("log_std",)
     median: Annotated[Scalar, Quantity(meaning="half of the draws lie below", above=0)]
     log_std: Annotated[Scalar, Quantity(meaning="standard deviation of the logarithm", above=0)]
 
@@ -112,6 +113,7 @@ class Beta(RandomNumber):
     Raises ValueError for numbers outside these bounds, or unless ``low < high``.
     """
 
+    shape_numbers: ClassVar[tuple[str, ...]] = ("a", "b")
     a: Annotated[Scalar, Quantity(meaning="first shape number", above=0)]
     b: Annotated[Scalar, Quantity(meaning="second shape number", above=0)]
     low: Annotated[Scalar, Quantity(meaning="the lowest value")] = 0.0
@@ -206,6 +208,7 @@ class Weibull(RandomNumber):
     `scale`: positive, in the unit of the number. `shape`: positive. Raises ValueError for others.
     """
 
+    shape_numbers: ClassVar[tuple[str, ...]] = ("shape",)
     scale: Annotated[Scalar, Quantity(meaning="37 % of the draws exceed it", above=0)]
     shape: Annotated[Scalar, Quantity(meaning="the exponent", above=0)]
 

@@ -25,6 +25,7 @@ class RandomNumber(Checked):
     """
 
     may_be_random: ClassVar[bool] = False
+    shape_numbers: ClassVar[tuple[str, ...]] = ()  # its numbers without a unit; others have that of the draws
     rests_on: ClassVar = {"support": ("icdf",)}
     only_with: ClassVar = {"icdf": ("cdf",)}
 

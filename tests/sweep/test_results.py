@@ -169,7 +169,7 @@ def test_one_compilation_serves_all_points(caplog):
 
 
 def test_parameter_of_the_distribution_of_a_start():
-    """It has a label, in words, as that of any other distribution."""
+    """It has a label, in words, as that of any other distribution, and the unit of the start."""
     starts = (ss.Uniform(0.0, 1.0), 0.0)
     found = sweep(over={"y0[0].low": [0.0, 0.1]}, y0=starts, samples=20, keep="totals").run(progress=False)
-    assert found["y0[0].low"].attrs == {"long_name": "low of initial position", "units": "1"}
+    assert found["y0[0].low"].attrs == {"long_name": "low of initial position", "units": "m"}
