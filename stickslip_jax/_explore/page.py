@@ -28,7 +28,7 @@ MOST_SAMPLES = 20_000
 _THREADS = ThreadPoolExecutor(1, "pictures"), ThreadPoolExecutor(1, "derivatives")
 _SIDE = {"flex": "1 1 300px", "max-width": "430px"}
 _MAIN = {"flex": "3 1 330px", "min-width": "0"}
-_PANE = {"width": "min(100%, max(300px, 49%))"}
+_GRID = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(290px, 1fr))"}
 _FIRST = "The programs for this system are compiled: the first pictures take some seconds."
 _COPY = """
 navigator.clipboard.writeText(code.value).then(() => { button.label = "Copied"; });
@@ -47,8 +47,7 @@ class Explorer(pn.viewable.Viewer):
         self._given, self.scene, self._moving, self._shown = scene, scene, numbers_of(scene)[0], scene
         document = pn.state.curdoc
         self._pictures, self._slopes = (Worker(document, threads) for threads in _THREADS)
-        self._numbers, self._base = pn.Column(sizing_mode="stretch_width"), pn.Column(sizing_mode="stretch_width")
-        self._frames = pn.FlexBox(sizing_mode="stretch_width")
+        self._numbers = pn.Column(sizing_mode="stretch_width")
         self._alert = pn.pane.Alert("", alert_type="danger", visible=False, css_classes=["alert-of-scene"])
         self._statistics = pn.pane.HTML(_html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
         self._slope = pn.pane.HTML("", sizing_mode="stretch_width", css_classes=["slope"])
@@ -132,9 +131,9 @@ class Explorer(pn.viewable.Viewer):
         self._numbers.objects = [one.view for one in controls]
         self._moving = next((one for one in numbers if one.path[-1] in ("mu", "mu_static")), numbers[0])
         self._figures = Figures(self.scene)
-        panes = [pn.pane.Bokeh(one, styles=_PANE, margin=0) for one in self._figures.all]
+        panes = [pn.pane.Bokeh(one, sizing_mode="stretch_width", margin=0) for one in self._figures.all]
         motion = pn.Column(
-            pn.FlexBox(self._statistics, self._slope), pn.FlexBox(*panes, sizing_mode="stretch_width"),
+            pn.FlexBox(self._statistics, self._slope), pn.Column(*panes, styles=_GRID, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )  # fmt: skip
         tabs: list[Any] = [("Motion and statistics", motion)]
