@@ -24,7 +24,6 @@ def bounds_of(problem: Problem, sigma: np.ndarray, at: Point, free: Free, which:
 
     One-sided: chi-squared has then grown by the 90 % quantile of one degree of freedom.
     """
-    scale = problem.model.scale
     others = Free(free.x & (np.arange(len(free.x)) != which), free.s)
     least = chi_squared(problem.search(sigma, at, others).seen.over(sigma))
     limit = least + float(stats.chi2.ppf(2 * LEVEL - 1, 1))
@@ -56,6 +55,6 @@ def bounds_of(problem: Problem, sigma: np.ndarray, at: Point, free: Free, which:
             point = reached if allowed else point
         x = at.x.copy()
         x[which] = inside
-        return float(scale.number(x)[which])
+        return float(problem.model.transform.numbers(x)[which])
 
     return Bounds(edge(-1.0), edge(1.0))

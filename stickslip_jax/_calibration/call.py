@@ -17,11 +17,12 @@ from .._forks import require_threads_of_jax
 from .._systems.system import System
 from .._types import InitialState
 from .._uncertainty.numbers import parameters_of
-from .problem import Setting, scale_of
+from .problem import Setting
 from .record import Observer, Record
 from .report import result_of
 from .result import Calibration
 from .search import Found, Search, as_one, fitted
+from .transform import transform_of
 
 _PERIODS = 2.0  # of the slowest known time scale, in a window
 _FEWEST = 12  # measurements in a window
@@ -59,7 +60,8 @@ def calibrate(
             `observe`. Accelerations and friction forces jump where a stick begins or a slip reverses, and the search
             does not see how a jump moves past a measurement: set those next to jumps to NaN, and measure positions too.
         wrt: The names of the numbers to be estimated, as for `sensitivity`: those of fields of the system or the base,
-            such as "mu" or "friction.forward.mu". Positive ones are searched by their logarithms.
+            such as "mu" or "friction.forward.mu". They stay inside the bounds of these fields,
+            positive ones since they are searched by their logarithms.
         noise: The standard deviation of the noise of each channel, in its unit; of those left out it is estimated.
         y0: The state at t = 0, where it is known; it is estimated otherwise (None).
         windows: How many. By default as many as have two periods of the system's slowest known time scale, and then
@@ -89,8 +91,7 @@ def calibrate(
     if isinstance(method, Regularized) and windows not in (None, 1):
         raise _checks.refused("windows", "be 1 with the method Regularized", windows)
     number = _usual_windows(search) if windows is None else _checks.whole_number("windows", windows)
-    first = np.asarray(search.scale.searched(search.scale.origin))
-    found = fitted(search, search.cuts(number), first)
+    found = fitted(search, search.cuts(number), np.zeros(len(search.parameters)))
     given_up = None
     if windows is None and found.problem.windows.begins.shape[0] > 1:
         whole = as_one(search, found)
@@ -124,8 +125,8 @@ def _checked(
     base, arguments = arguments.base, arguments._replace(method=method)
     record = Record.of(system, times, measured, noise, observe)
     parameters = parameters_of(Setting(system, base)._asdict(), wrt)
-    scale = scale_of(Setting(system, base), parameters)
-    return Search(record, arguments, parameters, scale, None if y0 is None else np.array(start, float))
+    transform = transform_of(Setting(system, base), parameters)
+    return Search(record, arguments, parameters, transform, None if y0 is None else np.array(start, float))
 
 
 def _usual_windows(search: Search) -> int:

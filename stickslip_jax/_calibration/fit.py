@@ -24,7 +24,7 @@ stays there. One with a standard error of 1 % moves by less than a thousandth of
 
 
 class Point(NamedTuple):
-    """Where a search stands: `x` (parameters,) and `s` (windows, coordinates), in the scales of the model."""
+    """Where a search stands: `x` (parameters,) and `s` (windows, coordinates), as the model takes them."""
 
     x: np.ndarray
     s: np.ndarray
@@ -84,11 +84,10 @@ class Problem(NamedTuple):
             return latest[0][1].over(sigma)
 
         begin, number = _vector(start, free), int(np.count_nonzero(free.x))
-        first = self.model.first_guess[free.x]
         rope = LOOSE * np.eye(number, len(begin))
 
         def residuals(vector: np.ndarray) -> np.ndarray:
-            return np.concatenate([at(vector).residuals.ravel(), LOOSE * (vector[:number] - first)])
+            return np.concatenate([at(vector).residuals.ravel(), LOOSE * (vector[:number] - 1)])
 
         def jacobian(vector: np.ndarray):
             matrix = matrix_of(at(vector), free)
@@ -125,12 +124,13 @@ def chi_squared(seen: Seen) -> float:
 
 
 def _vector(point: Point, free: Free) -> np.ndarray:
-    return np.concatenate([point.x[free.x], point.s.ravel() if free.s else []])
+    # SciPy's first step is up to as long as the vector where it begins: of length one in each number from its guess on.
+    return np.concatenate([1 + point.x[free.x], point.s.ravel() if free.s else []])
 
 
 def _point(vector: np.ndarray, start: Point, free: Free) -> Point:
     x, number = start.x.copy(), np.count_nonzero(free.x)
-    x[free.x] = vector[:number]
+    x[free.x] = vector[:number] - 1
     return Point(x, vector[number:].reshape(start.s.shape) if free.s else start.s)
 
 

@@ -27,6 +27,7 @@ from .._types import Array, BoolArray, FloatArray, InitialState
 from .._uncertainty.numbers import parameters_of, quantity_at
 from .problem import Model, Setting, predicted, static_holds
 from .record import Observer, Record, Windows
+from .transform import identity
 
 _SPARE = 2  # times as many loop steps as with the first guesses: elsewhere the motion may be faster
 
@@ -217,8 +218,7 @@ def log_likelihood(
     of_setting = [parameter for parameter in parameters if parameter.path[0] != "y0"]
     model = Model(
         setting=as_arrays(setting, dtype), state_origin=jnp.zeros((1, len(state)), dtype), resting=None, method=method,
-        origin=jnp.zeros(len(of_setting), dtype), size=jnp.ones(len(of_setting), dtype),
-        is_positive=(False,) * len(of_setting), paths=tuple(parameter.path for parameter in of_setting),
+        transform=identity(len(of_setting), dtype), paths=tuple(parameter.path for parameter in of_setting),
         observers=tuple(channel.observe for channel in record.channels), steps=_steps(arguments),
     )  # fmt: skip
     return LogLikelihood(

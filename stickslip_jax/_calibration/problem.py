@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.common.segments import SegmentLaws
@@ -21,8 +20,9 @@ from .._simulation.result import Simulation
 from .._systems.friction import FrictionLaw
 from .._systems.system import System
 from .._types import Array, BoolArray, FloatArray
-from .._uncertainty.numbers import Parameter, Path, quantity_at, with_numbers
+from .._uncertainty.numbers import Path, with_numbers
 from .record import Observer, Windows
+from .transform import Transform
 
 _ROUND_OFF = 1e-12  # relative, of static friction below kinetic
 
@@ -32,44 +32,6 @@ class Setting(NamedTuple):
 
     system: System
     base: BaseMotion
-
-
-class Scale(NamedTuple):
-    """How numbers are searched: ``exp(x)`` where they are positive, else ``origin + size * x``."""
-
-    is_positive: tuple[bool, ...]
-    origin: np.ndarray
-    size: np.ndarray
-
-    def number(self, x: FloatArray | np.ndarray) -> FloatArray:
-        """The numbers at `x`, (parameters,)."""
-        is_positive = np.array(self.is_positive)
-        return jnp.where(is_positive, jnp.exp(jnp.where(is_positive, x, 0)), self.origin + self.size * x)
-
-    def searched(self, numbers: np.ndarray) -> np.ndarray:
-        """The x of these numbers, (parameters,)."""
-        is_positive = np.array(self.is_positive)
-        return np.where(is_positive, np.log(np.where(is_positive, numbers, 1)), (numbers - self.origin) / self.size)
-
-    def slope(self, numbers: np.ndarray) -> np.ndarray:
-        """The derivative of the numbers by x, (parameters,)."""
-        return np.where(np.array(self.is_positive), numbers, self.size)
-
-
-def scale_of(setting: Setting, parameters: tuple[Parameter, ...]) -> Scale:
-    """The scale of each parameter. Raises ValueError for a first guess that a logarithm cannot take."""
-    is_positive = []
-    for parameter in parameters:
-        about = quantity_at(setting, parameter.path)
-        positive = about.above == 0 or about.at_least == 0
-        if positive and not parameter.value > 0:
-            raise ValueError(
-                f"Argument wrt names {parameter.name!r}, which is searched by its logarithm, but its first guess is "
-                f"{parameter.value:g}; give it a positive value to begin with, small if need be."
-            )
-        is_positive.append(positive)
-    origin = np.array([parameter.value for parameter in parameters])
-    return Scale(tuple(is_positive), origin, np.maximum(np.abs(origin), 1e-3))
 
 
 def static_holds(setting: Setting) -> BoolArray:
@@ -83,7 +45,7 @@ def static_holds(setting: Setting) -> BoolArray:
 
 
 class Model(eqx.Module):
-    """The motion as a function of the numbers to be estimated (`paths`, in their `scale`) and of states at starts.
+    """The motion as a function of the numbers to be estimated (`paths`, by their `transform`) and of states at starts.
 
     States are searched as differences from `state_origin` (windows, coordinates); contacts that are `resting` at a
     start (windows, modes) have no relative velocity there, whatever the state.
@@ -93,22 +55,10 @@ class Model(eqx.Module):
     state_origin: Array
     resting: Array | None
     method: Exact | Regularized
-    origin: Array
-    size: Array
-    is_positive: tuple[bool, ...] = eqx.field(static=True)
+    transform: Transform
     paths: tuple[Path, ...] = eqx.field(static=True)
     observers: tuple[Observer, ...] = eqx.field(static=True)
     steps: int = eqx.field(static=True)
-
-    @property
-    def scale(self) -> Scale:
-        """How the numbers are searched."""
-        return Scale(self.is_positive, self.origin, self.size)  # pyright: ignore[reportArgumentType] - traced
-
-    @property
-    def first_guess(self) -> np.ndarray:
-        """Where the search begins, (parameters,)."""
-        return self.scale.searched(np.asarray(self.origin))
 
     def setting_at(self, numbers: FloatArray) -> Setting:
         """System and base with other numbers, (parameters,)."""
@@ -134,7 +84,7 @@ class Model(eqx.Module):
         """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end, and for
         static friction below kinetic friction.
         """
-        one = self.motion(self.scale.number(x), origin + s, resting, window)
+        one = self.motion(self.transform.numbers(x), origin + s, resting, window)
         seen = jnp.stack([observe(one, jnp.asarray(window.times)) for observe in self.observers])
         return jnp.where(static_holds(Setting(one.system, one.base)), seen, jnp.nan)
 

@@ -33,15 +33,15 @@ def result_of(
 ) -> Calibration:
     """The result of a fit. `given_up`: by how much chi-squared grew where one motion over the whole record failed."""
     problem, fit, _, sigma = found
-    scale, seen = problem.model.scale, fit.seen.over(sigma)
+    transform, seen = problem.model.transform, fit.seen.over(sigma)
     number, size = len(parameters), fit.point.s.shape[1]
     is_one = len(fit.point.s) == 1
     with_start = is_one and start_is_searched
     own = _without_states(seen, number) if is_one and not with_start else seen
     told = information_of(own, number)
     joint = information_of(own, number + size) if with_start else told
-    numbers = np.asarray(scale.number(fit.point.x))
-    slope = np.concatenate([scale.slope(numbers), np.ones(size * with_start)])
+    numbers = transform.numbers(fit.point.x)
+    slope = np.concatenate([transform.slopes(numbers), np.ones(size * with_start)])
     is_told = np.concatenate([~told.untold, np.diag(joint.covariance)[number:] < _VAGUE**2])
     covariance, by_blocks = (_scaled(matrix, slope, is_told) for matrix in (joint.covariance, joint.by_blocks))
     states_searched = 0 if is_one and not with_start else fit.point.s.size

@@ -15,8 +15,9 @@ from .._numerics.leaves import as_arrays
 from .._uncertainty.numbers import Parameter, with_numbers
 from .cutting import Cuts, cuts_of
 from .fit import Fit, Free, Point, Problem, chi_squared
-from .problem import Model, Scale, Setting
+from .problem import Model, Setting
 from .record import Record
+from .transform import Transform
 
 _MOST_ROUNDS = 20  # of noise and fit
 _CONTRADICTION = 1e-4  # probability that one motion is given up although it holds
@@ -29,7 +30,7 @@ class Search(NamedTuple):
     record: Record
     arguments: Arguments
     parameters: tuple[Parameter, ...]
-    scale: Scale
+    transform: Transform
     y0: np.ndarray | None
 
     def cuts(self, number: int) -> Cuts:
@@ -58,9 +59,7 @@ class Search(NamedTuple):
             jnp.asarray(cuts.states, dtype),
             None if cuts.resting is None else jnp.asarray(cuts.resting),
             method,
-            jnp.asarray(self.scale.origin, dtype),
-            jnp.asarray(self.scale.size, dtype),
-            self.scale.is_positive,
+            Transform(*(jnp.asarray(one, dtype) for one in self.transform)),
             tuple(parameter.path for parameter in self.parameters),
             tuple(channel.observe for channel in self.record.channels),
             0
@@ -86,7 +85,7 @@ class Search(NamedTuple):
         """Whether the motion where a search ended may need more steps than it had."""
         if isinstance(problem.model.method, Regularized):
             return False
-        numbers = np.asarray(self.scale.number(fit.point.x))
+        numbers = self.transform.numbers(fit.point.x)
         windows = problem.windows
         return self._steps(np.asarray(windows.ends - windows.begins), numbers) > problem.model.steps
 
@@ -104,13 +103,13 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
     """The fit in windows from `x`, with the noise that is not known estimated, or with `sigma`."""
     free = Free(np.ones(len(x), bool), len(cuts.firsts) > 1 or search.y0 is None)
     more = 1
-    problem = search.problem(cuts, np.asarray(search.scale.number(x)), more)
+    problem = search.problem(cuts, search.transform.numbers(x), more)
     start = Point(x, np.zeros(problem.model.state_origin.shape))
     for _ in range(_MOST_DOUBLINGS):
         if np.all(np.isfinite(problem.seen(start).residuals)):
             break
         more *= 2
-        problem = search.problem(cuts, np.asarray(search.scale.number(x)), more)
+        problem = search.problem(cuts, search.transform.numbers(x), more)
     else:
         raise ValueError(
             "Arguments system and base must have a motion that reaches the end of the record with the first guesses, "
@@ -119,7 +118,7 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
         )
     found = _with_noise(problem, search.record, start, free, sigma)
     while search.needs_more(problem, found.fit):
-        numbers = np.asarray(search.scale.number(found.fit.point.x))
+        numbers = search.transform.numbers(found.fit.point.x)
         problem = search.problem(cuts, numbers, more)
         found = _with_noise(problem, search.record, found.fit.point, free, sigma)
     return found

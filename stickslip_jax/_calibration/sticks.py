@@ -69,7 +69,8 @@ def calibrate_sticks(
         law: The same of the base.
         observed: Recordings of sticks, an `Ensemble` as `Ensemble.from_sticks` makes it, or a simulated one; or a list,
             one for each experiment, which share the parameters.
-        wrt: The names of the parameters, as for `sensitivity`. Those with bounds are fitted by their logarithms.
+        wrt: The names of the parameters, as for `sensitivity`. They stay inside the bounds of
+            their fields, positive ones since they are fitted by their logarithms.
         samples: Of each simulation. Take several thousand: with too few, derivatives are noise (a remark says so).
         key: As for `sensitivity`.
         y0: Initial state of all experiments, as for `sensitivity`.
@@ -92,7 +93,7 @@ def calibrate_sticks(
     Raises:
         ValueError: For invalid arguments: recordings without sticks, with realisations that did not finish, or too few
             for the covariance of the moments; fewer moments than parameters; moments that are the same in all
-            recordings; starting guesses at a bound; and for what `sensitivity` refuses.
+            recordings; first guesses at a bound; and for what `sensitivity` refuses.
     """
     _checks.chosen("objective", objective, get_args(Objective))
     ensembles = observed_ensembles(observed)

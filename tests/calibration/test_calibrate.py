@@ -308,7 +308,10 @@ GOOD = {"system": oscillator(), "base": BASE, "times": TIMES, "measured": {"posi
         ({"y0": (0.0,)}, "Argument y0 must"),
         ({"base": ss.PoissonSwitching(1.0, 1.0)}, "Argument base must be a realisation"),
         ({"base": ss.Recorded([0.0, 1.0], [0.0, 1.0])}, "Argument base must last until"),
-        ({"system": oscillator(0.0)}, "give it a positive value to begin with"),
+        (
+            {"system": oscillator(0.0)},
+            "first guess lies inside their bounds, above 0, but mu = 0 was given",
+        ),
     ],
 )
 def test_bad_input(changed, message):

@@ -79,7 +79,7 @@ BAD = {
     "a name": ({"wrt": "nu"}, r"Argument wrt must name one of system\.mass, .*, but 'nu' was given"),
     "at a bound": (
         {"system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu=0.0)), "wrt": "mu"},
-        r"Argument wrt must name numbers whose starting guess lies inside their bounds, above 0, but 'mu = 0' was ",
+        r"Argument wrt must name numbers whose first guess lies inside their bounds, above 0, but mu = 0 was given",
     ),
     "systems": (
         {"system": [SYSTEM, SYSTEM]},
