@@ -19,7 +19,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast test-plain coverage check-slow docs site check-site notebooks lint format bench bench-smoke versions clean
+.PHONY: study test test-fast test-plain test-browser coverage check-slow docs site check-site notebooks lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -34,6 +34,11 @@ test-fast: $(READY)
 # The same without what the package asks of the compiler beyond jax.jit (docs/compiler.md): slower.
 test-plain: export STICKSLIP_PLAIN_JAX = 1
 test-plain: test-fast
+
+# Pages in a browser. Installs nothing: without chromium, chromedriver or selenium it says what to do, and fails.
+test-browser:
+	@test -x $(BIN)/python || { echo "There is no $(VENV) yet: make test sets it up."; exit 1; }
+	$(BIN)/python -m pytest -m browser tests/browser
 
 # Lines and branches that the quick tests of all parts run; under two minutes once the compilation cache is warm.
 coverage: $(READY)
