@@ -3,6 +3,7 @@
 import warnings
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._dynamics.common.time_scales import slowest_time
@@ -36,7 +37,7 @@ def section_of(scene: Scene, number: MovableNumber) -> Section:
     `bifurcation_diagram` refuses.
     """
     values = np.linspace(number.low, number.high, _VALUES)
-    start = [float(one.icdf(0.5)) if isinstance(one, RandomNumber) else float(one) for one in scene.y0]
+    start = [float(one.icdf(jnp.asarray(0.5))) if isinstance(one, RandomNumber) else float(one) for one in scene.y0]
     period = slowest_time(scene.system, scene.law) if getattr(scene.law, "repeats_after", None) in (0, 0.0) else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of motions that do not reach the end, which are left out

@@ -11,12 +11,12 @@ _BOX = 96  # px
 
 
 class NumberControl:
-    """A slider, and a box for a number that the slider does not reach. `moved` is called with a number.
+    """A slider, and a box for a number that the slider does not reach. `moved` is called with it and a number.
 
     A box with something else in it says what is wrong, and nothing moves.
     """
 
-    def __init__(self, number: MovableNumber, moved: Callable[[MovableNumber], None]):
+    def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
         self.number, self._moved, self._is_quiet = number, moved, False
         self._slider = pn.widgets.FloatSlider(
             name=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
@@ -63,7 +63,7 @@ class NumberControl:
                 self._box.value = f"{value:.6g}"
         finally:
             self._is_quiet = False
-        self._moved(self.number)
+        self._moved(self, self.number)
 
 
 def choice(name: str, options: list[str], value: str, chosen: Callable[[str], None]) -> pn.widgets.Select:

@@ -24,7 +24,7 @@ class Figures:
         x, y = labels_of(scene)
         self._curves = {name: ColumnDataSource({"t": [], "x": [], "y": []}) for name in _CURVES}
         self._bars = {name: ColumnDataSource({"left": [], "right": [], "top": []}) for name in _BARS}
-        self._time = Range1d(0, 1)
+        self._time = Range1d(start=0, end=1)
         self.portrait = self._lines("Phase portrait", "x", "y", x, y)
         self.history = self._lines("Time history", "t", "x", "time (s)", x, x_range=self._time)
         self.durations = self._histogram("durations", "Stick durations", "duration (s)", "density (1/s)")
@@ -49,9 +49,7 @@ class Figures:
     def _lines(self, title: str, x: str, y: str, x_label: str, y_label: str, **options: Any) -> Any:
         plot = _figure(title, x_label, y_label, **options)
         for name in _CURVES:
-            plot.line(
-                x, y, source=self._curves[name], color=_COLORS[name], line_width=_WIDTHS[name], legend_label=name
-            )
+            plot.line(x, y, source=self._curves[name], color=_COLORS[name], line_width=_WIDTHS[name], legend_label=name)
         plot.add_layout(plot.legend[0], "above")
         plot.legend[0].orientation = "horizontal"
         plot.legend[0].padding = plot.legend[0].margin = 2
@@ -90,5 +88,3 @@ def _figure(title: str, x_label: str, y_label: str, height: int = _HEIGHT, **opt
     plot.yaxis.formatter = BasicTickFormatter(power_limit_low=-4)
     plot.grid.grid_line_alpha = 0.4
     return plot
-
-

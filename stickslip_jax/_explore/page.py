@@ -2,7 +2,6 @@
 
 import io
 import warnings
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -44,7 +43,8 @@ class Explorer(pn.viewable.Viewer):
 
     def __init__(self, scene: Scene, **params: Any):
         super().__init__(**params)
-        self._given, self.scene, self._moving, self._shown = scene, scene, numbers_of(scene)[0], scene
+        self.scene, self._start, self._given = scene, scene, scene
+        self._moving = numbers_of(scene)[0]
         document = pn.state.curdoc
         self._pictures, self._slopes = (Worker(document, threads) for threads in _THREADS)
         self._numbers = pn.Column(sizing_mode="stretch_width")
@@ -54,7 +54,6 @@ class Explorer(pn.viewable.Viewer):
         self._code = pn.widgets.TextAreaInput(
             name="Python", rows=12, disabled=True, sizing_mode="stretch_width", max_length=100_000
         )
-        self._section = SectionFigure()
         self._section_note = pn.pane.HTML("", css_classes=["section-note"])
         self._tabs = pn.Tabs(sizing_mode="stretch_width")
         self._tabs.param.watch(lambda _: self._draw_section(), "active")
@@ -91,17 +90,14 @@ class Explorer(pn.viewable.Viewer):
         self._renew()
 
     def _choose_friction(self, name: str) -> None:
-        start = getattr(self, "_start", self._given)
-        if name == GIVEN:
-            self.scene = self.scene._replace(system=start.system, y0=start.y0)
-        else:
-            new = with_friction(self.scene.system, friction_called(name, self.scene.system))
-            self.scene = self.scene._replace(system=new)
+        now, start = self.scene.system, self._start.system
+        self.scene = self.scene._replace(
+            system=start if name == GIVEN else with_friction(now, friction_called(name, now))
+        )
         self._renew()
 
     def _choose_base(self, name: str) -> None:
-        start = getattr(self, "_start", self._given)
-        law = start.law if name == GIVEN else bases_for(self.scene)[name]
+        law = self._start.law if name == GIVEN else bases_for(self.scene)[name]
         self.scene = self.scene._replace(law=law)
         self._renew()
 
@@ -124,11 +120,7 @@ class Explorer(pn.viewable.Viewer):
     def _renew(self) -> None:
         """Make controls and figures for another system or base."""
         numbers = numbers_of(self.scene)
-        controls: list[NumberControl] = []
-        for number in numbers:
-            control = NumberControl(number, lambda now, which=len(controls): self._moved(controls[which], now))
-            controls.append(control)
-        self._numbers.objects = [one.view for one in controls]
+        self._numbers.objects = [NumberControl(number, self._moved).view for number in numbers]
         self._moving = next((one for one in numbers if one.path[-1] in ("mu", "mu_static")), numbers[0])
         self._figures = Figures(self.scene)
         panes = [pn.pane.Bokeh(one, sizing_mode="stretch_width", margin=0) for one in self._figures.all]
@@ -137,6 +129,7 @@ class Explorer(pn.viewable.Viewer):
             sizing_mode="stretch_width",
         )  # fmt: skip
         tabs: list[Any] = [("Motion and statistics", motion)]
+        self._section = SectionFigure()
         if is_deterministic(self.scene):
             section = pn.Column(
                 self._section_note, pn.pane.Bokeh(self._section.plot, sizing_mode="stretch_width"),
@@ -147,22 +140,23 @@ class Explorer(pn.viewable.Viewer):
         self._compute()
 
     def _compute(self) -> None:
+        """Simulate anew; the derivative and the diagram come after the pictures, for which they leave the processor."""
         scene, moving = self.scene, self._moving
         self._pictures.do(
-            partial(pictures_of, scene), partial(self._show, scene), partial(self._fail, "The pictures are of before: ")
-        )
-        name = moving.name
-        if name == "t1":
-            self._slope.object = ""
-        else:
-            self._slopes.do(
-                partial(_quietly, slope_of, scene, name), partial(self._show_slope, moving), partial(self._no_slope, moving)
-            )
-        self._draw_section()
+            partial(pictures_of, scene), partial(self._show, scene, moving, self._figures), self._fail,
+        )  # fmt: skip
 
-    def _show(self, scene: Scene, pictures: Pictures) -> None:
-        self._shown = scene
-        self._figures.show(scene, pictures)
+    def _differentiate(self, scene: Scene, moving: MovableNumber) -> None:
+        if moving.path == ("t1",):
+            self._slope.object = ""
+            return
+        self._slopes.do(
+            partial(_quietly, slope_of, scene, moving.name), partial(self._show_slope, moving),
+            partial(self._no_slope, moving),
+        )  # fmt: skip
+
+    def _show(self, scene: Scene, moving: MovableNumber, figures: Figures, pictures: Pictures) -> None:
+        figures.show(scene, pictures)
         rows = [
             (one.name, one.without_name().replace("+-", "±"), "{:.4g} to {:.4g}".format(*one.interval()))
             for one in pictures.statistics
@@ -175,6 +169,9 @@ class Explorer(pn.viewable.Viewer):
             self._code.value = as_python(scene)
         except ValueError as error:
             self._code.value = f"# {error}"
+        if scene is self.scene:
+            self._differentiate(scene, moving)
+            self._draw_section()
 
     def _show_slope(self, number: MovableNumber, found: tuple[Sensitivity, list[str]]) -> None:
         slope, remarks = found
@@ -184,8 +181,8 @@ class Explorer(pn.viewable.Viewer):
     def _no_slope(self, number: MovableNumber, error: BaseException) -> None:
         self._slope.object = _html.escaped(f"No derivative by {number.name}: {error}")
 
-    def _fail(self, before: str, error: BaseException) -> None:
-        self._alert.param.update(object=f"{before}{error}", visible=True)
+    def _fail(self, error: BaseException) -> None:
+        self._alert.param.update(object=f"The pictures are those of before: {error}", visible=True)
 
     def _draw_section(self) -> None:
         if self._tabs.active != 1 or not is_deterministic(self.scene):
@@ -215,9 +212,7 @@ class Explorer(pn.viewable.Viewer):
 
     def _toml(self) -> io.BytesIO:
         scene = self.scene
-        config = config_of(
-            scene.system, scene.law, y0=scene.y0, t1=scene.t1, samples=scene.samples, seed=scene.seed
-        )
+        config = config_of(scene.system, scene.law, y0=scene.y0, t1=scene.t1, samples=scene.samples, seed=scene.seed)
         return io.BytesIO(config.to_toml().encode())
 
     def _sheet(self) -> io.BytesIO:

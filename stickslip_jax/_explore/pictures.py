@@ -16,7 +16,7 @@ from .._simulation.result import Simulation
 from .._statistics.estimate import Estimate
 from .._statistics.totals import mean_stick_count, mean_stick_duration, stick_fraction
 from .._status import Status
-from ..plot._trajectory import Phase, joined, phases_of
+from ..plot._trajectory import joined, phases_of
 from .scene import Scene
 
 LONGEST_HISTORY = 60.0  # s, that is drawn

@@ -45,5 +45,7 @@ def _free(port: int) -> int:
         try:
             tried.bind((ADDRESS, port))
         except OSError as error:
-            raise OSError(f"Port {port} cannot be used ({error.strerror}); choose another, or 0 for any free one.") from None
+            raise OSError(
+                f"Port {port} cannot be used ({error.strerror}); choose another, or 0 for any free one."
+            ) from None
         return tried.getsockname()[1]

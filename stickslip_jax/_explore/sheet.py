@@ -4,6 +4,7 @@ import io
 from collections.abc import Iterator
 
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
@@ -26,11 +27,15 @@ def _pages(scene: Scene, pictures: Pictures) -> Iterator[Figure]:
     if not pictures.problem:
         window = (0.0, min(scene.t1, LONGEST_HISTORY))
         if pictures.one.sticks.contact is None:
-            yield phase_portrait(pictures.one, window=window).get_figure(root=True)
-        yield time_history(pictures.one, window=window)[0].get_figure(root=True)
+            yield _figure_of(phase_portrait(pictures.one, window=window))
+        yield _figure_of(time_history(pictures.one, window=window)[0])
     of_all = pictures.ensemble.statistics
-    quantities = [of_all.stick_count]
-    if of_all.duration.count:
-        quantities += [of_all.duration, of_all.start]
-    for one in quantities:
-        yield histogram(one).get_figure(root=True)
+    has_sticks = len(pictures.ensemble.finished_sticks().duration) > 0
+    for one in (of_all.stick_count, *((of_all.duration, of_all.start) if has_sticks else ())):
+        yield _figure_of(histogram(one))
+
+
+def _figure_of(axes: Axes) -> Figure:
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    return figure

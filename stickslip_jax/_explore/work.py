@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from bokeh.document import Document, without_document_lock
 
@@ -32,7 +32,7 @@ class Worker:
             self._wish = None
         elif not self._runs:
             self._runs = True
-            self._document.add_next_tick_callback(without_document_lock(self._run))
+            self._document.add_next_tick_callback(cast(Any, without_document_lock(self._run)))
 
     async def _run(self) -> None:
         assert self._document is not None
