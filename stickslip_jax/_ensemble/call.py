@@ -19,7 +19,7 @@ from .._dynamics.common.lanes import BLOCK
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.compiled import compiled_for, solve_chunk
 from .._dynamics.regularized.engine import AdaptiveBatch
-from .._dynamics.regularized.settings import as_arrays
+from .._dynamics.regularized.settings import numbers_as_arrays
 from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
@@ -258,7 +258,7 @@ def _simulator(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[Ensembl
 def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, for adaptive steps."""
     dtype, sizes = setup.dtype, tuple(int(size) for size in batch.sizes)
-    system, excitation, _, t1, y0, _ = as_arrays(batch._replace(sizes=()), dtype)
+    system, excitation, _, t1, y0, _ = numbers_as_arrays(batch._replace(sizes=()), dtype)
     arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0, ())
     how = {"samples": plan.lanes, "leaf_numbers": setup.leaf_numbers, "sizes": sizes,
            "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip

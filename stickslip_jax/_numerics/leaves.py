@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def as_arrays(tree: T, dtype: DType) -> T:
-    """`tree` with arrays in place of its numbers: what differs in them only is compiled once."""
+    """`tree` with arrays in place of its numbers, but whole ones: what differs in them only is compiled once."""
 
     def converted(leaf: Any) -> Any:
         is_array = isinstance(leaf, (jax.Array, np.ndarray)) and jnp.issubdtype(leaf.dtype, jnp.floating)

@@ -59,10 +59,10 @@ class SampledLaw(eqx.Module):
         Raises ValueError for realisations of different classes or lengths.
         """
         try:
-            return jax.vmap(lambda key: _as_arrays(self.law.sample(key, t1)))(keys())
+            return jax.vmap(lambda key: _each_as_array(self.law.sample(key, t1)))(keys())
         except _NOT_TRACEABLE:  # written in NumPy: one after the other
             each = keys()
-            found = [_as_arrays(self.law.sample(each[i], t1)) for i in range(number)]
+            found = [_each_as_array(self.law.sample(each[i], t1)) for i in range(number)]
         shapes = {(jax.tree.structure(one), tuple(np.shape(leaf) for leaf in jax.tree.leaves(one))) for one in found}
         if len(shapes) > 1:
             raise ValueError(
@@ -73,6 +73,6 @@ class SampledLaw(eqx.Module):
         return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *found)
 
 
-def _as_arrays(realization: PyTree) -> PyTree:
-    """The realisation; its numbers are arrays, so that each sample can have its own."""
+def _each_as_array(realization: PyTree) -> PyTree:
+    """The realisation; its plain numbers are arrays of their own types, so that each sample can have its own."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, (int, float)) else leaf, realization)

@@ -1,7 +1,5 @@
 """One period of a system and of what drives it."""
 
-from typing import TypeVar
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -20,8 +18,6 @@ from .._simulation.result import Simulation
 from .._status import Status
 from .._systems.system import System
 from .._types import FloatArray, Number, Scalar
-
-T = TypeVar("T")
 
 
 class Cycle(eqx.Module):

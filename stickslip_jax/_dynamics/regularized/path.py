@@ -29,7 +29,7 @@ from ..common.stopping_scan import padded_length, stopping_scan
 from ..common.time_scales import max_steps_advice, step_for
 from ..common.tracks import sticks_and_totals
 from .engine import criterion_of, field_of, switched_field
-from .settings import as_arrays, fixed_steps, resolved
+from .settings import numbers_as_arrays, fixed_steps, resolved
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of, table_sizes
 from .stepping import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
 from .stick_detector import StickDetector, hermite
@@ -116,7 +116,7 @@ def follow_regularized(
             method = dataclasses.replace(method, step=lax.stop_gradient(jnp.asarray(step, dtype)))
     steps = method.max_steps or _fixed_steps(system, excitation, given, t1)
     sizes = table_sizes(system, excitation, t1)
-    system, excitation, t1, y0 = as_arrays((system, excitation, t1, y0), dtype)
+    system, excitation, t1, y0 = numbers_as_arrays((system, excitation, t1, y0), dtype)
     follow = _follow_adaptive if method.step is None else _follow_fixed
     return method, follow(_Setting(system, excitation, method, jnp.asarray(t1), y0), steps, sizes)
 

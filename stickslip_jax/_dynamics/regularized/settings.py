@@ -143,8 +143,8 @@ def _state_scales(system: System, excitation: Excitation, dtype) -> Array:
     return jnp.where(values > 0, values, 1)
 
 
-def as_arrays(tree: Any, dtype) -> Any:
-    """Plain numbers in `tree` as arrays, so that other numbers need no recompilation."""
+def numbers_as_arrays(tree: Any, dtype) -> Any:
+    """Plain numbers in `tree`, whole ones too, as arrays, so that other numbers need no recompilation."""
 
     def convert(leaf):
         return jnp.asarray(leaf, dtype) if isinstance(leaf, (int, float)) and not isinstance(leaf, bool) else leaf
