@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from .._dynamics.common.validation import Arguments
-from .._statistics.estimate import Estimate, SharedErrors, shared_estimate
+from .._statistics.estimate import correlated_estimates
 from .._systems.units import unit_at
 from .._uncertainty.numbers import Parameter, with_numbers
 from .bounds import Bounds, bounds_of
@@ -52,7 +52,7 @@ def result_of(
     names = [parameter.name for parameter in parameters] + [one.name for one in coordinates] * with_start
     units = [unit_at(setting, one.path) for one in parameters] + [one.unit for one in coordinates] * with_start
     values = np.concatenate([numbers, states[0] * with_start if with_start else []])
-    estimates = _estimates(names, values, units, covariance, freedom)
+    estimates = correlated_estimates(names, values, units, covariance, max(freedom, 1) + 1)
     windows = Windows(*map(np.asarray, problem.windows))
     fitted = record.values + windows.in_order(fit.seen.residuals, record)
     tests = {
@@ -99,16 +99,6 @@ def _without_states(seen: Any, number: int) -> Any:
 def _scaled(covariance: np.ndarray, slope: np.ndarray, is_told: np.ndarray) -> np.ndarray:
     """The covariance of numbers from that of what is searched; NaN for those that the record does not tell."""
     return np.where(is_told[:, None] & is_told, covariance * slope[:, None] * slope, np.nan)
-
-
-def _estimates(
-    names: list[str], values: np.ndarray, units: list[str], covariance: np.ndarray, freedom: int
-) -> list[Estimate]:
-    origin, shared, errors = object(), SharedErrors(covariance), np.sqrt(np.diag(covariance))
-    return [
-        shared_estimate(name, float(value), float(error), unit, max(freedom, 1) + 1, origin, (shared, place))
-        for place, (name, value, error, unit) in enumerate(zip(names, values, errors, units, strict=True))
-    ]
 
 
 def _about_numbers(

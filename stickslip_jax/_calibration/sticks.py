@@ -14,7 +14,7 @@ from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
 from .._sensitivity.estimate import Estimator
 from .._sensitivity.statistic import AnyStatistic
-from .._statistics.estimate import Estimate, SharedErrors, shared_estimate
+from .._statistics.estimate import Estimate, correlated_estimates
 from .._systems.system import System
 from .._types import Array, InitialState
 from .stick_moments import (
@@ -268,13 +268,9 @@ class _Fit:
         self, values: Float[np.ndarray, " parameters"], covariance: np.ndarray, recordings: int
     ) -> dict[str, Estimate]:
         """The estimates, which know how they are correlated. The likelihood's errors rest on simulations alone."""
-        shared, origin = SharedErrors(covariance), object()
         samples = recordings if self.objective == "moments" else self.samples
-        about = zip(self.models.names, values, np.sqrt(np.diag(covariance)), self.simulators[0].units, strict=True)
-        return {
-            name: shared_estimate(name, float(value), float(error), unit, samples, origin, (shared, at))
-            for at, (name, value, error, unit) in enumerate(about)
-        }
+        found = correlated_estimates(self.models.names, values, self.simulators[0].units, covariance, samples)
+        return {one.name: one for one in found}
 
 
 def _fits(experiment: int, observed: Observed, simulated: Simulated) -> list[MomentFit]:

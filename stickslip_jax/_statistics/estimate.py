@@ -4,7 +4,7 @@ import dataclasses
 import html
 import math
 import operator
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, SupportsFloat, TypeGuard
 
 import numpy as np
@@ -314,6 +314,18 @@ def shared_estimate(
     estimate = Estimate(name, value, standard_error, unit, samples, origin)
     object.__setattr__(estimate, "_shared", shared)
     return estimate
+
+
+def correlated_estimates(
+    names: Sequence[str], values: Iterable[float], units: Sequence[str], covariance: np.ndarray, samples: int
+) -> list[Estimate]:
+    """Estimates from the same samples, with their `covariance` (estimates, estimates) in their units."""
+    origin, shared = object(), SharedErrors(covariance)
+    about = zip(names, values, np.sqrt(np.diag(covariance)), units, strict=True)
+    return [
+        shared_estimate(name, float(value), float(error), unit, samples, origin, (shared, place))
+        for place, (name, value, error, unit) in enumerate(about)
+    ]
 
 
 class Computable:
