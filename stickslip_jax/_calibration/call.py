@@ -1,6 +1,5 @@
 """`calibrate`: numbers of a system and its base from a record of motion."""
 
-import dataclasses
 import warnings
 from collections.abc import Mapping
 
@@ -8,17 +7,16 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _checks
-from .. import _diffrax as diffrax
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.common.time_scales import slowest_time
-from .._dynamics.common.validation import Arguments
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
 from .._systems.system import System
 from .._types import InitialState
 from .._uncertainty.numbers import parameters_of
+from .asked import asked
 from .problem import Setting
-from .record import Observer, Record
+from .record import Observer
 from .report import result_of
 from .result import Calibration
 from .search import Found, Search, as_one, fitted
@@ -114,19 +112,10 @@ def _checked(
     observe: Mapping[str, Observer] | None,
     method: Exact | Regularized,
 ) -> Search:
-    end = _checks.numbers("times", times, ndim=1)
-    if not len(end) or not end[-1] > 0:
-        raise _checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
-    arguments, start = Arguments.of_one(system, base, method, float(end[-1]), y0)
-    if isinstance(method, Regularized) and method.step is None and method.adjoint is None:
-        method = dataclasses.replace(method, adjoint=diffrax.ForwardMode())
-    if isinstance(method, Exact):  # smoothed friction follows a realisation, which has no numbers to estimate
-        arguments = arguments._replace(base=base)
-    base, arguments = arguments.base, arguments._replace(method=method)
-    record = Record.of(system, times, measured, noise, observe)
-    parameters = parameters_of(Setting(system, base)._asdict(), wrt)
-    transform = transform_of(Setting(system, base), parameters)
-    return Search(record, arguments, parameters, transform, None if y0 is None else np.array(start, float))
+    arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
+    setting = Setting(arguments.system, arguments.base)
+    parameters = parameters_of(setting._asdict(), wrt)
+    return Search(record, arguments, parameters, transform_of(setting, parameters), None if y0 is None else start)
 
 
 def _usual_windows(search: Search) -> int:

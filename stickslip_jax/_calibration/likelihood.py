@@ -1,6 +1,5 @@
 """`log_likelihood`: how likely a record of motion is, as a function for samplers of posteriors."""
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +12,6 @@ import numpy.typing as npt
 from jax.typing import ArrayLike
 
 from .. import _checks
-from .. import _diffrax as diffrax
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.common.stopping_scan import padded_length
 from .._dynamics.common.validation import Arguments, working_dtype
@@ -25,8 +23,9 @@ from .._numerics.leaves import as_arrays
 from .._systems.system import System
 from .._types import Array, BoolArray, FloatArray, InitialState
 from .._uncertainty.numbers import parameters_of, quantity_at
+from .asked import asked
 from .problem import Model, Setting, predicted, static_holds
-from .record import Observer, Record, Windows
+from .record import Observer, Windows
 from .transform import identity
 
 _SPARE = 2  # times as many loop steps as with the first guesses: elsewhere the motion may be faster
@@ -203,15 +202,9 @@ def log_likelihood(
     368.62, -inf
     """
     require_threads_of_jax()
-    ends = _checks.numbers("times", times, ndim=1)
-    if not len(ends) or not ends[-1] > 0:
-        raise _checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
-    arguments, start = Arguments.of_one(system, base, method, float(ends[-1]), y0)
-    record = Record.of(system, times, measured, noise, observe)
-    if isinstance(method, Regularized) and method.step is None and method.adjoint is None:
-        method = dataclasses.replace(method, adjoint=diffrax.ForwardMode())
-    setting = Setting(system, base)
-    state = tuple(float(number) for number in start)
+    arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
+    setting, method = Setting(arguments.system, arguments.base), arguments.method
+    state = tuple(start.tolist())
     parameters = parameters_of({**setting._asdict(), "y0": state}, wrt)
     dtype = working_dtype()
     windows = record.cut(np.zeros(1, int), 0.0)

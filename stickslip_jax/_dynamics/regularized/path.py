@@ -29,7 +29,7 @@ from ..common.stopping_scan import padded_length, stopping_scan
 from ..common.time_scales import max_steps_advice, step_for
 from ..common.tracks import sticks_and_totals
 from .engine import criterion_of, field_of, switched_field
-from .settings import numbers_as_arrays, fixed_steps, resolved
+from .settings import fixed_steps, numbers_as_arrays, resolved
 from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of, table_sizes
 from .stepping import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
 from .stick_detector import StickDetector, hermite
