@@ -65,7 +65,11 @@ def explore(
 
     _checks.positive("t1", t1, "s")
     number = _checks.whole_number("samples", samples, minimum=2, maximum=MOST_SAMPLES)
-    start = tuple(0.0 for _ in system.coordinates) if y0 is None else tuple(y0)
+    known = system.coordinates
+    start = tuple(0.0 for _ in known) if y0 is None else tuple(y0)
+    if len(start) != len(known):
+        names = ", ".join(one.name for one in known)
+        raise _checks.refused("y0", f"hold {len(known)} values ({names})", y0)
     scene = Scene(system, law_of(law), start, float(t1), number, _checks.whole_number("seed", seed, minimum=0), method)
     pn.extension()
     return Explorer(scene)

@@ -19,10 +19,10 @@ class NumberControl:
     def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
         self.number, self._moved, self._is_quiet = number, moved, False
         self._slider = pn.widgets.FloatSlider(
-            name=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
+            label=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
             show_value=False, sizing_mode="stretch_width", margin=(0, 10, 0, 5),
         )  # fmt: skip
-        self._box = pn.widgets.TextInput(name="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
+        self._box = pn.widgets.TextInput(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
         self._problem = pn.pane.Str("", visible=False, styles={"color": "#b00020"}, css_classes=["problem"])
         self._slider.param.watch(self._slid, "value")
         self._box.param.watch(self._written, "value")
@@ -30,6 +30,19 @@ class NumberControl:
             pn.Row(self._slider, self._box, sizing_mode="stretch_width", margin=0),
             self._problem, sizing_mode="stretch_width", margin=0,
         )  # fmt: skip
+
+    def slide(self, value: float) -> None:
+        """Move the slider, as its handle does."""
+        self._slider.value = value
+
+    def write(self, text: str) -> None:
+        """Write into the box, as the keyboard does."""
+        self._box.value = text
+
+    @property
+    def problem(self) -> str:
+        """Why the number in the box is not taken, or ""."""
+        return self._problem.object
 
     def refuse(self, why: str) -> None:
         """Say why the number is not taken."""
@@ -68,7 +81,7 @@ class NumberControl:
 
 def choice(name: str, options: list[str], value: str, chosen: Callable[[str], None]) -> pn.widgets.Select:
     """A list to choose from."""
-    widget = pn.widgets.Select(name=name, options=options, value=value, sizing_mode="stretch_width")
+    widget = pn.widgets.Select(label=name, options=options, value=value, sizing_mode="stretch_width")
     widget.param.watch(lambda event: chosen(event.new), "value")
     return widget
 
@@ -77,6 +90,6 @@ def whole_number(
     name: str, value: int, low: int, high: int, chosen: Callable[[int], None]
 ) -> pn.widgets.IntInput:  # fmt: skip
     """A box for a whole number."""
-    widget = pn.widgets.IntInput(name=name, value=value, start=low, end=high, width=130)
+    widget = pn.widgets.IntInput(label=name, value=value, start=low, end=high, width=130)
     widget.param.watch(lambda event: chosen(event.new), "value")
     return widget

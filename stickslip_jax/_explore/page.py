@@ -38,7 +38,8 @@ setTimeout(() => { button.label = "Copy as Python"; }, 2000);
 class Explorer(pn.viewable.Viewer):
     """A system and what it does, as a page in a browser or the output of a cell in a notebook.
 
-    `scene`: what is shown now.
+    - `scene`: what is shown now.
+    - `controls`: of its numbers. `statistics`, `slope`: panes with the means and the derivative.
     """
 
     def __init__(self, scene: Scene, **params: Any):
@@ -49,10 +50,10 @@ class Explorer(pn.viewable.Viewer):
         self._pictures, self._slopes = (Worker(document, threads) for threads in _THREADS)
         self._numbers = pn.Column(sizing_mode="stretch_width")
         self._alert = pn.pane.Alert("", alert_type="danger", visible=False, css_classes=["alert-of-scene"])
-        self._statistics = pn.pane.HTML(_html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
-        self._slope = pn.pane.HTML("", sizing_mode="stretch_width", css_classes=["slope"])
+        self.statistics = pn.pane.HTML(_html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
+        self.slope = pn.pane.HTML("", sizing_mode="stretch_width", css_classes=["slope"])
         self._code = pn.widgets.TextAreaInput(
-            name="Python", rows=12, disabled=True, sizing_mode="stretch_width", max_length=100_000
+            label="Python", rows=12, disabled=True, sizing_mode="stretch_width", max_length=100_000
         )
         self._section_note = pn.pane.HTML("", css_classes=["section-note"])
         self._tabs = pn.Tabs(sizing_mode="stretch_width")
@@ -67,26 +68,36 @@ class Explorer(pn.viewable.Viewer):
     def __panel__(self) -> Any:
         return self._view
 
+    def choose(self, which: str, name: str) -> None:
+        """Choose from the list of "System", "Friction" or "Base"."""
+        self._lists[which].value = name
+
+    @property
+    def tabs(self) -> list[str]:
+        """The names of the tabs."""
+        return list(self._tabs._names)
+
     # --- what is chosen
 
     def _choices(self) -> list[Any]:
-        systems, scene = [GIVEN, *SYSTEMS], self.scene
-        self._friction = choice("Friction", [GIVEN, *FRICTIONS], GIVEN, self._choose_friction)
-        self._friction.visible = has_friction_to_choose(scene.system)
+        scene = self.scene
+        self._lists = {
+            "System": choice("System", [GIVEN, *SYSTEMS], GIVEN, self._choose_system),
+            "Friction": choice("Friction", [GIVEN, *FRICTIONS], GIVEN, self._choose_friction),
+            "Base": choice("Base", [GIVEN, *bases_for(scene)], GIVEN, self._choose_base),
+        }
+        self._lists["Friction"].visible = has_friction_to_choose(scene.system)
         size = whole_number("Realisations", scene.samples, 2, MOST_SAMPLES, partial(self._count, "samples"))
         seed = whole_number("Seed", scene.seed, 0, 2**32 - 1, partial(self._count, "seed"))
-        self._drives = choice("Base", [GIVEN, *bases_for(scene)], GIVEN, self._choose_base)
-        return [
-            choice("System", systems, GIVEN, self._choose_system), self._friction, self._drives, pn.Row(size, seed),
-        ]  # fmt: skip
+        return [*self._lists.values(), pn.Row(size, seed)]
 
     def _choose_system(self, name: str) -> None:
         samples, seed = self.scene.samples, self.scene.seed
         new = self._given if name == GIVEN else scene_of(StudyConfig.model_validate(dict(SYSTEMS[name])))
         self.scene = new._replace(samples=samples, seed=seed)
         self._start = self.scene
-        self._friction.param.update(value=GIVEN, visible=has_friction_to_choose(new.system))
-        self._drives.param.update(options=[GIVEN, *bases_for(self.scene)], value=GIVEN)
+        self._lists["Friction"].param.update(value=GIVEN, visible=has_friction_to_choose(new.system))
+        self._lists["Base"].param.update(options=[GIVEN, *bases_for(self.scene)], value=GIVEN)
         self._renew()
 
     def _choose_friction(self, name: str) -> None:
@@ -120,12 +131,13 @@ class Explorer(pn.viewable.Viewer):
     def _renew(self) -> None:
         """Make controls and figures for another system or base."""
         numbers = numbers_of(self.scene)
-        self._numbers.objects = [NumberControl(number, self._moved).view for number in numbers]
+        self.controls = [NumberControl(number, self._moved) for number in numbers]
+        self._numbers.objects = [one.view for one in self.controls]
         self._moving = next((one for one in numbers if one.path[-1] in ("mu", "mu_static")), numbers[0])
         self._figures = Figures(self.scene)
         panes = [pn.pane.Bokeh(one, sizing_mode="stretch_width", margin=0) for one in self._figures.all]
         motion = pn.Column(
-            pn.FlexBox(self._statistics, self._slope), pn.Column(*panes, styles=_GRID, sizing_mode="stretch_width"),
+            pn.FlexBox(self.statistics, self.slope), pn.Column(*panes, styles=_GRID, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )  # fmt: skip
         tabs: list[Any] = [("Motion and statistics", motion)]
@@ -148,7 +160,7 @@ class Explorer(pn.viewable.Viewer):
 
     def _differentiate(self, scene: Scene, moving: MovableNumber) -> None:
         if moving.path == ("t1",):
-            self._slope.object = ""
+            self.slope.object = ""
             return
         self._slopes.do(
             partial(_quietly, slope_of, scene, moving.name), partial(self._show_slope, moving),
@@ -163,7 +175,7 @@ class Explorer(pn.viewable.Viewer):
         ]
         table = _html.table(rows, ("of all realisations", "mean", "95 % interval"))
         left = f"<p>{pictures.unfinished:,} of {scene.samples:,} realisations did not finish.</p>"
-        self._statistics.object = table + (left if pictures.unfinished else "")
+        self.statistics.object = table + (left if pictures.unfinished else "")
         self._alert.param.update(object=pictures.problem, visible=bool(pictures.problem))
         try:
             self._code.value = as_python(scene)
@@ -176,10 +188,10 @@ class Explorer(pn.viewable.Viewer):
     def _show_slope(self, number: MovableNumber, found: tuple[Sensitivity, list[str]]) -> None:
         slope, remarks = found
         said = f"{slope} {_unit_of(slope)}".replace("+-", "±")
-        self._slope.object = _html.escaped(said) + "".join(map(_html.escaped, remarks))
+        self.slope.object = _html.escaped(said) + "".join(map(_html.escaped, remarks))
 
     def _no_slope(self, number: MovableNumber, error: BaseException) -> None:
-        self._slope.object = _html.escaped(f"No derivative by {number.name}: {error}")
+        self.slope.object = _html.escaped(f"No derivative by {number.name}: {error}")
 
     def _fail(self, error: BaseException) -> None:
         self._alert.param.update(object=f"The pictures are those of before: {error}", visible=True)
@@ -200,22 +212,24 @@ class Explorer(pn.viewable.Viewer):
     # --- what is taken away
 
     def _buttons(self) -> Any:
-        copy = pn.widgets.Button(name="Copy as Python", button_type="primary")
+        copy = pn.widgets.Button(label="Copy as Python", color="primary")
         copy.js_on_click(args={"code": self._code, "button": copy}, code=_COPY)
         toml = pn.widgets.FileDownload(
-            callback=self._toml, filename="study.toml", label="Save as TOML", button_type="primary"
+            callback=self.study_file, filename="study.toml", label="Save as TOML", color="primary"
         )
         figure = pn.widgets.FileDownload(
-            callback=self._sheet, filename="explorer.pdf", label="Save the figure", button_type="primary"
+            callback=self.figures_file, filename="explorer.pdf", label="Save the figure", color="primary"
         )
         return pn.FlexBox(copy, toml, figure)
 
-    def _toml(self) -> io.BytesIO:
+    def study_file(self) -> io.BytesIO:
+        """What is shown as the TOML file of a study. Raises StudyError for what has no section there."""
         scene = self.scene
         config = config_of(scene.system, scene.law, y0=scene.y0, t1=scene.t1, samples=scene.samples, seed=scene.seed)
         return io.BytesIO(config.to_toml().encode())
 
-    def _sheet(self) -> io.BytesIO:
+    def figures_file(self) -> io.BytesIO:
+        """The pictures as a PDF."""
         return io.BytesIO(sheet_of(self.scene))
 
 

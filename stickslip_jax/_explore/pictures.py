@@ -64,7 +64,7 @@ def pictures_of(scene: Scene) -> Pictures:
     """Simulate a scene. Raises ValueError for what `simulate_ensemble` and `simulate` refuse."""
     many = simulate_ensemble(
         scene.system, scene.law, t1=scene.t1, samples=scene.samples, key=jax.random.key(scene.seed), y0=scene.y0,
-        method=scene.method, progress=False,
+        method=scene.method, keep="sticks", progress=False,
     )  # fmt: skip
     one = realization(scene, many)
     is_whole = int(one.status) == Status.FINISHED

@@ -1,0 +1,185 @@
+"""The page of the explorer without a browser: what is computed when its controls move."""
+
+import gc
+import html
+import re
+
+import jax
+import numpy as np
+import pytest
+
+import stickslip_jax as ss
+from stickslip_jax._explore.controls import NumberControl
+from stickslip_jax._explore.page import GIVEN
+from stickslip_jax._explore.pictures import pictures_of, realization
+from stickslip_jax._explore.scene import Scene
+from stickslip_jax.study import read_config
+
+T1, SAMPLES, Y0 = 20.0, 300, (0.0, 1.0)
+
+
+def system(mu=0.8):
+    return ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu))
+
+
+def shown(**options):
+    given = {"t1": T1, "y0": Y0, "samples": SAMPLES} | options
+    return ss.explore(given.pop("system", system()), given.pop("law", ss.PoissonSwitching(0.9, 1.0)), **given)
+
+
+def control(explorer, name) -> NumberControl:
+    """The control of a number."""
+    found = [one for one in explorer.controls if one.number.name == name]
+    assert len(found) == 1
+    return found[0]
+
+
+def said(pane):
+    return html.unescape(re.sub("<[^>]*>", " ", pane.object))
+
+
+def test_numbers_are_those_of_the_package():
+    explorer = shown()
+    control(explorer, "system.friction.mu").write("0.65")
+    control(explorer, "law.rate").slide(1.25)
+    options = {"t1": T1, "samples": SAMPLES, "key": jax.random.key(0), "y0": Y0}
+    new = system(0.65), ss.PoissonSwitching(0.9, 1.25)
+    many = ss.simulate_ensemble(*new, **options, progress=False)
+    for statistic in (ss.mean_stick_duration(many), ss.mean_stick_count(many), ss.stick_fraction(many)):
+        row = f"{statistic.name} {statistic.without_name().replace('+-', '±')}"
+        assert row in " ".join(said(explorer.statistics).split())
+    slope = ss.sensitivity(ss.mean_stick_duration, *new, wrt="law.rate", **options)
+    assert str(slope).replace("+-", "±") + " s per 1/s" in said(explorer.slope)
+    assert explorer.scene.law.rate == 1.25
+    assert explorer.scene.system.friction.mu == 0.65
+
+
+def test_pictures_are_those_of_the_sticks():
+    scene = Scene(system(), ss.PoissonSwitching(0.9, 1.0), Y0, T1, SAMPLES)
+    found = pictures_of(scene)
+    sticks = found.ensemble.finished_sticks()
+    widths = np.diff(found.durations.edges)
+    assert np.sum(found.durations.heights * widths) == pytest.approx(1)
+    assert found.durations.edges[-1] == sticks.duration.max()
+    assert np.sum(found.numbers.heights) == pytest.approx(1)
+    centres = (found.numbers.edges[1:] + found.numbers.edges[:-1]) / 2
+    assert centres @ found.numbers.heights == pytest.approx(np.mean(sticks.count))
+    # The first realisation, at its own sticks.
+    own = ss.simulate(*found.ensemble.realization(0)[:2], t1=T1, y0=found.ensemble.realization(0).y0)
+    mask = np.asarray(own.sticks.mask)
+    np.testing.assert_allclose(
+        np.asarray(found.one.sticks.start)[np.asarray(found.one.sticks.mask)],
+        np.asarray(own.sticks.start)[mask],
+        rtol=0,
+    )
+    times = found.stick.times[np.isfinite(found.stick.times)]
+    inside = [
+        np.any((times >= a) & (times <= b))
+        for a, b in zip(np.asarray(own.sticks.start)[mask], np.asarray(own.sticks.end)[mask], strict=True)
+    ]
+    assert all(inside)
+    np.testing.assert_allclose(
+        found.slip.x[np.isfinite(found.slip.times)],
+        np.asarray(own.evaluate(found.slip.times[np.isfinite(found.slip.times)])[0]),
+        atol=1e-12,
+    )
+
+
+def test_moving_numbers_compiles_nothing():
+    """Within the ranges of the sliders, of numbers that were moved before."""
+    explorer = shown()
+    moves = [("system.friction.mu", 0.5, 1.1), ("law.rate", 0.6, 1.6), ("law.speed", 0.5, 1.4), ("y0[1]", 0.2, -0.4)]
+    for name, first, _ in moves:
+        control(explorer, name).slide(first)
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None
+    )
+    try:
+        for name, _, second in moves:
+            control(explorer, name).slide(second)
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert compiled == []
+
+
+@pytest.mark.parametrize("text", ["", "fast", "1;2", "nan", "-1", "0"])
+def test_bad_input_says_why_and_moves_nothing(text):
+    explorer = shown()
+    before = explorer.scene, said(explorer.statistics)
+    one = control(explorer, "system.mass")
+    one.write(text)
+    assert (explorer.scene, said(explorer.statistics)) == before
+    assert one.problem.startswith(("Argument system.mass must be positive (in kg), but", f"{text!r} is not a number"))
+    one.write("1.5")
+    assert one.problem == ""
+    assert explorer.scene.system.mass == 1.5
+
+
+def test_number_beyond_the_slider():
+    explorer = shown()
+    control(explorer, "law.speed").write("12.5")
+    assert control(explorer, "law.speed").number.high == 12.5
+    assert explorer.scene.law.speed == 12.5
+
+
+def test_other_system_friction_and_base():
+    explorer = shown(samples=20)
+    explorer.choose("System", "two blocks")
+    assert "friction coefficient, contact 1" in [one.number.label for one in explorer.controls]
+    assert explorer.scene.samples == 20
+    explorer.choose("System", GIVEN)
+    assert explorer.scene.system.friction.mu == 0.8
+    explorer.choose("Friction", "Stribeck")
+    assert isinstance(explorer.scene.system.friction, ss.Stribeck)
+    explorer.choose("Base", "SquareWave")
+    assert isinstance(explorer.scene.law, ss.SquareWave)
+    assert explorer.tabs == ["Motion and statistics", "Bifurcation"]
+    explorer.choose("Base", GIVEN)
+    assert explorer.tabs == ["Motion and statistics"]
+
+
+def test_study_file_and_figures():
+    explorer = shown(samples=20)
+    control(explorer, "law.speed").write("0.75")
+    config = explorer.study_file().getvalue().decode()
+    assert "speed = 0.75" in config
+    assert "samples = 20" in config
+    assert explorer.figures_file().getvalue().startswith(b"%PDF")
+
+
+def test_study_file_is_read_again(tmp_path):
+    explorer = shown(samples=20)
+    (tmp_path / "study.toml").write_bytes(explorer.study_file().getvalue())
+    assert read_config(tmp_path / "study.toml").system.build().friction.mu == 0.8
+
+
+def test_no_sticks_at_all():
+    explorer = shown(system=system(mu=0.0), samples=20)
+    assert "mean number of sticks 0" in " ".join(said(explorer.statistics).split())
+    assert explorer.figures_file().getvalue().startswith(b"%PDF")
+
+
+@pytest.mark.usefixtures("annotations_unchecked")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"samples": 1}, r"\AArgument samples must be"),
+        ({"samples": 10**7}, r"\AArgument samples must be"),
+        ({"t1": -1.0}, r"\AArgument t1 must be positive"),
+        ({"seed": -1}, r"\AArgument seed must be"),
+        ({"system": 3}, r"\AArgument system must be a system such as MassSpring"),
+        ({"y0": (0.0,)}, r"Argument y0 must"),
+    ],
+)
+def test_bad_arguments(options, message):
+    with pytest.raises(ValueError, match=message):
+        shown(**options)
+
+
+def test_realization_is_the_first_of_the_ensemble():
+    scene = Scene(system(), ss.RandomSteps(speed=0.9, interval=1.5), (ss.Uniform(-0.5, 0.5), 0.0), T1, 5, seed=4)
+    many = pictures_of(scene).ensemble
+    one = realization(scene, many)
+    assert float(one.stick_time) == pytest.approx(many.totals.stick_time[0], rel=1e-12)
+    gc.collect()
