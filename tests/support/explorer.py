@@ -1,0 +1,117 @@
+"""The explorer's page in a browser: its controls by their labels, through the shadow trees in which they are."""
+
+import time
+from typing import Any
+
+_WALK = """
+const found = [];
+const walk = (root) => {
+  for (const one of root.querySelectorAll("*")) {
+    if (one.matches(arguments[0])) found.push(one);
+    if (one.shadowRoot) walk(one.shadowRoot);
+  }
+};
+walk(document);
+return found;
+"""
+_TEXT = """
+const found = [];
+const walk = (root) => {
+  for (const one of root.childNodes) {
+    if (one.nodeType === Node.TEXT_NODE && one.textContent.trim()) found.push(one.textContent);
+    if (one.tagName === "STYLE" || one.tagName === "SCRIPT") continue;
+    if (one.shadowRoot) walk(one.shadowRoot);
+    walk(one);
+  }
+};
+walk(document.body);
+return found.join(" ").replace(/\\s+/g, " ");
+"""
+
+
+class Page:
+    """What a reader sees and does."""
+
+    def __init__(self, browser: Any):
+        self.browser = browser
+
+    def all(self, css: str) -> list[Any]:
+        """All elements that match."""
+        return self.browser.execute_script(_WALK, css)
+
+    def text(self) -> str:
+        """All text of the page, and of its table."""
+        return self.browser.execute_script(_TEXT) + "\n" + self.table()
+
+    def table(self) -> str:
+        """The text of the table of statistics, tabs between cells."""
+        return "\n".join(one.text_content for one in map(_Table, self.all("table")))
+
+    def wait_for(self, text: str, seconds: float = 120.0) -> None:
+        """Wait until the page says this. Raises AssertionError if it does not."""
+        end = time.monotonic() + seconds
+        while text not in self.text():
+            assert time.monotonic() < end, f"{text!r} is not in {self.text()!r}"
+            time.sleep(0.05)
+
+    def box(self, label: str) -> str:
+        """What stands in the box of a number."""
+        return self._row(label)[1].get_property("value")
+
+    def write(self, label: str, text: str) -> None:
+        """Write into the box of a number, and press Enter."""
+        from selenium.webdriver.common.keys import Keys  # noqa: PLC0415
+
+        box = self._row(label)[1]
+        box.send_keys(Keys.CONTROL, "a")
+        box.send_keys(text, Keys.ENTER)
+
+    def press(self, label: str, key: str, times: int = 1) -> None:
+        """Press a key while the slider of a number has the focus."""
+        from selenium.webdriver.common.keys import Keys  # noqa: PLC0415
+
+        for _ in range(times):
+            self._row(label)[0].send_keys(getattr(Keys, key))
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose from a list."""
+        from selenium.webdriver.support.ui import Select  # noqa: PLC0415
+
+        lists = {self._label_of(one): one for one in self.all("select")}
+        Select(lists[label]).select_by_visible_text(option)
+
+    def click(self, text: str) -> None:
+        """Click a button or a tab."""
+        (one, *_) = [one for one in self.all("button, .bk-tab") if one.text.strip() == text]
+        one.click()
+
+    def _row(self, label: str) -> tuple[Any, Any]:
+        """Handle and box of a number."""
+        script = """
+        const titles = [];
+        const walk = (root) => {
+          for (const one of root.querySelectorAll("*")) {
+            if (one.matches(".bk-slider-title")) titles.push(one);
+            if (one.shadowRoot) walk(one.shadowRoot);
+          }
+        };
+        walk(document);
+        const title = titles.find((one) => one.textContent.replace(/:\\s*$/, "").trim() === arguments[0]);
+        const slider = title.getRootNode();
+        const box = slider.host.nextElementSibling.shadowRoot.querySelector("input");
+        return [slider.querySelector(".noUi-handle"), box];
+        """
+        handle, box = self.browser.execute_script(script, label)
+        return handle, box
+
+    def _label_of(self, element: Any) -> str:
+        script = "return arguments[0].getRootNode().querySelector('label').textContent.trim()"
+        return self.browser.execute_script(script, element)
+
+
+class _Table:
+    def __init__(self, element: Any):
+        rows = element.find_elements("tag name", "tr")
+        self.text_content = "\n".join(
+            "\t".join(cell.text for cell in row.find_elements("css selector", "th, td")) for row in rows
+        )
