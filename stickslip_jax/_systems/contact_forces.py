@@ -97,14 +97,35 @@ class Limits(NamedTuple):
         """The limit of a stick that needs this `force`."""
         return jnp.where(force > 0, self.static_forward, self.static_backward)
 
-    def share(self, force: FloatArray, broken: BoolArray | bool = False) -> FloatArray:
-        """The `force` that a stick needs, over the largest one in its direction; infinite where none is possible.
+    def band(self, force: FloatArray, broken: BoolArray | bool = False) -> tuple[FloatArray, FloatArray]:
+        """The `stick_band` of sticks that need this `force`.
 
         `broken`: what kinetic friction must hold, its stick being over.
         """
-        limit = jnp.where(broken, jnp.where(force > 0, self.forward, self.backward), self.static(force))
+        forward = jnp.where(broken, self.forward, self.static_forward)
+        backward = jnp.where(broken, self.backward, self.static_backward)
+        return stick_band(forward, backward, jnp.where(force > 0, forward, backward))
+
+    def share(self, force: FloatArray, broken: BoolArray | bool = False) -> FloatArray:
+        """The `force` that a stick needs, over the largest one in its direction; infinite where none is possible.
+
+        Both from the middle of the `band` on.
+        """
+        middle, limit = self.band(force, broken)
         can = limit > 0
-        return jnp.where(can, force / jnp.where(can, limit, 1), jnp.inf)
+        return jnp.where(can, (force - middle) / jnp.where(can, limit, 1), jnp.inf)
+
+
+def stick_band(forward: FloatArray, backward: FloatArray, limit: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The middle of the friction forces that a stick can have, and how far they reach from there.
+
+    `forward`, `backward`: the largest in sticks that would break into such slips. Where both have friction the middle
+    is 0, and the `limit` how far they reach in the direction that is asked. Where only one has, forces end at 0, and from
+    there round-off would decide into which slip a stick breaks.
+    """
+    is_one_sided = (forward == 0) != (backward == 0)
+    middle, half_width = (forward - backward) / 2, (forward + backward) / 2
+    return jnp.where(is_one_sided, middle, 0), jnp.where(is_one_sided, half_width, limit)
 
 
 class Settled(NamedTuple):
@@ -121,14 +142,15 @@ def settled(gain: Gain, drift: FloatArray, limits: Limits, question: Question, s
     """
     asked = question.asked
 
-    def shares(sign: FloatArray, broken: BoolArray | bool = False) -> tuple[FloatArray, FloatArray]:
+    def shares(sign: FloatArray, broken: BoolArray | bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """All forces, into which slips they drive sticks, and their shares of what friction can hold."""
         force = solved(gain, drift, limits.slip(sign), asked & (sign == 0))
-        return force, limits.share(force, broken)
+        driven = jnp.where(force > limits.band(force, broken)[0], 1, -1).astype(drift.dtype)
+        return force, driven, limits.share(force, broken)
 
     # What has just been released slips in the direction in which it is driven.
     start = jnp.where(asked, 0, question.sign)
-    force, share = shares(start)
-    driven = jnp.where(force > 0, 1, -1).astype(drift.dtype)
+    _, driven, share = shares(start)
     start = jnp.where(question.released, driven, start)
     allowed = 1 + jnp.where(question.goes_on, slack, 0)
     if isinstance(gain, Uncoupled):
@@ -137,7 +159,7 @@ def settled(gain: Gain, drift: FloatArray, limits: Limits, question: Question, s
 
     def again(state: tuple[FloatArray, FloatArray, BoolArray, IntArray, BoolScalar]):
         sign, decisive, broken, passes, _ = state
-        force, share = shares(sign, broken)
+        force, driven, share = shares(sign, broken)
         held, slips = asked & (sign == 0), asked & (sign != 0) & ~question.released
         excess = jnp.where(held, jnp.abs(share) - allowed, -jnp.inf)
         # A contact that others drive back is held again: its friction alone would reverse it.
@@ -147,7 +169,7 @@ def settled(gain: Gain, drift: FloatArray, limits: Limits, question: Question, s
         excess = jnp.where(jnp.any(broken & (excess > 0)) & ~broken, -jnp.inf, excess)
         breaks = (excess == jnp.max(excess)) & (excess > 0) & ~jnp.any(returns)
         decisive = jnp.where(held, share, decisive)
-        new = jnp.where(breaks, jnp.where(force > 0, 1, -1), jnp.where(returns, 0, sign)).astype(sign.dtype)
+        new = jnp.where(breaks, driven, jnp.where(returns, 0, sign)).astype(sign.dtype)
         return new, decisive, broken | breaks, passes + 1, jnp.any(breaks | returns)
 
     most = _PASSES * len(drift) + 1

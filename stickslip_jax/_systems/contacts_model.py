@@ -43,7 +43,7 @@ class InMode(NamedTuple):
 
     Attributes:
         velocity: Relative velocities, (contacts,).
-        force: Friction forces against them, (contacts,).
+        force: Friction forces against them, of sticks from the middle of their `stick_band` on, (contacts,).
         limit: What sticks can hold in the direction of these, (contacts,).
         normal: The normal forces that vary, in the order of `ContactsModel.varying`; None where none does.
     """
@@ -211,7 +211,8 @@ class ContactsModel(SwitchedModel[F]):
             limits = self._limits(forcing, tau, y, now.velocity, sign)
             force = solved(now.gain, now.drift, limits.slip(own), own == 0)
             normal = self.varying_normal_forces(forcing, tau, y) if self.varying else None
-            return InMode(now.velocity, force, limits.static(force), normal)
+            middle, limit = limits.band(force)
+            return InMode(now.velocity, force - middle, limit, normal)
 
         return jax.jvp(at, (tau, y), (jnp.ones_like(tau), self.rates(forcing, tau, y, sign)))
 

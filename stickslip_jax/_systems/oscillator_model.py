@@ -18,6 +18,7 @@ from .._numerics.rotation import responses
 from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
 from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Scalar, State
 from .composed_friction import AtAge
+from .contact_forces import stick_band
 from .friction import FrictionLaw
 from .one_contact import OneContactModel
 from .steady_response import steady_response
@@ -79,9 +80,9 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
     def guard(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
         m, k, c = self._constants()
         velocity, acceleration = self.base_motion(forcing, tau)
-        needed, holds = self._needed_and_limit(forcing, tau, y)
+        beyond, holds = self._beyond_and_limit(forcing, tau, y)
         per_held = jnp.where(holds > 0, 1 / jnp.where(holds > 0, holds, 1), 0)
-        share = needed * per_held
+        share = beyond * per_held
         t = forcing.t + tau
         jerk = 0 if self.smooth is None else self.smooth.curvature(t)
         share_rate = (m * jerk + _times(c, acceleration) + k * velocity - self._force_rate(forcing, tau)) * per_held
@@ -102,13 +103,13 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         return y[0], self.base_motion(forcing, jnp.zeros_like(y[0]))[0]
 
     def can_stick(self, forcing: OscillatorForcing, y: State) -> BoolScalar:
-        needed, holds = self._needed_and_limit(forcing, jnp.zeros_like(y[0]), y)
+        beyond, holds = self._beyond_and_limit(forcing, jnp.zeros_like(y[0]), y)
         # Without friction nothing sticks, not even where no force is needed.
-        return (jnp.abs(needed) <= holds) & (holds > 0)
+        return (jnp.abs(beyond) <= holds) & (holds > 0)
 
     def release_sign(self, forcing: OscillatorForcing, y: State) -> FloatScalar:
         # The base pulls harder than friction can hold: the mass lags behind.
-        return jnp.where(self._needed_and_limit(forcing, jnp.zeros_like(y[0]), y)[0] > 0, -1, 1).astype(y[0].dtype)
+        return jnp.where(self._beyond_and_limit(forcing, jnp.zeros_like(y[0]), y)[0] > 0, -1, 1).astype(y[0].dtype)
 
     @property
     def time_scales_are_known(self) -> bool:
@@ -147,15 +148,21 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         force = self.system.force
         return forcing.load_slope + (force.rate(forcing.t + tau) if isinstance(force, Signal) else 0)
 
-    def _needed_and_limit(self, forcing: OscillatorForcing, tau: FloatScalar, y: State) -> FloatPair:
-        """The friction force that a stick needs, ``m v' + c v + k x - F`` (Lima and Sampaio 2017, eq. 3), and the
-        largest one in that direction, N.
+    def _beyond_and_limit(self, forcing: OscillatorForcing, tau: FloatScalar, y: State) -> FloatPair:
+        """The friction force that a stick needs, ``m v' + c v + k x - F`` (Lima and Sampaio 2017, eq. 3), from the
+        middle of the `stick_band` on, and the largest one in that direction, N.
         """
         m, k, c = self._constants()
         velocity, acceleration = self.base_motion(forcing, tau)
         needed = m * acceleration + _times(c, velocity) + k * y[0] - self.load_at(forcing, tau)
         # A mass that needs a positive force lags behind the base once it is released.
-        return needed, jnp.asarray(self.friction.stick_limit(-needed) * self.system.normal_force)
+        limit = jnp.asarray(self.friction.stick_limit(-needed) * self.system.normal_force)
+        if not self.friction.depends_on_direction:
+            return needed, limit
+        ways = (jnp.full_like(needed, way) for way in (-1.0, 1.0))
+        backward, forward = (self.friction.stick_limit(way) * self.system.normal_force for way in ways)
+        middle, limit = stick_band(backward, forward, limit)
+        return needed - middle, limit
 
     @property
     def _is_harmonic(self) -> bool:

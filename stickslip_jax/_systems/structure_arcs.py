@@ -97,10 +97,10 @@ class ArcsModel(StructureModel):
             drift = drift - of.on_base * self.smooth.curvature(forcing.t + tau)
         rate = solved(now.gain, drift, changing.slip(own), sticks)
         velocity = acceleration(now.gain, now.drift, force)
-        limit, limit_rate = (forces.static(force) for forces in (limits, changing))
+        (middle, limit), (middle_rate, limit_rate) = (forces.band(force) for forces in (limits, changing))
         return (
-            InMode(now.velocity, force, limit, self._varying(normal)),
-            InMode(velocity, rate, limit_rate, self._varying(normal_rate)),
+            InMode(now.velocity, force - middle, limit, self._varying(normal)),
+            InMode(velocity, rate - middle_rate, limit_rate, self._varying(normal_rate)),
         )
 
     def _varying(self, normal: FloatArray) -> FloatArray | None:
