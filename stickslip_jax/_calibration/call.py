@@ -69,7 +69,9 @@ def calibrate(
         method: As for `simulate`. With `Regularized` there is one window, which begins at t = 0.
 
     Returns:
-        The estimates, with their errors; print it.
+        The estimates, with their errors; print it. Warns (RuntimeWarning) with each of its remarks: of numbers that the
+        record does not tell (their error is infinite), of residuals that the noise does not explain, and of a search
+        that did not converge.
 
     Raises:
         ValueError: For arguments outside these bounds, for names that fit no number, and for a first guess from which
@@ -96,8 +98,8 @@ def calibrate(
         given_up = None if isinstance(whole, Found) else whole
         found = whole if isinstance(whole, Found) else found
     done = result_of(search.record, search.arguments, search.parameters, found, search.y0 is None, given_up)
-    if not done.converged:
-        warnings.warn(f"The search did not converge; do not use its numbers:\n{done}", RuntimeWarning, stacklevel=2)
+    for remark in done.remarks:
+        warnings.warn(remark, RuntimeWarning, stacklevel=2)
     return done
 
 

@@ -86,6 +86,7 @@ def result_of(
         whiteness=tests,
         converged=fit.converged,
         remarks=(
+            *(() if fit.converged else ("The search did not converge: do not use its numbers.",)),
             *_about_numbers(names[:number], numbers, told, bounds, slope[:number]),
             *_about_fit(total, freedom, all(known.values()), tests, given_up, len(fit.point.s)),
         ),
@@ -97,8 +98,10 @@ def _without_states(seen: Any, number: int) -> Any:
 
 
 def _scaled(covariance: np.ndarray, slope: np.ndarray, is_told: np.ndarray) -> np.ndarray:
-    """The covariance of numbers from that of what is searched; NaN for those that the record does not tell."""
-    return np.where(is_told[:, None] & is_told, covariance * slope[:, None] * slope, np.nan)
+    """The covariance of numbers from that of what is searched; variances that the record does not tell are infinite."""
+    scaled = np.where(is_told[:, None] & is_told, covariance * slope[:, None] * slope, np.nan)
+    np.fill_diagonal(scaled, np.where(is_told, np.diag(scaled), np.inf))
+    return scaled
 
 
 def _about_numbers(

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from .._excitation.excitation import BaseMotion
-from .._statistics.estimate import Estimate, format_with_error
+from .._statistics.estimate import Estimate
 from .._statistics.summary import wrapped
 from .._statistics.verdicts import HypothesisTest
 from .._systems.system import System
@@ -19,7 +19,8 @@ class Calibration:
     ``found["mu"]`` is the `Estimate` of a number, which can be computed with: estimates of one calibration know how
     they are correlated.
 
-    - `estimates`: by name. The standard errors hold for white noise. NaN for a number that the record does not tell.
+    - `estimates`: by name. The standard errors hold for white noise. That of a number that
+      the record does not tell is infinite, and it is printed as not determined.
     - `covariance`: of the estimates in their order, (numbers, numbers), for white noise.
     - `covariance_by_blocks`: the same from the scatter of 40 parts of the record, which are taken as independent: for
       residuals that are not white.
@@ -83,11 +84,7 @@ class Calibration:
             + ("" if self.converged else ", NOT CONVERGED")
         ]
         for name, one in self.estimates.items():
-            unit = "" if one.unit == "1" else f" {one.unit}"
-            if np.isfinite(one.standard_error):
-                lines.append(f"  {name} = {format_with_error(one.value, one.standard_error)}{unit}")
-            else:
-                lines.append(f"  {name}: not told by the record")
+            lines.append(f"  {name} = {one.without_name()}")
         for name in self.channels:
             kind = "given" if self.noise_is_known[name] else "estimated"
             test = self.whiteness[name]

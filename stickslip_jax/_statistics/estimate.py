@@ -45,6 +45,7 @@ class Estimate:
     """An estimate: its value and standard error (one standard deviation), both in `unit`.
 
     - `samples`: the number of independent samples it is from. A value or error that these do not determine is NaN.
+    - An infinite error: the samples do not determine the value, as that of a number which a calibration cannot tell.
     - `origin`: which random numbers it is from; for estimates of an ensemble, its key. By default its own.
 
     It is a number where one is asked for (``float(estimate)`` is its value), and can be added, subtracted, multiplied
@@ -163,6 +164,8 @@ class Estimate:
             if self._is_correlated:
                 why = "error not known: of estimates from the same random numbers"
             return f"{self.value:.6g}{unit} ({why})"
+        if math.isinf(self.standard_error):
+            return f"{self.value:.6g}{unit} (not determined)"
         return f"{format_with_error(self.value, self.standard_error)}{unit}"
 
 
@@ -303,7 +306,10 @@ def _variance(sources: list[_Source], slopes: Mapping[_Source, float]) -> float:
         return (slopes[first] * first.standard_error) ** 2
     own = [source.shared[1] for source in sources if source.shared is not None]
     weights = np.array([slopes[source] for source in sources])
-    return max(float(weights @ first.shared[0].covariance[np.ix_(own, own)] @ weights), 0.0)
+    covariance = first.shared[0].covariance[np.ix_(own, own)]
+    if lost := np.count_nonzero(np.isinf(np.diag(covariance))):
+        return math.inf if lost == 1 else math.nan  # several may be determined together, as their ratio
+    return max(float(weights @ covariance @ weights), 0.0)
 
 
 def shared_estimate(

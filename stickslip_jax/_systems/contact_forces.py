@@ -120,8 +120,8 @@ def stick_band(forward: FloatArray, backward: FloatArray, limit: FloatArray) -> 
     """The middle of the friction forces that a stick can have, and how far they reach from there.
 
     `forward`, `backward`: the largest in sticks that would break into such slips. Where both have friction the middle
-    is 0, and the `limit` how far they reach in the direction that is asked. Where only one has, forces end at 0, and from
-    there round-off would decide into which slip a stick breaks.
+    is 0, and the `limit` how far they reach in the direction that is asked. Where only one has, forces end at 0, and
+    from there round-off would decide into which slip a stick breaks.
     """
     is_one_sided = (forward == 0) != (backward == 0)
     middle, half_width = (forward - backward) / 2, (forward + backward) / 2
