@@ -74,7 +74,8 @@ def calibrate(
         that did not converge.
 
     Raises:
-        ValueError: For arguments outside these bounds, for names that fit no number, and for a first guess from which
+        ValueError: For arguments outside these bounds, for names that fit no number, for measurements that are all the
+            same without their noise, and for a first guess from which
             no motion reaches the end of its window.
 
     >>> system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.7))
@@ -117,6 +118,12 @@ def _checked(
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
     setting = Setting(arguments.system, arguments.base)
     parameters = parameters_of(setting._asdict(), wrt)
+    for channel, row, sigma in zip(record.channels, record.values, record.noise, strict=True):
+        if np.isnan(sigma) and not np.nanmax(row, initial=-np.inf) > np.nanmin(row, initial=np.inf):
+            raise ValueError(
+                f"Argument noise must give the standard deviation of {channel.name!r}, whose measurements are all the "
+                f'same, so that it cannot be estimated: noise={{"{channel.name}": ...}}.'
+            )
     return Search(record, arguments, parameters, transform_of(setting, parameters), None if y0 is None else start)
 
 

@@ -20,6 +20,9 @@ from .whiteness import whiteness
 
 _SHARE = 0.05  # of a direction, below which a number has no part in it
 _VAGUE = 3.0  # standard error of an initial state, in its unit, beyond which the record does not tell it
+_WITHOUT_NOISE = (
+    1e-6  # of a channel's standard deviation: smaller residuals are what the search leaves, and never white
+)
 _SIGNIFICANCE = 0.001  # at which residuals are called too large, or not white
 
 
@@ -59,6 +62,10 @@ def result_of(
         channel.name: whiteness(channel.name, row)
         for channel, row in zip(record.channels, record.values - fitted, strict=True)
     }
+    has_noise = sigma > _WITHOUT_NOISE * np.nanstd(record.values, axis=1)
+    noisy = {
+        channel.name: tests[channel.name] for channel, is_so in zip(record.channels, has_noise, strict=True) if is_so
+    }
     alone = told.untold & ~np.any(np.abs(told.tied) > _SHARE, axis=0)
     bounds = {names[i]: bounds_of(problem, sigma, fit.point, found.free, int(i)) for i in np.flatnonzero(alone)}
     total = chi_squared(seen)
@@ -88,7 +95,7 @@ def result_of(
         remarks=(
             *(() if fit.converged else ("The search did not converge: do not use its numbers.",)),
             *_about_numbers(names[:number], numbers, told, bounds, slope[:number]),
-            *_about_fit(total, freedom, all(known.values()), tests, given_up, len(fit.point.s)),
+            *_about_fit(total, freedom, all(known.values()), noisy, given_up, len(fit.point.s)),
         ),
     )
 
