@@ -25,12 +25,14 @@ def remarks_of(
         if len(lost) == 1:
             said.append(
                 f"{lost[0]} has no influence on these moments that these simulations could show, so that its error is "
-                "infinite: give it a known value, or other moments or experiments that depend on it."
+                "infinite: take more samples, or give it a known value, or other moments or experiments that depend on "
+                "it."
             )
         else:
             said.append(
-                f"{' and '.join(lost)} cannot be told apart by these moments: other values of all of them fit as well, "
-                "so that their errors are infinite; one of them must be known, or further moments or experiments tell."
+                f"{' and '.join(lost)} cannot be told apart by these moments, as far as these simulations could show: "
+                "other values of all of them fit as well, so that their errors are infinite; take more samples, or one "
+                "of them must be known, or further moments or experiments tell."
             )
     if not certain.lost and certain.noise_share > _NOISY:
         more = math.ceil(certain.noise_share / (0.1 * (1 - certain.noise_share)))
