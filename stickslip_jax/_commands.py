@@ -7,7 +7,7 @@ What only a simulation needs is imported in the functions, so that help and mist
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -232,10 +232,9 @@ def explore(
         scene = scene_of(described)
     except ValueError as error:
         raise StudyError(str(error)) from None
-    try:
+    with suppress(KeyboardInterrupt):  # before the server stops at Ctrl-C by itself
         serve(scene, port=port, opens=browser, say=lambda said: print(said, flush=True))
-    except KeyboardInterrupt:
-        print("\nThe explorer has ended.")
+    print("The explorer has ended.")
 
 
 def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None:

@@ -82,6 +82,7 @@ def ensemble(mu=0.8, speed=0.9, rate=1.0, mass=1.0):
     )
 
 
+@pytest.mark.filterwarnings("ignore:The event part rests on")
 def test_first_numbers_are_those_of_the_package(page):
     many = ensemble()
     for statistic in (ss.mean_stick_duration(many), ss.mean_stick_count(many), ss.stick_fraction(many)):

@@ -63,7 +63,7 @@ class Page:
         from selenium.webdriver.common.keys import Keys  # noqa: PLC0415
 
         box = self._row(label)[1]
-        box.send_keys(Keys.CONTROL, "a")
+        self.browser.execute_script("arguments[0].select()", box)
         box.send_keys(text, Keys.ENTER)
 
     def press(self, label: str, key: str, times: int = 1) -> None:
