@@ -1,6 +1,7 @@
 """The explorer's page in a browser: its controls by their labels, through the shadow trees in which they are."""
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 _WALK = """
@@ -47,12 +48,15 @@ class Page:
         """The text of the table of statistics, tabs between cells."""
         return "\n".join(one.text_content for one in map(_Table, self.all("table")))
 
-    def wait_for(self, text: str, seconds: float = 120.0) -> None:
+    def wait_for(self, text: str, seconds: float = 60.0) -> None:
         """Wait until the page says this. Raises AssertionError if it does not."""
+        self._wait(lambda: text in self.text(), f"{text!r} is not there", seconds)
+
+    def _wait(self, holds: Callable[[], bool], problem: str, seconds: float = 60.0) -> None:
         end = time.monotonic() + seconds
-        while text not in self.text():
-            assert time.monotonic() < end, f"{text!r} is not in {self.text()!r}"
-            time.sleep(0.05)
+        while not holds():
+            assert time.monotonic() < end, f"{problem}: {self.text()}"
+            time.sleep(0.2)
 
     def box(self, label: str) -> str:
         """What stands in the box of a number."""
@@ -70,8 +74,10 @@ class Page:
         """Press a key while the slider of a number has the focus."""
         from selenium.webdriver.common.keys import Keys  # noqa: PLC0415
 
+        before = self.box(label)
         for _ in range(times):
             self._row(label)[0].send_keys(getattr(Keys, key))
+        self._wait(lambda: self.box(label) != before, f"the box of {label} stays at {before}")
 
     def choose(self, label: str, option: str) -> None:
         """Choose from a list."""
