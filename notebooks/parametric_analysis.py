@@ -207,5 +207,5 @@ found = ss.sensitivity(
 )
 print(found)
 ax = ss.plot.tornado(found)
-ax.set_title("start at half the speed of the belt", fontsize=10)
+ax.figure.suptitle("start at half the speed of the belt", fontsize=10)
 plt.show()
