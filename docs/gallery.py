@@ -3,8 +3,9 @@
 ``python docs/gallery.py [NAME ...]`` draws those of the figure functions, each by the function of its name here.
 ``python docs/gallery.py notebooks`` takes those of the notebooks from their last run: `make notebooks`, or `make docs`.
 """
+# ruff: noqa: E402
 
-# The page shows all from here to the next such line, and each function: their lines are as long as it is wide.
+# The page shows all from here to the next such line, and each function: lines are no longer than the 88 that it holds.
 import math
 
 import jax
@@ -26,14 +27,14 @@ START = (0.0, 1.0)  # m, m/s
 STUDY = {"t1": 200.0, "samples": 10_000, "key": jax.random.key(0), "y0": START}
 # Until here.
 
-import base64  # noqa: E402
-import io  # noqa: E402
-import sys  # noqa: E402
-from pathlib import Path  # noqa: E402
+import base64
+import io
+import sys
+from pathlib import Path
 
-import matplotlib.pyplot as plt  # noqa: E402
-import nbformat  # noqa: E402
-from PIL import Image  # noqa: E402
+import matplotlib.pyplot as plt
+import nbformat
+from PIL import Image
 
 HERE = Path(__file__).parent
 FOLDER = HERE / "gallery"
@@ -257,7 +258,7 @@ def damped():
 def basins():
     """The starts that lead to a stick-slip cycle, and those that lead to rest."""
     starts = {
-        "position": np.linspace(-2.0, 2.0, 80),
+        "position": np.linspace(-2.5, 2.5, 80),
         "velocity": np.linspace(-2.0, 2.0, 80),
     }
     found = nonlinear.basins(

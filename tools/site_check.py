@@ -1,7 +1,7 @@
 """Check the built site in a browser: ``python tools/site_check.py results/docs``; needs chromium.
 
-On every page no block of code or output may be wider than its column in a window of 1,400 pixels, and the page itself
-not wider than a phone's window of 390. Nothing may be loaded from the net. The search must find what users look for.
+On every page no block of code or output, folded ones too, may be wider than its column in a window of 1,400 pixels, and
+the page itself not wider than a phone's window of 390. Nothing may be loaded from the net. The search must find what users look for.
 """
 
 import argparse
@@ -36,6 +36,7 @@ window.addEventListener("load", () => setTimeout(async () => {
     document.body.append(frame);
     await loaded;
     const inside = frame.contentDocument;
+    inside.querySelectorAll("details").forEach(folded => { folded.open = true; });
     const blocks = [...inside.querySelectorAll("pre")].filter(block => block.clientWidth > 0);
     const cut = blocks.filter(block => block.scrollWidth > block.clientWidth + 1);
     found.push({page, blocks: blocks.length, width: inside.documentElement.scrollWidth,
