@@ -1,7 +1,8 @@
 """Check the built site in a browser: ``python tools/site_check.py results/docs``; needs chromium.
 
-On every page no block of code or output, folded ones too, may be wider than its column in a window of 1,400 pixels, and
-the page itself not wider than a phone's window of 390. Nothing may be loaded from the net. The search must find what users look for.
+On every page no block of code or output, folded ones too, may be wider than its column in a window of 1,400 pixels,
+and the page itself not wider than a phone's window of 390. Nothing may be loaded from the net. The search must find
+what users look for.
 """
 
 import argparse
