@@ -9,6 +9,7 @@
 import math
 
 import jax
+import matplotlib.pyplot as plt
 import numpy as np
 
 import stickslip_jax as ss
@@ -32,7 +33,6 @@ import io
 import sys
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import nbformat
 from PIL import Image
 
@@ -179,7 +179,9 @@ def parameter_sweep():
     """Two statistics of a parameter sweep."""
     over = {"mu": np.linspace(0.2, 2.0, 10), "rate": [0.5, 1.0, 2.0]}
     results = ss.Sweep(SYSTEM, LAW, over=over, **STUDY).run(progress=False)
-    return plot.parameter_sweep(results, ["mean_stick_duration", "stick_fraction"])
+    names = ["mean_stick_duration", "stick_fraction"]
+    _, axes = plt.subplots(2, 1, figsize=(6.4, 7.0), layout="constrained")
+    return plot.parameter_sweep(results, names, axes=axes)
 
 
 def sensitivity_curve():
