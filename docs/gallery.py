@@ -171,14 +171,16 @@ def stick_fraction_curve():
 def parameter_map():
     """The mean stick duration over friction and switching rate."""
     over = {"mu": np.linspace(0.2, 3.0, 15), "rate": np.linspace(0.1, 3.0, 16)}
-    results = ss.Sweep(SYSTEM, LAW, over=over, **STUDY).run(progress=False)
+    few = STUDY | {"samples": 400}
+    results = ss.Sweep(SYSTEM, LAW, over=over, **few).run(progress=False)
     return plot.parameter_map(results, "mean_stick_duration")
 
 
 def parameter_sweep():
     """Two statistics of a parameter sweep."""
     over = {"mu": np.linspace(0.2, 2.0, 10), "rate": [0.5, 1.0, 2.0]}
-    results = ss.Sweep(SYSTEM, LAW, over=over, **STUDY).run(progress=False)
+    few = STUDY | {"samples": 1000}
+    results = ss.Sweep(SYSTEM, LAW, over=over, **few).run(progress=False)
     names = ["mean_stick_duration", "stick_fraction"]
     _, axes = plt.subplots(2, 1, figsize=(6.4, 7.0), layout="constrained")
     return plot.parameter_sweep(results, names, axes=axes)
@@ -193,9 +195,9 @@ def sensitivity_curve():
             ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu)),
             LAW,
             wrt="mu",
-            **STUDY | {"y0": anywhere},
+            **STUDY | {"y0": anywhere, "samples": 4000},
         )
-        for mu in np.linspace(0.42, 2.9, 18)
+        for mu in np.linspace(0.4, 2.8, 13)
     ]
     return plot.sensitivity_curve(found)
 
@@ -233,7 +235,7 @@ def section():
         ss.Constant(0.3),
         y0=(0.0, 0.0),
         transient=100,
-        kept=2000,
+        kept=1500,
     )
     return plot.section(found)
 
@@ -310,7 +312,7 @@ def calibration_moments():
         ss.PoissonSwitching(speed=0.7, rate=0.5),
         observed,
         wrt=("mu", "rate"),
-        samples=8192,
+        samples=4096,
         key=jax.random.key(1),
         y0=start,
     )
