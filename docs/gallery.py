@@ -197,7 +197,7 @@ def sensitivity_curve():
             wrt="mu",
             **STUDY | {"y0": anywhere, "samples": 4000},
         )
-        for mu in np.linspace(0.4, 2.8, 13)
+        for mu in np.linspace(0.42, 2.9, 13)
     ]
     return plot.sensitivity_curve(found)
 
@@ -207,7 +207,7 @@ def tornado():
     anywhere = (ss.Uniform(-0.5, 0.5), ss.Uniform(-0.5, 0.5))
     found = ss.sensitivity(
         ss.mean_stick_duration,
-        SYSTEM,
+        ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9)),
         LAW,
         wrt=("mu", "mass", "stiffness", "speed", "rate"),
         elasticity=True,
