@@ -1,4 +1,5 @@
-"""The ``stickslip`` command: ``study`` for one ensemble; ``sweep``, ``resume``, ``status``, ``show`` for many.
+"""The ``stickslip`` command: ``study`` for one ensemble; ``sweep``, ``resume``, ``status``, ``show`` for many;
+``explore`` for a page with sliders.
 
 Exit codes: 0 done, 1 failed (extra not installed, disk full), 2 bad input, 130 interrupted (Ctrl-C), 141 output closed
 by who read it (``stickslip show ... | head``), 143 terminated.

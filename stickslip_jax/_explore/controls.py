@@ -5,6 +5,7 @@ from typing import Any
 
 import panel as pn
 
+from .. import _html
 from .scene import MovableNumber, read_number
 
 _BOX = 96  # px
@@ -13,17 +14,18 @@ _BOX = 96  # px
 class NumberControl:
     """A slider, and a box for a number that the slider does not reach. `moved` is called with it and a number.
 
-    A box with something else in it says what is wrong, and nothing moves.
+    A box with something else in it says what is wrong, and nothing moves. `problem` is that, or "".
     """
 
     def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
-        self.number, self._moved, self._is_quiet = number, moved, False
+        self.number, self.problem = number, ""
+        self._moved, self._is_quiet = moved, False
         self._slider = pn.widgets.FloatSlider(
             label=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
             show_value=False, sizing_mode="stretch_width", margin=(0, 10, 0, 5),
         )  # fmt: skip
         self._box = pn.widgets.TextInput(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
-        self._problem = pn.pane.Str("", visible=False, styles={"color": "#b00020"}, css_classes=["problem"])
+        self._problem = pn.pane.HTML("", visible=False, styles={"color": "#b00020"}, css_classes=["problem"])
         self._slider.param.watch(self._slid, "value")
         self._box.param.watch(self._written, "value")
         self.view = pn.Column(
@@ -39,14 +41,11 @@ class NumberControl:
         """Write into the box, as the keyboard does."""
         self._box.value = text
 
-    @property
-    def problem(self) -> str:
-        """Why the number in the box is not taken, or ""."""
-        return self._problem.object
-
     def refuse(self, why: str) -> None:
         """Say why the number is not taken."""
-        self._problem.object, self._problem.visible = why, bool(why)
+        self.problem = why
+        # What was written is in it: as text, whatever it is.
+        self._problem.param.update(object=_html.escaped(why), visible=bool(why))
 
     def _slid(self, event: Any) -> None:
         if self._is_quiet:

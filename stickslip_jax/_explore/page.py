@@ -49,7 +49,7 @@ class Explorer(pn.viewable.Viewer):
         document = pn.state.curdoc
         self._pictures, self._slopes = (Worker(document, threads) for threads in _THREADS)
         self._numbers = pn.Column(sizing_mode="stretch_width")
-        self._alert = pn.pane.Alert("", alert_type="danger", visible=False, css_classes=["alert-of-scene"])
+        self._alert = pn.pane.HTML("", visible=False, styles={"color": "#b00020"}, css_classes=["alert-of-scene"])
         self.statistics = pn.pane.HTML(_html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
         self.slope = pn.pane.HTML("", sizing_mode="stretch_width", css_classes=["slope"])
         self._code = pn.widgets.TextAreaInput(
@@ -176,7 +176,7 @@ class Explorer(pn.viewable.Viewer):
         table = _html.table(rows, ("of all realisations", "mean", "95 % interval"))
         left = f"<p>{pictures.unfinished:,} of {scene.samples:,} realisations did not finish.</p>"
         self.statistics.object = table + (left if pictures.unfinished else "")
-        self._alert.param.update(object=pictures.problem, visible=bool(pictures.problem))
+        self._alert.param.update(object=_html.escaped(pictures.problem), visible=bool(pictures.problem))
         try:
             self._code.value = as_python(scene)
         except ValueError as error:
@@ -194,7 +194,7 @@ class Explorer(pn.viewable.Viewer):
         self.slope.object = _html.escaped(f"No derivative by {number.name}: {error}")
 
     def _fail(self, error: BaseException) -> None:
-        self._alert.param.update(object=f"The pictures are those of before: {error}", visible=True)
+        self._alert.param.update(object=_html.escaped(f"The pictures are those of before: {error}"), visible=True)
 
     def _draw_section(self) -> None:
         if self._tabs.active != 1 or not is_deterministic(self.scene):

@@ -211,7 +211,7 @@ def test_whatever_is_imported_is_declared():
     """By the package or by the extras that its users may install."""
     project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    needs = [*project["dependencies"], *extras["study"], *extras["cluster"], *extras["tables"]]
+    needs = [*project["dependencies"], *extras["study"], *extras["cluster"], *extras["tables"], *extras["explore"]]
     declared = {re.split("[^A-Za-z0-9_]", need)[0] for need in needs}
     declared = {{"pillow": "PIL"}.get(name, name) for name in declared}  # imported under another name
     imported = set()

@@ -67,8 +67,7 @@ class Page:
         from selenium.webdriver.common.keys import Keys  # noqa: PLC0415
 
         box = self._row(label)[1]
-        self.browser.execute_script("arguments[0].select()", box)
-        box.send_keys(text, Keys.ENTER)
+        box.send_keys(Keys.END, Keys.BACKSPACE * len(box.get_property("value")), text, Keys.ENTER)
 
     def press(self, label: str, key: str, times: int = 1) -> None:
         """Press a key while the slider of a number has the focus."""
