@@ -37,7 +37,7 @@ class MassSpringConfig(section_of(MassSpring, "model", _USUAL, base=WithFriction
         return MassSpring(friction=self.law_of_friction, force=force, **numbers)
 
 
-_, _CART_MU = key_of(MotorCart, "mu", default=USUAL_MU, description="friction coefficient, or [system.friction]")
+_, _CART_MU = key_of(MotorCart, "mu", default=USUAL_MU)
 
 
 class MotorCartConfig(section_of(MotorCart, "model", base=WithFriction)):
