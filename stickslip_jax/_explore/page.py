@@ -39,7 +39,7 @@ class Explorer(pn.viewable.Viewer):
     """A system and what it does, as a page in a browser or the output of a cell in a notebook.
 
     - `scene`: what is shown now.
-    - `controls`: of its numbers. `statistics`, `slope`: panes with the means and the derivative.
+    - `controls`: of its numbers. `statistics`, `slope`: panes with the means and the derivative. `tabs`: their names.
     """
 
     def __init__(self, scene: Scene, **params: Any):
@@ -47,7 +47,10 @@ class Explorer(pn.viewable.Viewer):
         self.scene, self._start, self._given = scene, scene, scene
         self._moving = numbers_of(scene)[0]
         document = pn.state.curdoc
-        self._pictures, self._slopes = (Worker(document, threads) for threads in _THREADS)
+        pictures, derivatives = _THREADS
+        self._pictures, self._slopes = Worker(document, pictures), Worker(document, derivatives)
+        self._sections = Worker(document, derivatives)
+        self._is_switching = False
         self._numbers = pn.Column(sizing_mode="stretch_width")
         self._alert = pn.pane.HTML("", visible=False, styles={"color": "#b00020"}, css_classes=["alert-of-scene"])
         self.statistics = pn.pane.HTML(_html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
@@ -72,11 +75,6 @@ class Explorer(pn.viewable.Viewer):
         """Choose from the list of "System", "Friction" or "Base"."""
         self._lists[which].value = name
 
-    @property
-    def tabs(self) -> list[str]:
-        """The names of the tabs."""
-        return list(self._tabs._names)
-
     # --- what is chosen
 
     def _choices(self) -> list[Any]:
@@ -96,11 +94,17 @@ class Explorer(pn.viewable.Viewer):
         new = self._given if name == GIVEN else scene_of(StudyConfig.model_validate(dict(SYSTEMS[name])))
         self.scene = new._replace(samples=samples, seed=seed)
         self._start = self.scene
-        self._lists["Friction"].param.update(value=GIVEN, visible=has_friction_to_choose(new.system))
-        self._lists["Base"].param.update(options=[GIVEN, *bases_for(self.scene)], value=GIVEN)
+        self._is_switching = True
+        try:
+            self._lists["Friction"].param.update(value=GIVEN, visible=has_friction_to_choose(new.system))
+            self._lists["Base"].param.update(options=[GIVEN, *bases_for(self.scene)], value=GIVEN)
+        finally:
+            self._is_switching = False
         self._renew()
 
     def _choose_friction(self, name: str) -> None:
+        if self._is_switching:
+            return
         now, start = self.scene.system, self._start.system
         self.scene = self.scene._replace(
             system=start if name == GIVEN else with_friction(now, friction_called(name, now))
@@ -108,6 +112,8 @@ class Explorer(pn.viewable.Viewer):
         self._renew()
 
     def _choose_base(self, name: str) -> None:
+        if self._is_switching:
+            return
         law = self._start.law if name == GIVEN else bases_for(self.scene)[name]
         self.scene = self.scene._replace(law=law)
         self._renew()
@@ -148,6 +154,7 @@ class Explorer(pn.viewable.Viewer):
                 sizing_mode="stretch_width",
             )  # fmt: skip
             tabs.append(("Bifurcation", section))
+        self.tabs = [name for name, _ in tabs]
         self._tabs[:] = tabs
         self._compute()
 
@@ -162,9 +169,10 @@ class Explorer(pn.viewable.Viewer):
         if moving.path == ("t1",):
             self.slope.object = ""
             return
+        self.slope.object = _html.escaped(f"Computing the derivative by {moving.name} ...")
         self._slopes.do(
-            partial(_quietly, slope_of, scene, moving.name), partial(self._show_slope, moving),
-            partial(self._no_slope, moving),
+            partial(_quietly, slope_of, scene, moving.name), partial(self._show_slope, scene),
+            partial(self._no_slope, scene, moving),
         )  # fmt: skip
 
     def _show(self, scene: Scene, moving: MovableNumber, figures: Figures, pictures: Pictures) -> None:
@@ -185,13 +193,16 @@ class Explorer(pn.viewable.Viewer):
             self._differentiate(scene, moving)
             self._draw_section()
 
-    def _show_slope(self, number: MovableNumber, found: tuple[Sensitivity, list[str]]) -> None:
+    def _show_slope(self, scene: Scene, found: tuple[Sensitivity, list[str]]) -> None:
+        if scene is not self.scene:  # of other numbers than are shown
+            return
         slope, remarks = found
         said = f"{slope} {_unit_of(slope)}".replace("+-", "±")
         self.slope.object = _html.escaped(said) + "".join(map(_html.escaped, remarks))
 
-    def _no_slope(self, number: MovableNumber, error: BaseException) -> None:
-        self.slope.object = _html.escaped(f"No derivative by {number.name}: {error}")
+    def _no_slope(self, scene: Scene, number: MovableNumber, error: BaseException) -> None:
+        if scene is self.scene:
+            self.slope.object = _html.escaped(f"No derivative by {number.name}: {error}")
 
     def _fail(self, error: BaseException) -> None:
         self._alert.param.update(object=_html.escaped(f"The pictures are those of before: {error}"), visible=True)
@@ -200,7 +211,7 @@ class Explorer(pn.viewable.Viewer):
         if self._tabs.active != 1 or not is_deterministic(self.scene):
             return
         self._section_note.object = _html.escaped(f"Computing over {self._moving.label} ...")
-        self._slopes.do(
+        self._sections.do(
             partial(section_of, self.scene, self._moving), self._show_section,
             lambda error: setattr(self._section_note, "object", _html.escaped(str(error))),
         )  # fmt: skip
@@ -225,7 +236,7 @@ class Explorer(pn.viewable.Viewer):
     def study_file(self) -> io.BytesIO:
         """What is shown as the TOML file of a study. Raises StudyError for what has no section there."""
         scene = self.scene
-        config = config_of(scene.system, scene.law, y0=scene.y0, t1=scene.t1, samples=scene.samples, seed=scene.seed)
+        config = config_of(**scene._asdict())
         return io.BytesIO(config.to_toml().encode())
 
     def figures_file(self) -> io.BytesIO:

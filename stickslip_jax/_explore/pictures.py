@@ -101,15 +101,16 @@ def slope_of(scene: Scene, name: str) -> Sensitivity:
 
 def realization(scene: Scene, many: Ensemble) -> Simulation:
     """The first realisation of an ensemble, with the sticks that are counted there."""
-    if isinstance(scene.law, PiecewiseConstantLaw) and scene.law.is_random:
+    law: Any = scene.law
+    if isinstance(law, PiecewiseConstantLaw) and law.is_random:
         # A larger capacity only continues the motion, and one program serves for many rates.
+        assert many.inputs is not None
+        system, law, y0 = many.inputs.of_sample(0, jnp.dtype(many.dtype))
         capacity = _LEAST_CAPACITY
-        while capacity < scene.law.capacity(scene.t1):
+        while capacity < law.capacity(scene.t1):
             capacity *= 4
         key = jax.random.fold_in(jax.random.key(scene.seed), 0)
-        assert many.inputs is not None
-        system, _, y0 = many.inputs.of_sample(0, jnp.dtype(many.dtype))
-        base: Any = scene.law.sample(key, scene.t1, capacity=capacity)
+        base = law.sample(key, scene.t1, capacity=capacity)
     else:
         system, base, y0 = many.realization(0)
     one = simulate(system, base, t1=scene.t1, y0=y0, method=scene.method)

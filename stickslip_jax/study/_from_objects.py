@@ -4,9 +4,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from pydantic import ValidationError
 
+from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._excitation.random import RandomPhase
 from .._fields import described
 from .._systems.structure import LinearStructure
@@ -19,29 +22,52 @@ from ._forces_config import FrictionConfig, NormalForceConfig, NumberOrForce
 from ._sections import Section, kinds_in, tag_key
 from ._systems_config import SystemConfig
 
-_RUN_STARTS = {"MassSpring": ("initial_position", "initial_velocity")}
+_KEYS = ("step", "max_steps", "width", "shape")
+"""Of the section [run] that are fields of a method too."""
 
 
 def config_of(
-    system: System, law: Any, *, y0: tuple[Any, ...] | None, t1: float, samples: int, seed: int
+    system: System,
+    law: Any,
+    *,
+    y0: tuple[Any, ...] | None,
+    t1: float,
+    samples: int,
+    seed: int,
+    method: Exact | Regularized = EXACT,
 ) -> StudyConfig:
     """The description of a study of these objects.
 
     Raises:
-        StudyError: For objects that no section of a study's file describes, such as classes of a user's own.
+        StudyError: For objects that no section of a study's file describes, such as classes of a user's own; so what
+            is described is what was given.
     """
     table = _system_table(system)
-    run: dict[str, Any] = {"t1": float(t1), "samples": samples, "seed": seed}
+    run: dict[str, Any] = {"t1": float(t1), "samples": samples, "seed": seed, **_method_keys(method)}
+    run["dtype"] = str(jnp.result_type(float))
     if y0 is not None:
         starts = [_start(one) for one in y0]
         kind = StudyConfig.runs[kinds_in(SystemConfig)[table["model"]]]
         run |= dict(zip(kind.initial, starts, strict=True)) if kind.initial else {"initial_state": starts}
     base = _table(law, kinds_in(BaseConfig))
     try:
-        return StudyConfig.model_validate({"system": table, "base": base, "run": run})
+        config = StudyConfig.model_validate({"system": table, "base": base, "run": run})
     except ValidationError as error:
         said = error.errors()[0]
         raise StudyError(f"No study's file can hold this: {said['msg']} ({'.'.join(map(str, said['loc']))}).") from None
+    again = config.system.build(), config.base.build(), config.run.method(config.system.has_inner_states)
+    for name, one, other in zip(("system", "base", "method"), (system, law, method), again, strict=True):
+        if not eqx.tree_equal(jax.tree.map(_plain, one), jax.tree.map(_plain, other)):
+            raise StudyError(f"No study's file can hold this {name}, but one that differs; copy it as Python instead.")
+    return config
+
+
+def _method_keys(method: Exact | Regularized) -> dict[str, Any]:
+    """The keys of the section [run] that say how is simulated."""
+    found = {key: getattr(method, key, None) for key in _KEYS}
+    if method.solver is not None:
+        found["solver"] = type(method.solver).__name__
+    return {key: _plain(value) for key, value in found.items() if value is not None}
 
 
 def _start(value: Any) -> Any:
@@ -49,7 +75,7 @@ def _start(value: Any) -> Any:
 
 
 def _system_table(system: Any) -> dict[str, Any]:
-    if not isinstance(system, LinearStructure):
+    if type(system) is not LinearStructure:
         return _table(system, kinds_in(SystemConfig))
     counted = system.counted_track
     normal_forces, frictions = kinds_in(NormalForceConfig), kinds_in(FrictionConfig)
@@ -67,7 +93,7 @@ def _system_table(system: Any) -> dict[str, Any]:
         "mass": _plain(system.mass),
         "stiffness": _plain(system.stiffness),
         "rotates": system.rotates,
-        "contact": "all" if counted is None else counted,
+        "contact": "all" if counted in (None, -1) else counted,
         "contacts": contacts,
     }
     if system.damping is not None:

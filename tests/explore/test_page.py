@@ -1,6 +1,5 @@
 """The page of the explorer without a browser: what is computed when its controls move."""
 
-import gc
 import html
 import re
 
@@ -83,6 +82,23 @@ def test_pictures_are_those_of_the_sticks():
         np.asarray(own.evaluate(found.slip.times[np.isfinite(found.slip.times)])[0]),
         atol=1e-12,
     )
+
+
+def test_base_with_random_numbers():
+    """The realisation has those of the first sample."""
+    scene = Scene(system(), ss.PoissonSwitching(ss.Uniform(0.5, 1.0), ss.Uniform(0.5, 2.0)), Y0, T1, 50, 0)
+    found = pictures_of(scene)
+    assert float(found.one.stick_time) == pytest.approx(
+        found.ensemble.finished_sticks().duration[: found.ensemble.finished_sticks().count[0]].sum(), rel=1e-12
+    )
+
+
+def test_derivative_and_diagram_are_both_shown():
+    explorer = shown(law=ss.SquareWave(0.9, 3.0), samples=20)
+    explorer._tabs.active = 1
+    control(explorer, "system.friction.mu").write("0.65")
+    assert "once a period" in explorer._section.plot.yaxis.axis_label
+    assert "Computing" not in said(explorer.slope)
 
 
 def test_moving_numbers_compiles_nothing():
@@ -182,4 +198,3 @@ def test_realization_is_the_first_of_the_ensemble():
     many = pictures_of(scene).ensemble
     one = realization(scene, many)
     assert float(one.stick_time) == pytest.approx(many.totals.stick_time[0], rel=1e-12)
-    gc.collect()

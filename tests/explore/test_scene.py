@@ -127,6 +127,40 @@ def test_what_no_file_describes_is_refused_by_name():
         config_of(own, scene.law, y0=scene.y0, t1=1.0, samples=2, seed=0)
 
 
+def test_method_is_written_into_the_file():
+    """And one that no file can describe is refused, as are structures of a user's class."""
+    scene, given = scene_called("mass on a spring"), {"t1": 1.0, "samples": 2, "seed": 0}
+    for method in (ss.Exact(step=0.01), ss.Exact(max_steps=500), ss.Regularized(0.01), ss.Regularized(0.02, "tanh")):
+        config = config_of(scene.system, scene.law, y0=scene.y0, method=method, **given)
+        assert eqx.tree_equal(config.run.method(), method)
+    with pytest.raises(StudyError, match="No study's file can hold this method, but one that differs"):
+        config_of(scene.system, scene.law, y0=scene.y0, method=ss.Regularized(0.01, rtol=1e-9), **given)
+
+
+def test_all_contacts_and_structures_of_a_user():
+    scene = scene_called("two blocks")
+    every = scene.system.of_all_contacts()
+    config = config_of(every, scene.law, y0=scene.y0, t1=1.0, samples=2, seed=0)
+    assert eqx.tree_equal(config.system.build(), every)
+
+    class Moved(ss.LinearStructure):
+        pass
+
+    moved = Moved(every.mass, every.stiffness, contacts=every.contacts)
+    with pytest.raises(StudyError, match="Moved has no section in"):
+        config_of(moved, scene.law, y0=scene.y0, t1=1.0, samples=2, seed=0)
+
+
+def test_subclass_of_the_same_name_is_refused():
+    class Ageing(ss.Ageing):
+        pass
+
+    scene = scene_called("mass on a spring")
+    law = Ageing(ss.Coulomb(0.3), ss.ExponentialGrowth(0.1, 1.0))
+    with pytest.raises(StudyError, match="No study's file can hold this system, but one that differs"):
+        config_of(ss.MassSpring(1.0, 4.0, 1.0, law), scene.law, y0=scene.y0, t1=1.0, samples=2, seed=0)
+
+
 def test_record_is_written_into_the_file():
     scene = scene_called("mass on a spring")
     recorded = ss.Recorded(np.linspace(0, 1, 5), np.sin(np.arange(5.0)))
