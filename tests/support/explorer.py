@@ -28,6 +28,18 @@ const walk = (root) => {
 walk(document.body);
 return found.join(" ").replace(/\\s+/g, " ");
 """
+_TABLES = """
+const found = [];
+const walk = (root) => {
+  for (const one of root.querySelectorAll("*")) {
+    if (one.tagName === "TABLE") found.push(one);
+    if (one.shadowRoot) walk(one.shadowRoot);
+  }
+};
+walk(document);
+const cells = (row) => [...row.cells].map((cell) => cell.textContent.trim()).join("\\t");
+return found.map((table) => [...table.rows].map(cells).join("\\n")).join("\\n");
+"""
 
 
 class Page:
@@ -46,7 +58,8 @@ class Page:
 
     def table(self) -> str:
         """The text of the table of statistics, tabs between cells."""
-        return "\n".join(one.text_content for one in map(_Table, self.all("table")))
+        # In one script: a table is replaced whenever its numbers change.
+        return self.browser.execute_script(_TABLES)
 
     def wait_for(self, text: str, seconds: float = 60.0) -> None:
         """Wait until the page says this. Raises AssertionError if it does not."""
@@ -112,11 +125,3 @@ class Page:
     def _label_of(self, element: Any) -> str:
         script = "return arguments[0].getRootNode().querySelector('label').textContent.trim()"
         return self.browser.execute_script(script, element)
-
-
-class _Table:
-    def __init__(self, element: Any):
-        rows = element.find_elements("tag name", "tr")
-        self.text_content = "\n".join(
-            "\t".join(cell.text for cell in row.find_elements("css selector", "th, td")) for row in rows
-        )
