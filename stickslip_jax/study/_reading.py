@@ -1,5 +1,6 @@
 """Reads studies and sweeps from TOML files and the command's options; every mistake becomes one sentence."""
 
+import os
 import re
 import sys
 import tomllib
@@ -44,7 +45,10 @@ OPTIONS = {
 
 
 def read_config(
-    path: Path | None = None, options: Mapping[str, object] | None = None, *, example: str | None = None
+    path: str | os.PathLike[str] | None = None,
+    options: Mapping[str, object] | None = None,
+    *,
+    example: str | None = None,
 ) -> StudyConfig:
     """Read the study described by a TOML file.
 
@@ -62,6 +66,7 @@ def read_config(
         StudyError: For a file that is missing, is not valid TOML, or holds unknown keys or unsuitable values, and for
             unsuitable options.
     """
+    path = None if path is None else Path(path)
     return _read(StudyConfig, "study", path, EXAMPLES.get(example or "", {}), options)
 
 

@@ -167,7 +167,8 @@ def test_study_file_and_figures():
 def test_study_file_is_read_again(tmp_path):
     explorer = shown(samples=20)
     (tmp_path / "study.toml").write_bytes(explorer.study_file().getvalue())
-    assert read_config(tmp_path / "study.toml").system.build().friction.mu == 0.8
+    for path in (tmp_path / "study.toml", str(tmp_path / "study.toml")):
+        assert read_config(path).system.build().friction.mu == 0.8
 
 
 def test_no_sticks_at_all():
