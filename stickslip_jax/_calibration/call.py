@@ -80,7 +80,7 @@ def calibrate(
 
     >>> system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.7))
     >>> base = ss.Harmonic(0.8, 1.3)
-    >>> times = [0.1 * i for i in range(100)]
+    >>> times = jax.numpy.linspace(0.0, 9.9, 100)
     >>> seen = ss.simulate(system, base, t1=10.0, y0=(0.3, 0.0)).evaluate(times)[0]
     >>> guess = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5))
     >>> found = ss.calibrate(guess, base, times, {"position": seen}, wrt="mu")
