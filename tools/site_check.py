@@ -22,7 +22,15 @@ LOADED = re.compile(
     r"<(?:script|img|link|iframe|source|audio|video)\b[^>]*?\b(?:src|href)=[\"']((?:https?:)?//[^\"']+)", re.I
 )
 STYLED = re.compile(r"(?:@import\s+|url\()\s*[\"']?((?:https?:)?//[^\"')]+)", re.I)
-SEARCHED = {"bifurcation": "limits", "poincare": "limits", "animation": "animation", "two contacts": "limits"}
+SEARCHED = {
+    "animation": "animation",
+    "bifurcation": "nonlinear",
+    "explorer": "explore",
+    "lugre": "friction_memory",
+    "poincare": "nonlinear",
+    "posterior": "posteriors",
+    "two contacts": "contacts",
+}
 """Words, and the page that must be among those found."""
 
 MEASURE = """

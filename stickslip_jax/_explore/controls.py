@@ -11,6 +11,18 @@ from .scene import MovableNumber, read_number
 _BOX = 96  # px
 
 
+class _Slider(pn.widgets.FloatSlider):
+    """A slider whose moves are told at once, not after the 50 ms in which Panel collects further ones."""
+
+    _debounce = 0
+
+
+class _Box(pn.widgets.TextInput):
+    """The same for a box."""
+
+    _debounce = 0
+
+
 class NumberControl:
     """A slider, and a box for a number that the slider does not reach. `moved` is called with it and a number.
 
@@ -20,11 +32,11 @@ class NumberControl:
     def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
         self.number, self.problem = number, ""
         self._moved, self._is_quiet = moved, False
-        self._slider = pn.widgets.FloatSlider(
+        self._slider = _Slider(
             label=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
             show_value=False, sizing_mode="stretch_width", margin=(0, 10, 0, 5),
         )  # fmt: skip
-        self._box = pn.widgets.TextInput(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
+        self._box = _Box(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
         self._problem = pn.pane.HTML("", visible=False, styles={"color": "#b00020"}, css_classes=["problem"])
         self._slider.param.watch(self._slid, "value")
         self._box.param.watch(self._written, "value")

@@ -16,7 +16,7 @@ from .bifurcation import is_deterministic, section_of
 from .catalogue import FRICTIONS, SYSTEMS, bases_for, friction_called, has_friction_to_choose, scene_of, with_friction
 from .controls import NumberControl, choice, whole_number
 from .figures import Figures, SectionFigure
-from .pictures import Pictures, pictures_of, slope_of
+from .pictures import Motion, Statistics, motion_of, slope_of, statistics_of
 from .python_code import as_python
 from .scene import MovableNumber, Scene, numbers_of
 from .sheet import sheet_of
@@ -160,35 +160,36 @@ class Explorer(pn.viewable.Viewer):
 
     def _compute(self) -> None:
         """Simulate anew; the derivative and the diagram come after the pictures, for which they leave the processor."""
-        scene, moving = self.scene, self._moving
-        self._pictures.do(
-            partial(pictures_of, scene), partial(self._show, scene, moving, self._figures), self._fail,
-        )  # fmt: skip
+        scene, moving, figures = self.scene, self._moving, self._figures
+        motion = partial(motion_of, scene), partial(self._show_motion, scene, figures)
+        statistics = partial(statistics_of, scene), partial(self._show_statistics, scene, moving, figures)
+        self._pictures.do([motion, statistics], self._fail)
 
     def _differentiate(self, scene: Scene, moving: MovableNumber) -> None:
         if moving.path == ("t1",):
             self.slope.object = ""
             return
         self.slope.object = _html.escaped(f"Computing the derivative by {moving.name} ...")
-        self._slopes.do(
-            partial(_quietly, slope_of, scene, moving.name), partial(self._show_slope, scene),
-            partial(self._no_slope, scene, moving),
-        )  # fmt: skip
+        slope = partial(_quietly, slope_of, scene, moving.name), partial(self._show_slope, scene)
+        self._slopes.do([slope], partial(self._no_slope, scene, moving))
 
-    def _show(self, scene: Scene, moving: MovableNumber, figures: Figures, pictures: Pictures) -> None:
-        figures.show(scene, pictures)
-        rows = [
-            (one.name, one.without_name().replace("+-", "±"), "{:.4g} to {:.4g}".format(*one.interval()))
-            for one in pictures.statistics
-        ]
-        table = _html.table(rows, ("of all realisations", "mean", "95 % interval"))
-        left = f"<p>{pictures.unfinished:,} of {scene.samples:,} realisations did not finish.</p>"
-        self.statistics.object = table + (left if pictures.unfinished else "")
-        self._alert.param.update(object=_html.escaped(pictures.problem), visible=bool(pictures.problem))
+    def _show_motion(self, scene: Scene, figures: Figures, motion: Motion) -> None:
+        figures.show_motion(scene, motion)
+        self._alert.param.update(object=_html.escaped(motion.problem), visible=bool(motion.problem))
         try:
             self._code.value = as_python(scene)
         except ValueError as error:
             self._code.value = f"# {error}"
+
+    def _show_statistics(self, scene: Scene, moving: MovableNumber, figures: Figures, statistics: Statistics) -> None:
+        figures.show_statistics(statistics)
+        rows = [
+            (one.name, one.without_name().replace("+-", "±"), "{:.4g} to {:.4g}".format(*one.interval()))
+            for one in statistics.means
+        ]
+        table = _html.table(rows, ("of all realisations", "mean", "95 % interval"))
+        left = f"<p>{statistics.unfinished:,} of {scene.samples:,} realisations did not finish.</p>"
+        self.statistics.object = table + (left if statistics.unfinished else "")
         if scene is self.scene:
             self._differentiate(scene, moving)
             self._draw_section()
@@ -212,7 +213,7 @@ class Explorer(pn.viewable.Viewer):
             return
         self._section_note.object = _html.escaped(f"Computing over {self._moving.label} ...")
         self._sections.do(
-            partial(section_of, self.scene, self._moving), self._show_section,
+            [(partial(section_of, self.scene, self._moving), self._show_section)],
             lambda error: setattr(self._section_note, "object", _html.escaped(str(error))),
         )  # fmt: skip
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.result import Ensemble
+from .._excitation.excitation import is_random, law_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._sensitivity.call import sensitivity
 from .._sensitivity.estimate import Sensitivity
@@ -16,6 +17,7 @@ from .._simulation.result import Simulation
 from .._statistics.estimate import Estimate
 from .._statistics.totals import mean_stick_count, mean_stick_duration, stick_fraction
 from .._status import Status
+from .._uncertainty.inputs import Inputs, Model
 from ..plot._trajectory import joined, phases_of
 from .scene import Scene
 
@@ -39,34 +41,37 @@ class Bars(NamedTuple):
     heights: np.ndarray
 
 
-class Pictures(NamedTuple):
-    """What is drawn of a scene.
+class Motion(NamedTuple):
+    """What is drawn of the first realisation.
 
-    - `slip`, `stick`: the parts of the first realisation, `base` the velocity of the base over time.
-    - `problem`: why the realisation is not drawn, or "".
-    - `durations`, `starts`, `numbers`: of the sticks in all realisations that reached the end.
-    - `unfinished`: how many did not.
+    - `slip`, `stick`: its parts.
+    - `problem`: why it is not drawn, or "".
     """
 
     one: Simulation
     slip: Curve
     stick: Curve
     problem: str
+
+
+class Statistics(NamedTuple):
+    """What is drawn of all realisations.
+
+    - `durations`, `starts`, `numbers`: of the sticks in those that reached the end.
+    - `unfinished`: how many did not.
+    """
+
     ensemble: Ensemble
     durations: Bars
     starts: Bars
     numbers: Bars
-    statistics: tuple[Estimate, ...]
+    means: tuple[Estimate, ...]
     unfinished: int
 
 
-def pictures_of(scene: Scene) -> Pictures:
-    """Simulate a scene. Raises ValueError for what `simulate_ensemble` and `simulate` refuse."""
-    many = simulate_ensemble(
-        scene.system, scene.law, t1=scene.t1, samples=scene.samples, key=jax.random.key(scene.seed), y0=scene.y0,
-        method=scene.method, keep="sticks", progress=False,
-    )  # fmt: skip
-    one = realization(scene, many)
+def motion_of(scene: Scene) -> Motion:
+    """Simulate the first realisation of a scene. Raises ValueError for what `simulate` refuses."""
+    one = realization(scene)
     is_whole = int(one.status) == Status.FINISHED
     phases = phases_of(one, (0.0, min(scene.t1, LONGEST_HISTORY))) if is_whole else []
     x, y = coordinates_of(scene)
@@ -74,17 +79,23 @@ def pictures_of(scene: Scene) -> Pictures:
         Curve(*(joined([one for one in phases if one.sticks == sticks], name) for name in ("times", x, y)))
         for sticks in (False, True)
     )
+    problem = "" if is_whole else f"This realisation has no end: {Status(int(one.status)).meaning}."
+    return Motion(one, slip, stick, problem)
+
+
+def statistics_of(scene: Scene) -> Statistics:
+    """Simulate all realisations of a scene. Raises ValueError for what `simulate_ensemble` refuses."""
+    many = simulate_ensemble(
+        scene.system, scene.law, t1=scene.t1, samples=scene.samples, key=jax.random.key(scene.seed), y0=scene.y0,
+        method=scene.method, keep="sticks", progress=False,
+    )  # fmt: skip
     sticks = many.finished_sticks()
-    return Pictures(
-        one=one,
-        slip=slip,
-        stick=stick,
-        problem="" if is_whole else f"This realisation has no end: {Status(int(one.status)).meaning}.",
+    return Statistics(
         ensemble=many,
         durations=_bars(sticks.duration),
         starts=_bars(sticks.start, scene.t1),
         numbers=_bars_of_counts(sticks.count),
-        statistics=tuple(of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction)),
+        means=tuple(of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction)),
         unfinished=scene.samples - int(many.status_counts.get(Status.FINISHED, 0)),
     )
 
@@ -99,20 +110,20 @@ def slope_of(scene: Scene, name: str) -> Sensitivity:
     return found
 
 
-def realization(scene: Scene, many: Ensemble) -> Simulation:
-    """The first realisation of an ensemble, with the sticks that are counted there."""
-    law: Any = scene.law
+def realization(scene: Scene) -> Simulation:
+    """The first realisation of the ensemble of a scene, with the sticks that are counted there."""
+    model = Model(scene.system, law_of(scene.law), scene.y0)
+    inputs = Inputs.of(model, scene.samples, jax.random.key(scene.seed))
+    system, law, y0 = inputs.of_sample(0, jnp.dtype(jnp.result_type(float)))
+    base: Any = law
     if isinstance(law, PiecewiseConstantLaw) and law.is_random:
         # A larger capacity only continues the motion, and one program serves for many rates.
-        assert many.inputs is not None
-        system, law, y0 = many.inputs.of_sample(0, jnp.dtype(many.dtype))
         capacity = _LEAST_CAPACITY
         while capacity < law.capacity(scene.t1):
             capacity *= 4
-        key = jax.random.fold_in(jax.random.key(scene.seed), 0)
-        base = law.sample(key, scene.t1, capacity=capacity)
-    else:
-        system, base, y0 = many.realization(0)
+        base = law.sample(jax.random.fold_in(jax.random.key(scene.seed), 0), scene.t1, capacity=capacity)
+    elif is_random(law):
+        base = inputs.realization_of(0, law, scene.t1)
     one = simulate(system, base, t1=scene.t1, y0=y0, method=scene.method)
     if one.sticks.contact is None:
         return one

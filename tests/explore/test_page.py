@@ -2,6 +2,7 @@
 
 import html
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax._explore.controls import NumberControl
 from stickslip_jax._explore.page import GIVEN
-from stickslip_jax._explore.pictures import pictures_of, realization
+from stickslip_jax._explore.pictures import motion_of, realization, statistics_of
 from stickslip_jax._explore.scene import Scene
+from stickslip_jax._explore.work import Worker
 from stickslip_jax.study import read_config
 
 T1, SAMPLES, Y0 = 20.0, 300, (0.0, 1.0)
@@ -55,7 +57,7 @@ def test_numbers_are_those_of_the_package():
 
 def test_pictures_are_those_of_the_sticks():
     scene = Scene(system(), ss.PoissonSwitching(0.9, 1.0), Y0, T1, SAMPLES)
-    found = pictures_of(scene)
+    motion, found = motion_of(scene), statistics_of(scene)
     sticks = found.ensemble.finished_sticks()
     widths = np.diff(found.durations.edges)
     assert np.sum(found.durations.heights * widths) == pytest.approx(1)
@@ -67,19 +69,19 @@ def test_pictures_are_those_of_the_sticks():
     own = ss.simulate(*found.ensemble.realization(0)[:2], t1=T1, y0=found.ensemble.realization(0).y0)
     mask = np.asarray(own.sticks.mask)
     np.testing.assert_allclose(
-        np.asarray(found.one.sticks.start)[np.asarray(found.one.sticks.mask)],
+        np.asarray(motion.one.sticks.start)[np.asarray(motion.one.sticks.mask)],
         np.asarray(own.sticks.start)[mask],
         rtol=0,
     )
-    times = found.stick.times[np.isfinite(found.stick.times)]
+    times = motion.stick.times[np.isfinite(motion.stick.times)]
     inside = [
         np.any((times >= a) & (times <= b))
         for a, b in zip(np.asarray(own.sticks.start)[mask], np.asarray(own.sticks.end)[mask], strict=True)
     ]
     assert all(inside)
     np.testing.assert_allclose(
-        found.slip.x[np.isfinite(found.slip.times)],
-        np.asarray(own.evaluate(found.slip.times[np.isfinite(found.slip.times)])[0]),
+        motion.slip.x[np.isfinite(motion.slip.times)],
+        np.asarray(own.evaluate(motion.slip.times[np.isfinite(motion.slip.times)])[0]),
         atol=1e-12,
     )
 
@@ -87,10 +89,8 @@ def test_pictures_are_those_of_the_sticks():
 def test_base_with_random_numbers():
     """The realisation has those of the first sample."""
     scene = Scene(system(), ss.PoissonSwitching(ss.Uniform(0.5, 1.0), ss.Uniform(0.5, 2.0)), Y0, T1, 50, 0)
-    found = pictures_of(scene)
-    assert float(found.one.stick_time) == pytest.approx(
-        found.ensemble.finished_sticks().duration[: found.ensemble.finished_sticks().count[0]].sum(), rel=1e-12
-    )
+    sticks = statistics_of(scene).ensemble.finished_sticks()
+    assert float(realization(scene).stick_time) == pytest.approx(sticks.duration[: sticks.count[0]].sum(), rel=1e-12)
 
 
 def test_derivative_and_diagram_are_both_shown():
@@ -194,8 +194,45 @@ def test_bad_arguments(options, message):
         shown(**options)
 
 
-def test_realization_is_the_first_of_the_ensemble():
-    scene = Scene(system(), ss.RandomSteps(speed=0.9, interval=1.5), (ss.Uniform(-0.5, 0.5), 0.0), T1, 5, seed=4)
-    many = pictures_of(scene).ensemble
-    one = realization(scene, many)
-    assert float(one.stick_time) == pytest.approx(many.totals.stick_time[0], rel=1e-12)
+class Own:
+    """A random base of a user."""
+
+    def sample(self, key, t1):
+        return ss.Harmonic(jax.random.uniform(key, minval=0.5, maxval=1.0), 2.0)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        ss.RandomSteps(speed=0.9, interval=1.5),
+        ss.RandomPhase(ss.Harmonic(0.9, ss.Uniform(1.5, 2.5))),
+        ss.Harmonic(ss.Uniform(0.5, 0.9), 1.5),
+        Own(),
+    ],
+    ids=["random steps", "random phase", "random amplitude", "own"],
+)
+def test_realization_is_the_first_of_the_ensemble(law):
+    scene = Scene(system(), law, (ss.Uniform(-0.5, 0.5), 0.0), T1, 5, seed=4)
+    many = statistics_of(scene).ensemble
+    assert float(realization(scene).stick_time) == pytest.approx(many.totals.stick_time[0], rel=1e-12)
+    assert many.totals.stick_time[0] > 0
+
+
+def test_steps_end_at_the_first_failure():
+    done = []
+
+    def failing():
+        raise ValueError("no")
+
+    worker = Worker(None, ThreadPoolExecutor(1))
+    worker.do(
+        [(lambda: 1, done.append), (failing, done.append), (lambda: 3, done.append)], lambda e: done.append(str(e))
+    )
+    assert done == [1, "no"]
+
+
+def test_moves_are_told_at_once():
+    """By an attribute of Panel's widgets, which it does not promise."""
+    for control in shown(samples=5).controls:
+        for part in (control._slider, control._box):
+            assert (part._debounce, type(part).__base__._debounce) == (0, 50)
