@@ -49,7 +49,7 @@ FIGURES = {
     "conference_paper": 1,
     "electromechanical": 1,
     "measured_friction": 1,
-    "nonlinear": 1,
+    "nonlinear": 3,
     "own_base": 1,
     "own_system": 1,
     "parametric_analysis": 1,

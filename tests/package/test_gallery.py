@@ -21,8 +21,6 @@ PAGE = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
 SOURCE = (ROOT / "docs" / "gallery.py").read_text(encoding="utf-8")
 FUNCTIONS = [name for name in plot.__all__ if name[0].islower() and name != "save"]
 NOTEBOOKS = sorted(path.stem for path in (ROOT / "notebooks").glob("*.py"))
-NOT_YET = {"calibration", "measured_friction", "nonlinear", "posterior", "regularized"}
-"""Notebooks whose page the gallery names, still without a picture."""
 WIDTH, SIZE = 88, 1_000_000
 """Characters of a line of code that the page shows whole; bytes of all pictures."""
 
@@ -52,16 +50,10 @@ def test_every_figure_function_has_its_picture_and_the_code_that_draws_it(name):
     assert f"return plot.{name}(" in ast.unparse(code)
 
 
-@pytest.mark.parametrize("name", sorted(set(NOTEBOOKS) - NOT_YET))
+@pytest.mark.parametrize("name", NOTEBOOKS)
 def test_every_notebook_has_its_picture_and_leads_to_its_page(name):
     assert f"](gallery/notebook_{name}.png)\n](notebooks/{name}.ipynb)" in PAGE
     assert (ROOT / "docs" / "gallery" / f"notebook_{name}.png").exists()
-
-
-@pytest.mark.parametrize("name", sorted(NOT_YET))
-def test_notebooks_still_without_a_picture_are_named(name):
-    assert f"(notebooks/{name}.ipynb)" in PAGE
-    assert not (ROOT / "docs" / "gallery" / f"notebook_{name}.png").exists()
 
 
 def test_script_draws_what_the_page_shows():
