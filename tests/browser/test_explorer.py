@@ -9,6 +9,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import jax
@@ -250,3 +251,12 @@ def test_taken_port_is_told(served, tmp_path):
     assert done.returncode == 1
     assert f"Port {port} cannot be used" in done.stderr
     assert done.stdout == ""
+
+
+def test_latency_is_measured():
+    """Not how long: that the tool sees means, pictures and derivative come."""
+    tool = Path(__file__).parents[2] / "tools" / "explorer_latency.py"
+    done = subprocess.run(
+        [sys.executable, tool, "--moves", "1"], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert re.findall(r"^(\w+) +\d+ ms, at most \d+ ms$", done.stdout, re.M) == ["means", "pictures", "derivative"]

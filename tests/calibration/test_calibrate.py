@@ -223,6 +223,7 @@ def test_own_channels_and_residuals_that_are_not_white():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # remarks of a few of so many records
 @pytest.mark.parametrize("kind", ["one friction coefficient", "asymmetric friction"])
 def test_coverage(kind):
     """Of 200 data sets each, the 95 % intervals hold the truth in 92 to 98 %."""

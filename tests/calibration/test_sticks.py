@@ -199,6 +199,7 @@ def test_intervals_cover_the_truth(objective):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # remarks of a few of so many data sets
 def test_naive_derivative_would_give_wrong_errors():
     """The mean stick duration as the only moment: 60 estimates scatter as is said, and not as by the pathwise part."""
     moments, number = [ss.mean_stick_duration], 60
