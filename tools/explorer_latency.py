@@ -18,8 +18,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.browser import missing, resize, started
-from support.explorer import Page
+from support.browser import missing, resize, started  # pyright: ignore[reportMissingImports]
+from support.explorer import Page  # pyright: ignore[reportMissingImports]
 
 SERVER = "import sys; from stickslip_jax._cli import main; sys.exit(main())"
 SLIDER = "friction coefficient"

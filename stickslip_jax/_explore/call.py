@@ -71,5 +71,5 @@ def explore(
         names = ", ".join(one.name for one in known)
         raise _checks.refused("y0", f"hold {len(known)} values ({names})", y0)
     scene = Scene(system, law_of(law), start, float(t1), number, _checks.whole_number("seed", seed, minimum=0), method)
-    pn.extension()
+    pn.extension(inline=True)  # its scripts come from here, not from the net
     return Explorer(scene)

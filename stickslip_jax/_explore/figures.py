@@ -57,7 +57,7 @@ class Figures:
             plot.y_range.end = 1.05 * np.max(bars.heights) or 1.0
 
     def _lines(self, title: str, x: str, y: str, x_label: str, y_label: str) -> Any:
-        plot = _figure(title, x_label, y_label, x_range=Range1d(0, 1), y_range=Range1d(0, 1))
+        plot = _figure(title, x_label, y_label, **_ranges())
         for name in _CURVES:
             plot.line(x, y, source=self._curves[name], color=_COLORS[name], line_width=_WIDTHS[name], legend_label=name)
         plot.add_layout(plot.legend[0], "above")
@@ -66,7 +66,7 @@ class Figures:
         return plot
 
     def _histogram(self, name: str, title: str, x_label: str, y_label: str) -> Any:
-        plot = _figure(title, x_label, y_label, x_range=Range1d(0, 1), y_range=Range1d(0, 1))
+        plot = _figure(title, x_label, y_label, **_ranges())
         plot.quad(
             left="left", right="right", top="top", bottom=0, source=self._bars[name], color=_style.STICK,
             line_color="white", line_width=0.5,
@@ -86,6 +86,11 @@ class SectionFigure:
         """Draw another section."""
         self.plot.xaxis.axis_label, self.plot.yaxis.axis_label = section.label, section.state_label
         self._points.data = {"value": section.values, "state": section.states}
+
+
+def _ranges() -> dict[str, Any]:
+    """Of both axes, set with each picture: those that the page would find itself take it longer."""
+    return {name: Range1d(start=0, end=1) for name in ("x_range", "y_range")}
 
 
 def _fit(of_axis: Range1d, *values: np.ndarray) -> None:

@@ -45,7 +45,7 @@ class Worker:
                 (steps, failed), self._wish = self._wish, None
                 for task, then in steps:
                     found, error = await asyncio.get_running_loop().run_in_executor(self._threads, _outcome, task)
-                    self._document.add_next_tick_callback(partial(_finish, found, error, then, failed))
+                    self._document.add_next_tick_callback(cast(Any, partial(_finish, found, error, then, failed)))
                     if error is not None:
                         break
         finally:

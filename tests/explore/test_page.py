@@ -194,6 +194,13 @@ def test_bad_arguments(options, message):
         shown(**options)
 
 
+def test_scripts_of_a_notebook_are_not_loaded_from_the_net(monkeypatch):
+    asked = []
+    monkeypatch.setattr("panel.extension", lambda **options: asked.append(options))
+    shown(samples=5)
+    assert asked == [{"inline": True}]
+
+
 class Own:
     """A random base of a user."""
 
