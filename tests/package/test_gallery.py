@@ -73,6 +73,7 @@ def test_code_that_the_page_shows_fits_its_column():
     gallery = script()
     shown = [inspect.getsource(getattr(gallery, name)) for name in re.findall(r":pyobject: (\w+)", PAGE)]
     shown.append(SOURCE.partition("import math")[2].partition("# Until here.")[0])
+    shown.append((ROOT / "docs" / "animation.py").read_text(encoding="utf-8"))
     assert not [line for code in shown for line in code.splitlines() if len(line) > WIDTH]
 
 
