@@ -1,6 +1,7 @@
 """The page of the explorer: controls on the left, pictures on the right, and what connects them."""
 
 import io
+import math
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -29,6 +30,7 @@ _SIDE = {"flex": "1 1 300px", "max-width": "430px"}
 _MAIN = {"flex": "3 1 330px", "min-width": "0"}
 _GRID = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(290px, 1fr))"}
 _FIRST = "The programs for this system are compiled: the first pictures take some seconds."
+_TO_BE_READ = "textarea:disabled { color: #222; opacity: 1; font-family: monospace; }"
 _COPY = """
 navigator.clipboard.writeText(code.value).then(() => { button.label = "Copied"; });
 setTimeout(() => { button.label = "Copy as Python"; }, 2000);
@@ -56,7 +58,12 @@ class Explorer(pn.viewable.Viewer):
         self.statistics = pn.pane.HTML(_html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
         self.slope = pn.pane.HTML("", sizing_mode="stretch_width", css_classes=["slope"])
         self._code = pn.widgets.TextAreaInput(
-            label="Python", rows=12, disabled=True, sizing_mode="stretch_width", max_length=100_000
+            label="Python",
+            rows=12,
+            disabled=True,
+            sizing_mode="stretch_width",
+            max_length=100_000,
+            stylesheets=[_TO_BE_READ],
         )
         self._section_note = pn.pane.HTML("", css_classes=["section-note"])
         self._tabs = pn.Tabs(sizing_mode="stretch_width")
@@ -184,8 +191,7 @@ class Explorer(pn.viewable.Viewer):
     def _show_statistics(self, scene: Scene, moving: MovableNumber, figures: Figures, statistics: Statistics) -> None:
         figures.show_statistics(statistics)
         rows = [
-            (one.name, one.without_name().replace("+-", "±"), "{:.4g} to {:.4g}".format(*one.interval()))
-            for one in statistics.means
+            (one.name, one.without_name().replace("+-", "±"), _range_of(*one.interval())) for one in statistics.means
         ]
         table = _html.table(rows, ("of all realisations", "mean", "95 % interval"))
         left = f"<p>{statistics.unfinished:,} of {scene.samples:,} realisations did not finish.</p>"
@@ -198,8 +204,10 @@ class Explorer(pn.viewable.Viewer):
         if scene is not self.scene:  # of other numbers than are shown
             return
         slope, remarks = found
-        said = f"{slope} {_unit_of(slope)}".replace("+-", "±")
-        self.slope.object = _html.escaped(said) + "".join(map(_html.escaped, remarks))
+        if math.isfinite(slope.derivative):
+            self.slope.object = "".join(map(_html.escaped, (_with_unit(slope), *remarks)))
+        else:
+            self.slope.object = _html.escaped(f"No derivative by {slope.parameter}: too few sticks.")
 
     def _no_slope(self, scene: Scene, number: MovableNumber, error: BaseException) -> None:
         if scene is self.scene:
@@ -245,8 +253,15 @@ class Explorer(pn.viewable.Viewer):
         return io.BytesIO(sheet_of(self.scene))
 
 
-def _unit_of(slope: Sensitivity) -> str:
-    return slope.unit if slope.parameter_unit == "1" else f"{slope.unit} per {slope.parameter_unit}"
+def _with_unit(slope: Sensitivity) -> str:
+    """The derivative, its error and their unit, and then how it was found."""
+    unit = slope.unit if slope.parameter_unit == "1" else f"{slope.unit} per {slope.parameter_unit}"
+    number, bracket, how = str(slope).replace("+-", "±").partition(" (central")
+    return f"{number} {unit}{bracket}{how}"
+
+
+def _range_of(low: float, high: float) -> str:
+    return f"{low:.4g} to {high:.4g}" if math.isfinite(low + high) else ""
 
 
 def _quietly(function: Any, *arguments: Any) -> tuple[Any, list[str]]:

@@ -55,6 +55,17 @@ def test_numbers_are_those_of_the_package():
     assert explorer.scene.system.friction.mu == 0.65
 
 
+def test_without_sticks():
+    explorer = shown(system=system(0.0))
+    assert "nan" not in said(explorer.statistics) + said(explorer.slope)
+    assert "No derivative by system.friction.mu: too few sticks." in said(explorer.slope)
+
+
+def test_unit_of_a_difference_quotient():
+    explorer = shown(law=ss.Harmonic(ss.Uniform(0.5, 0.9), 1.5), samples=40)
+    assert re.search(r"± [0-9.]+ s \(central differences of [0-9.]+\)", said(explorer.slope))
+
+
 def test_pictures_are_those_of_the_sticks():
     scene = Scene(system(), ss.PoissonSwitching(0.9, 1.0), Y0, T1, SAMPLES)
     motion, found = motion_of(scene), statistics_of(scene)
