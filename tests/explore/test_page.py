@@ -97,6 +97,24 @@ def test_pictures_are_those_of_the_sticks():
     )
 
 
+def test_axes_hold_what_is_drawn():
+    explorer = shown()
+    for mu in ("0.3", "3"):
+        control(explorer, "system.friction.mu").write(mu)
+        figures = explorer._figures
+        for name in ("slip", "stick"):
+            data = figures._curves[name].data
+            for axis, values in (
+                (figures.portrait.x_range, data["x"]), (figures.portrait.y_range, data["y"]),
+                (figures.history.x_range, data["t"]), (figures.history.y_range, data["x"]),
+            ):  # fmt: skip
+                assert axis.start <= np.nanmin(values) <= np.nanmax(values) <= axis.end < axis.start + 2 * T1
+        for name in ("durations", "starts", "numbers"):
+            data, plot = figures._bars[name].data, getattr(figures, name)
+            assert (plot.x_range.start, plot.x_range.end) == (data["left"][0], data["right"][-1])
+            assert plot.y_range.start == 0 < data["top"].max() < plot.y_range.end <= 1.1 * data["top"].max()
+
+
 def test_base_with_random_numbers():
     """The realisation has those of the first sample."""
     scene = Scene(system(), ss.PoissonSwitching(ss.Uniform(0.5, 1.0), ss.Uniform(0.5, 2.0)), Y0, T1, 50, 0)
