@@ -162,6 +162,8 @@ def motor_cart(mu: Scalar = 0.2, t1: float = 2.0) -> SetUp:
         ValueError: For numbers outside these bounds.
     """
     _checks.positive("t1", t1, "s")
+    if mu is None:  # which a cart with a friction law has
+        raise _checks.refused("mu", "be zero or positive", mu)
     return SetUp(MotorCart(mu=mu), RandomPhase(SourceVoltage()), t1, (Uniform(0.0, 2 * math.pi), 0.0, 0.0))
 
 

@@ -36,7 +36,8 @@ def asked(
     method: Exact | Regularized,
 ) -> Asked:
     """The checked arguments. Raises ValueError for those that do not fit."""
-    ends = _checks.numbers("times", times, ndim=1)
+    _checks.bounded("times", times, "s", at_least=0, ndim=1)
+    ends = np.asarray(times, float)
     if not len(ends) or not ends[-1] > 0:
         raise _checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
     arguments, start = Arguments.of_one(system, base, method, float(ends[-1]), y0)

@@ -91,7 +91,11 @@ def calibrate(
     search = _checked(system, base, times, measured, wrt, noise, y0, observe, method)
     if isinstance(method, Regularized) and windows not in (None, 1):
         raise _checks.refused("windows", "be 1 with the method Regularized", windows)
-    number = _usual_windows(search) if windows is None else _checks.whole_number("windows", windows)
+    number = (
+        _usual_windows(search)
+        if windows is None
+        else _checks.whole_number("windows", windows, maximum=len(search.record.times))
+    )
     found = fitted(search, search.cuts(number), np.zeros(len(search.parameters)))
     given_up = None
     if windows is None and found.problem.windows.begins.shape[0] > 1:

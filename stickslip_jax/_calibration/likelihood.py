@@ -94,13 +94,15 @@ class LogLikelihood(eqx.Module):
         if isinstance(values, Mapping):
             if set(values) != set(self.names):
                 raise _checks.refused("values", f"hold a number for each of {', '.join(self.names)}", list(values))
-            values = [jnp.asarray(values[name]) for name in self.names]
-            if any(value.ndim for value in values):
+            values = [values[name] for name in self.names]
+        if isinstance(values, (list, tuple)):
+            singles = [_checks.jax_array("values", value) for value in values]
+            if any(single.ndim for single in singles):
                 raise ValueError(
                     "Argument values must hold single numbers; for many points at once call it under jax.vmap."
                 )
-            values = jnp.stack(values)
-        found = jnp.asarray(values, self.first_guess.dtype)
+            values = jnp.stack(singles) if singles else jnp.zeros(0)
+        found = _checks.jax_array("values", values).astype(self.first_guess.dtype)
         if found.shape != self.first_guess.shape:
             raise ValueError(
                 f"Argument values must hold one number for each of {', '.join(self.names)}, but an array of shape "
@@ -121,9 +123,11 @@ class LogLikelihood(eqx.Module):
                 f"Argument noise must give the standard deviation of each channel, here or to log_likelihood, but that "
                 f"of {missing[0]!r} is missing."
             )
-        dtype = self.noise.dtype
-        return jnp.stack([jnp.asarray(given[name], dtype) if name in given else self.noise[row]
-                          for row, name in enumerate(self.channels)])  # fmt: skip
+        asked = {name: _checks.jax_array(f"noise[{name!r}]", value) for name, value in given.items()}
+        if several := [name for name, value in asked.items() if value.ndim]:
+            raise ValueError(f"Argument noise must hold a single number for {several[0]!r}.")
+        deviations = [asked.get(name, self.noise[row]) for row, name in enumerate(self.channels)]
+        return jnp.stack(deviations).astype(self.noise.dtype)
 
     def _are_allowed(self, numbers: FloatArray) -> BoolArray:
         """Whether all numbers are within the bounds of their fields, and static friction is not below kinetic."""

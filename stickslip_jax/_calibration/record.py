@@ -119,8 +119,8 @@ class Windows(NamedTuple):
 
 
 def _values(name: str, column: npt.ArrayLike, number: int) -> np.ndarray:
-    values = np.asarray(column, float) if _checks.dimensions(column) == 1 else np.zeros(0)
-    if len(values) != number or np.any(np.isinf(values)):
+    values = np.asarray(_checks.numbers(f"measured[{name!r}]", column), float)
+    if values.shape != (number,) or np.any(np.isinf(values)):
         demand = f"hold one number for each of the {number} times, NaN where nothing was measured"
         raise _checks.refused(f"measured[{name!r}]", demand, column)
     return values

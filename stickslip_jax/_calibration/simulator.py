@@ -9,15 +9,17 @@ import numpy.typing as npt
 
 from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._dynamics.common.validation import check_method
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.result import Ensemble
+from .._ensemble.setup import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion
 from .._status import Status
 from .._systems.system import System
 from .._types import Array, InitialState
-from .._uncertainty.inputs import Model
 from .._uncertainty.numbers import matching, numbers_in
 from .._uncertainty.value_designs import table
+from .stick_parameters import checked_model
 
 Summaries = Callable[[Ensemble], npt.ArrayLike]
 
@@ -139,11 +141,14 @@ def stick_simulator(
     names = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (tuple, list)) else ()
     if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
         raise _checks.refused("wrt", "be a parameter's name or several different ones", wrt)
-    known = [path for path, _ in numbers_in(Model(system, law, y0)._asdict(), whole=True)]
+    check_method(method)
+    known = [path for path, _ in numbers_in(checked_model(system, law, y0)._asdict(), whole=True)]
     for name in names:
         matching("wrt", name, known)
     _checks.positive("t1", t1, "s")
-    number = _checks.whole_number("realizations", realizations)
+    number = _checks.whole_number("realizations", realizations, maximum=MOST_SAMPLES)
+    if threads is not None:
+        _checks.whole_number("threads", threads)
     if summaries is not None and not callable(summaries):
         raise _checks.refused("summaries", "be a function of an Ensemble, or None", summaries)
     return StickSimulator(system, law, names, float(t1), y0, method, number, summaries, threads)

@@ -6,9 +6,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .._excitation.excitation import law_of
+from .. import _checks
+from .._excitation.excitation import law_of, motion_of
+from .._systems.system import checked_system
 from .._uncertainty.inputs import Model
 from .._uncertainty.numbers import Parameter, check_numbers, parameters_of, with_numbers
+from .._uncertainty.sampled_law import SampledLaw
 from .transform import Transform, transform_of
 
 _Vector = Float[np.ndarray, " parameters"]
@@ -29,7 +32,7 @@ class Models:
     def of(cls, system: object, law: object, y0: Any, wrt: object, experiments: int) -> "Models":
         """The models, from one system and law, or one for each experiment. Raises ValueError where they do not fit."""
         systems, laws = _for_each("system", system, experiments), _for_each("law", law, experiments)
-        models = tuple(Model(one, law_of(two), y0) for one, two in zip(systems, laws, strict=True))
+        models = tuple(checked_model(one, two, y0) for one, two in zip(systems, laws, strict=True))
         parameters = tuple(parameters_of(model._asdict(), wrt) for model in models)
         return cls(models, parameters, transform_of(models[0], parameters[0]))
 
@@ -54,6 +57,16 @@ class Models:
             check_numbers(new)
             found.append(new)
         return found
+
+
+def checked_model(system: object, law: Any, y0: Any) -> Model:
+    """What is simulated, by kind: its numbers may be random. Raises ValueError for what is no system, law or start."""
+    known = law_of(law)
+    if not isinstance(known, SampledLaw):
+        motion_of(known, "law")
+    if y0 is not None and _checks.dimensions(y0) not in (1, 2):
+        raise _checks.refused("y0", "be a tuple with the initial value of each coordinate", y0)
+    return Model(checked_system(system), known, y0)
 
 
 def _for_each(name: str, given: object, experiments: int) -> list[Any]:

@@ -113,7 +113,7 @@ class Simulator:
 
     def _with_room(self, problem: Problem, pilot: Pilot) -> Pilot:
         """The pilot, with buffers of a size that suffices nearby too: each size is compiled anew."""
-        if pilot.most is None:
+        if pilot.most is None or problem.needs_ensembles:
             return pilot
         needed = buffer_sizes_for(problem, pilot)
         if any(size > room for size, room in zip(needed, self.fewest, strict=True)):

@@ -12,6 +12,7 @@ from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
+from .._sensitivity.call import check_estimator, require_differences
 from .._sensitivity.estimate import Estimator
 from .._sensitivity.statistic import AnyStatistic
 from .._statistics.estimate import Estimate, correlated_estimates
@@ -96,6 +97,8 @@ def calibrate_sticks(
             recordings; first guesses at a bound; and for what `sensitivity` refuses.
     """
     _checks.chosen("objective", objective, get_args(Objective))
+    check_estimator(estimator)
+    require_differences(estimator, method)
     ensembles = observed_ensembles(observed)
     models = Models.of(system, law, y0, wrt, len(ensembles))
     fit = _Fit(

@@ -102,7 +102,7 @@ def sensitivity(
     kinds = problem.kinds()
     problem = problem._replace(statistics=tuple(one for kind in kinds for one in kind.statistics))
     asked = estimator or _asked_for(step, relative_bandwidth)
-    _require_differences(asked, method)
+    require_differences(asked, method)
     if asked == "finite-difference" or not (asked or all(cheaper(kind) == "corrected" for kind in kinds)):
         found = _by_differences(problem, kinds, pilot, elasticity, step)
     else:
@@ -131,7 +131,13 @@ def cheaper(problem: Problem) -> Estimator:
     return "corrected" if problem.by_intervals or by_steps else "finite-difference"
 
 
-def _require_differences(estimator: Estimator | None, method: Exact | Regularized) -> None:
+def check_estimator(estimator: Estimator | None) -> None:
+    """Raise ValueError for what is no estimator."""
+    if estimator is not None:
+        _checks.chosen("estimator", estimator, _ESTIMATORS)
+
+
+def require_differences(estimator: Estimator | None, method: Exact | Regularized) -> None:
     """Raise ValueError where the corrected method is asked of regularised dynamics: it needs exact events."""
     if isinstance(method, Regularized) and estimator == "corrected":
         raise ValueError(
@@ -234,8 +240,7 @@ def _check_options(
 ) -> None:
     if not isinstance(elasticity, bool):
         raise ValueError(f"Argument elasticity must be True or False, but {_checks.show(elasticity)} was given.")
-    if estimator is not None:
-        _checks.chosen("estimator", estimator, _ESTIMATORS)
+    check_estimator(estimator)
     for name, value, of in (
         ("step", step, "finite-difference"),
         ("relative_bandwidth", relative_bandwidth, "corrected"),

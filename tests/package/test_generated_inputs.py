@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).parents[1]
-GROUPS = {"constructors": 1000, "numbers_and_methods": 500, "designs": 500, "runs": 500, "results": 200, "files": 2000}
+GROUPS = {
+    "constructors": 1000,
+    "numbers_and_methods": 500,
+    "designs": 500,
+    "runs": 500,
+    "results": 200,
+    "files": 2000,
+    "calibrations": 200,
+}
 """How many besides one for each argument and kind of value."""
 LEAST = {
     "constructors": 12_000,
@@ -19,6 +27,7 @@ LEAST = {
     "runs": 7500,
     "results": 5000,
     "files": 2000,
+    "calibrations": 5000,
 }
 """How many there must be in all; more than ten thousand together."""
 
@@ -29,7 +38,7 @@ KNOWN = {
     "while sorting pytree dictionary keys": "So they do with a dict whose keys cannot be sorted.",
     "is treated as a leaf in PyTree": "And they warn of a generator, before it is refused in a sentence.",
     "A JAX array is being set as static": "Equinox warns of an array in place of an option, before it is refused.",
-    r"len\(\) of unsized object|has no len\(\)": "A function of the user's fails in its own words: len of a number.",
+    r"len\(\) of unsized object|has no len\(\)|is not iterable": "A function of the user's fails in its own words.",
     "Fewer than two of 64 trajectories reached t1": "None that starts at 1e308: the ensemble is shown in lines.",
     r"SweepError: two\nlines holds no sweep": "Names of files are shown as they are, with their ends of lines.",
 }
