@@ -88,6 +88,16 @@ BAD = {
     "an objective": (
         {"objective": "likely"}, r"Argument objective must be one of 'moments', 'likelihood', but 'likely' was given",
     ),
+    "an estimator": (
+        {"estimator": "exact"}, r"Argument estimator must be one of 'corrected', 'finite-difference', but 'exact' was",
+    ),
+    "an estimator of exact events": (
+        {"estimator": "corrected", "method": ss.Regularized(0.1)},
+        r"Argument estimator must be 'finite-difference' \(the default here\), .* with regularised dynamics",
+    ),
+    "no system": ({"system": 3.0}, r"Argument system must be a MassSpring, "),
+    "no law": ({"law": "mu"}, r"Argument law must be a base motion such as Harmonic"),
+    "no start": ({"y0": {"position": 0.0}}, r"Argument y0 must be a tuple with the initial value of each coordinate"),
     "no chance": (
         {"law": ss.Constant(speed=0.7), "y0": (0.0, 0.0)},
         r"Argument law must be random, or system or y0 hold a distribution such as Uniform: without chance the ",

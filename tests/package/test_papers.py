@@ -69,6 +69,11 @@ def test_set_ups_run():
     assert 0.3 < float(one.stick_fraction) < 0.4
 
 
+def test_motor_cart_without_a_friction_coefficient(annotations_unchecked):
+    with pytest.raises(ValueError, match=r"\AArgument mu must be zero or positive, but None was given"):
+        papers.motor_cart(None)
+
+
 @pytest.mark.parametrize("ratio", [0.0, -1.0, math.nan, "1"])
 @pytest.mark.parametrize("make", [papers.square_wave_belt, papers.random_belt, papers.steady_stick_share])
 def test_bad_ratios(make, ratio, annotations_unchecked):
