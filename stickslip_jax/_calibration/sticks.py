@@ -83,7 +83,7 @@ def calibrate_sticks(
         estimator: Of the derivatives: "corrected" for sticks that appear and vanish, or "finite-difference" with common
             random numbers over 10 % of each parameter. By default the one with the smaller error in the same time:
             corrected for the total stick time and the number of sticks where closed forms exist.
-        method: As in `simulate_ensemble`.
+        method: As in `simulate_ensemble`. `Regularized` takes minutes to hours: a fit simulates dozens of ensembles.
         threads: As in `simulate_ensemble`; the result does not depend on it.
 
     Returns:
