@@ -18,7 +18,7 @@ from .._fields import Choice, Quantity
 from .._types import FloatArray, FloatScalar, Number, Scalar
 from .friction import FrictionLaw, static_at_least
 from .prescribed import force_of_dynamic
-from .series_spring import BehindSpring
+from .series_spring import BehindSpring, SpeedBehindSpring
 
 _MU = "friction coefficient of a fast slip"
 _STATIC = "largest friction coefficient of a slow slip, at least mu"
@@ -80,11 +80,14 @@ class DynamicFriction(FrictionLaw):
             velocity: The relative velocity at these times, m/s, (times,), joined by straight lines; or a `Recorded` or
                 `Signal` such as `Harmonic`, of the same times. With a spring, that of the end of the spring.
             normal_force: N, zero or positive; one number, or without a spring one for each time.
-            series_stiffness: N/m, of a spring in front of the contact, for `Dahl` and `BoucWen`.
+            series_stiffness: N/m, of a spring in front of the contact, for `Dahl`, `BoucWen` and `DieterichRuina`.
+                With this last one the contact begins to slip as fast as the spring's end moves: by default steadily
+                at the reference speed.
             backlash: The free play in front of the spring, m. It begins in the middle, if there is no force.
             initial_state: The inner state at the first time; by default that at rest.
             rtol: Relative tolerance of the integration, by diffrax' ``Kvaerno5``, implicit and of fifth order. The
-                absolute one is as small a part of the inner state at which the law slips steadily.
+                absolute one is as small a part of the inner state at which the law slips steadily. `DieterichRuina`
+                behind a spring takes no less than 8 units of round-off times ``mu / direct``.
             max_steps: The largest number of steps; by default 16384 and 64 for each time.
             adjoint: How diffrax differentiates: by default ``RecursiveCheckpointAdjoint()``, for ``grad``;
                 ``ForwardMode()`` for ``jvp`` and ``jacfwd``.
@@ -95,8 +98,8 @@ class DynamicFriction(FrictionLaw):
 
         Raises:
             ValueError: For times that do not increase, velocities of another length, and numbers out of range; for a
-                spring in front of a law that depends on the speed; and where the steps were used up, unless JAX traces
-                the numbers.
+                spring in front of a law whose speed may jump there; and where the steps were used up, unless JAX
+                traces the numbers.
         """
         start = self.initial_state if initial_state is None else initial_state
         _checks.bounded("initial_state", start)
@@ -104,20 +107,39 @@ class DynamicFriction(FrictionLaw):
             _checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
             return force_of_dynamic(self, times, velocity, normal_force, start, rtol, max_steps, adjoint)
         law = self.behind_spring(series_stiffness, backlash, normal_force)
-        return force_of_dynamic(law, times, velocity, normal_force, law.start(start), rtol, max_steps, adjoint)
+        return force_of_dynamic(law, times, velocity, normal_force, start, rtol, max_steps, adjoint)
 
-    def behind_spring(self, series_stiffness: Number, backlash: Number, normal_force: Number) -> BehindSpring:
+    def behind_spring(
+        self, series_stiffness: Number, backlash: Number, normal_force: Number
+    ) -> BehindSpring | SpeedBehindSpring:
         """The law behind a spring (N/m) with a free play (m). Raises ValueError where such a slider may jump."""
-        raise ValueError(
-            f"Argument series_stiffness must be None for {type(self).__name__}, but {_checks.show(series_stiffness)} "
-            "was given: where friction depends on the speed such a slider may jump, with Dahl and BoucWen it does not. "
-            "Give it a mass: write mass, spring and backlash as a SwitchedSystem."
-        )
+        raise _jumps(self, series_stiffness)
 
     @property
     def state_scale(self) -> Scalar:
         """A typical size of the inner state: that of its errors where it is small."""
         return 1.0
+
+
+def _jumps(law: DynamicFriction, series_stiffness: Number) -> ValueError:
+    return ValueError(
+        f"Argument series_stiffness must be None for {type(law).__name__}, but {_checks.show(series_stiffness)} was "
+        "given: such a slider may jump from one speed to another; with Dahl, BoucWen and DieterichRuina it does not. "
+        "Give it a mass: write mass, spring and backlash as a SwitchedSystem."
+    )
+
+
+def _spring(
+    law: DynamicFriction, series_stiffness: Number, backlash: Number, normal_force: Number
+) -> tuple[FloatArray, FloatArray]:
+    """The deflection of the spring per friction coefficient, and its free play either way; both in m."""
+    owners = [next(kind for kind in type(law).__mro__ if name in vars(kind)) for name in ("rate", "coefficient")]
+    if any(kind.__module__ != __name__ for kind in owners):  # a subclass may jump
+        raise _jumps(law, series_stiffness)
+    _checks.positive("series_stiffness", series_stiffness, "N/m")
+    _checks.bounded("backlash", backlash, "m", at_least=0)
+    _checks.positive("normal_force", normal_force, "N")
+    return jnp.asarray(normal_force / series_stiffness, float), jnp.asarray(backlash, float) / 2
 
 
 class _Bristles(DynamicFriction):
@@ -131,14 +153,8 @@ class _Bristles(DynamicFriction):
         return "deflection in m"
 
     def behind_spring(self, series_stiffness: Number, backlash: Number, normal_force: Number) -> BehindSpring:
-        owners = [next(kind for kind in type(self).__mro__ if name in vars(kind)) for name in ("rate", "coefficient")]
-        if any(kind.__module__ != __name__ for kind in owners):  # a subclass may depend on the speed
-            return DynamicFriction.behind_spring(self, series_stiffness, backlash, normal_force)
-        _checks.positive("series_stiffness", series_stiffness, "N/m")
-        _checks.bounded("backlash", backlash, "m", at_least=0)
-        _checks.positive("normal_force", normal_force, "N")
-        softness = jnp.asarray(normal_force * self.stiffness / series_stiffness)
-        return BehindSpring(self, softness, jnp.asarray(backlash) / 2)
+        softness, play = _spring(self, series_stiffness, backlash, normal_force)
+        return BehindSpring(self, softness * self.stiffness, play)
 
     @property
     def static(self) -> Scalar:
@@ -363,6 +379,16 @@ class DieterichRuina(DynamicFriction):
         size = jnp.where(share != 0, jnp.abs(share), 1)
         large = jnp.where(share != 0, jnp.sign(share) * (jnp.log(2 * size) + exponent), 0)
         return self.direct * jnp.where(exponent < most, small, large)
+
+    def slip_velocity(self, z: FloatScalar, coefficient: FloatScalar) -> FloatArray:
+        """The relative velocity (m/s) at which the law has this `coefficient`, with its sign."""
+        sign = jnp.where(coefficient < 0, -1.0, 1.0)
+        share = sign * coefficient / self.direct
+        exponent = share - (self.mu + self.evolution * z) / self.direct
+        return sign * self.reference_speed * jnp.exp(exponent) * -jnp.expm1(-2 * share)
+
+    def behind_spring(self, series_stiffness: Number, backlash: Number, normal_force: Number) -> SpeedBehindSpring:
+        return SpeedBehindSpring(self, *_spring(self, series_stiffness, backlash, normal_force))
 
     def steady(self, velocity: FloatArray) -> FloatArray:
         """With the state of a steady slip, ``z = -log(|v| / reference_speed)``."""

@@ -13,6 +13,7 @@ from .. import _diffrax as diffrax
 from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
 from .._types import Array, FloatArray, Number
+from .series_spring import BehindSpring, SpeedBehindSpring
 
 _FEW, _EACH = 16384, 64  # steps that are allowed, and those for each time
 _MOST = 2**31 - 1  # steps that 32 bits count
@@ -39,11 +40,14 @@ def force_of_dynamic(
     if adjoint is not None and not isinstance(adjoint, diffrax.AbstractAdjoint):
         raise _checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", adjoint)
     adjoint = diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint
-    states, done = _states(law, times, motion, jnp.asarray(start, times.dtype), jnp.asarray(rtol), most, adjoint)
+    state = jnp.asarray(start, times.dtype)
+    if isinstance(law, BehindSpring | SpeedBehindSpring):
+        state = law.start(state, _velocities(motion, times)[0])
+    states, done = _states(law, times, motion, state, jnp.asarray(rtol), most, adjoint)
     if not _checks.is_traced(done) and not bool(done):
         raise ValueError(
             f"Argument max_steps must be larger, or rtol: {most} steps do not follow the motion to its end at "
-            f"rtol = {rtol:g}."
+            f"rtol = {rtol:g}.{law.why_endless if isinstance(law, SpeedBehindSpring) else ''}"
         )
     return normal * jax.vmap(law.coefficient)(states, _velocities(motion, times))
 
@@ -68,6 +72,8 @@ def _states(
         return law.rate(z, jnp.asarray(_velocity_at(motion, t), times.dtype))
 
     tolerance = rtol.astype(times.dtype)
+    if isinstance(law, SpeedBehindSpring):
+        tolerance = jnp.maximum(tolerance, law.least_tolerance)
     control = diffrax.PIDController(rtol=tolerance, atol=tolerance * law.state_scale)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rates), diffrax.Kvaerno5(), times[0], times[-1], None, start,

@@ -18,7 +18,7 @@ DOCUMENTS = {
     "docs/howto/contacts.md": 11,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 10,
-    "docs/howto/friction_memory.md": 5,
+    "docs/howto/friction_memory.md": 6,
     "docs/howto/memory.md": 1,
     "docs/howto/nonlinear.md": 7,
     "docs/howto/outputs.md": 2,

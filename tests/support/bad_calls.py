@@ -111,6 +111,8 @@ def laws_with_a_memory() -> Iterator[Target]:
     )  # fmt: skip
     spring = {"series_stiffness": (1e3, "optional positive"), "backlash": (1e-3, "not negative")}
     yield fields(ss.Dahl(0.3, 1e3).force, **motion, **spring)
+    rock = ss.DieterichRuina(0.6, 0.01, 0.015, 1.0, 0.1)
+    yield fields(rock.force, **motion, **spring, initial_state=(None, "optional number"))
     yield fields(ss.Coulomb(0.3).force, **motion, **spring)
 
 
