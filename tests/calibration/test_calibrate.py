@@ -191,6 +191,7 @@ def test_numbers_that_act_together_are_told(found):
     np.testing.assert_allclose(both["mu"].value * both["normal_force"].value, 0.7, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_static_friction_in_windows_that_begin_in_sticks():
     """A motion that starts in a stick must start there exactly, or static friction would not hold it."""
     true, belt = oscillator(0.4, mu_static=1.7), ss.Constant(0.3)
@@ -203,6 +204,7 @@ def test_static_friction_in_windows_that_begin_in_sticks():
     assert found.windows == 1
 
 
+@pytest.mark.slow
 def test_own_channels_and_residuals_that_are_not_white():
     """What a sensor with a lag sees, fitted as if it had none, and with it."""
     one = ss.simulate(oscillator(), BASE, t1=20.0, y0=(0.3, 0.1))

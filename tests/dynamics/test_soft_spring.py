@@ -112,7 +112,9 @@ def check(chosen: list[Case], method, mode, tolerance: float = 1e-11) -> None:
         assert min(case.reference()[0] for case in chosen) < INTERVALS  # in some there is no stick
 
 
-@pytest.mark.parametrize("method", [ss.Exact(), STEPPED], ids=["intervals", "steps"])
+@pytest.mark.parametrize(
+    "method", [pytest.param(ss.Exact(), marks=pytest.mark.slow), STEPPED], ids=["intervals", "steps"]
+)
 def test_soft_springs_against_many_digits(method):
     """Sticks, final states and their derivatives by friction, stiffness (at zero too) and start."""
     check(cases(0.0), method, jax.jacfwd)

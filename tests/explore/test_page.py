@@ -168,6 +168,7 @@ def test_number_beyond_the_slider():
     assert explorer.scene.law.speed == 12.5
 
 
+@pytest.mark.slow
 def test_other_system_friction_and_base():
     explorer = shown(samples=20)
     explorer.choose("System", "two blocks")

@@ -163,7 +163,8 @@ def _stop_at_the_turn(b: float) -> float:
     return b * b / (1 - b * b) * math.sin(math.pi * b)
 
 
-@pytest.mark.parametrize("step", [0.2, *(pytest.param(step, marks=pytest.mark.slow) for step in (0.05, 0.02))])
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [0.2, 0.05, 0.02])
 def test_events_do_not_depend_on_the_step(step):
     # At 0.18115 the slip between two stops vanishes in both half periods at once, where a multiplier is 1: the orbit is
     # known to 1e-8 only there, and with it the event to some 1e-6. A long step goes over the first two events at once.
@@ -203,6 +204,7 @@ def test_orbits_on_a_square_wave(parameter, until):
     np.testing.assert_allclose([seen.position[0], seen.velocity[0]], [last.position, last.velocity], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_flip_and_fold_of_a_spring_without_friction_are_none():
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0), damping=0.2, force=ss.Harmonic(1.0, 0.7))
     orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.0, 0.2))

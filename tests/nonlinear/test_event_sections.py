@@ -126,6 +126,7 @@ def test_an_angle_passes_its_value_in_each_turn():
     np.testing.assert_allclose(section.time, passed, atol=2 * times[1])
 
 
+@pytest.mark.slow
 def test_an_angle_does_not_pass_its_value_half_a_turn_away():
     """In either direction, a disc that turns evenly passes it once in each turn."""
     section = nonlinear.event_section(

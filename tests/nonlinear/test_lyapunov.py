@@ -20,6 +20,7 @@ CHAOTIC = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_damped_spring_without_friction():
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0), damping=3.0)
     found = nonlinear.lyapunov_exponents(system, ss.Harmonic(1.0, 1.3), transient=100, kept=50, progress=False)

@@ -196,13 +196,14 @@ def test_search_that_fails_is_told():
         nonlinear.periodic_orbit(system, ss.Constant(1.0), y0=(0.1, 0.2))  # it comes to rest
 
 
-@pytest.mark.parametrize("period", [0.02, 3.0, 25.0])
+@pytest.mark.parametrize("period", [*(pytest.param(period, marks=pytest.mark.slow) for period in (3.0, 25.0)), 0.02])
 def test_a_bad_guess_of_the_period_gives_the_orbit_or_none(period):
     found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.0, 0.2), period=period)
     turns = float(found.period) / 12.001031294829
     assert not bool(found.converged) or (turns > 0.5 and abs(turns - round(turns)) < 1e-9)
 
 
+@pytest.mark.slow
 def test_a_step_to_a_negative_period_is_shortened():
     """After no time the motion is where it began, which is no orbit: Newton's method goes back to times that are."""
     found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.3, -0.1), period=18.0)
@@ -210,7 +211,7 @@ def test_a_step_to_a_negative_period_is_shortened():
     assert float(found.period) == pytest.approx(12.001031294829, abs=1e-10)
 
 
-@pytest.mark.parametrize("period", [2.0, 6.3, None])
+@pytest.mark.parametrize("period", [2.0, pytest.param(6.3, marks=pytest.mark.slow), None])
 def test_an_equilibrium_is_no_orbit(period):
     # It comes back after any time, the unstable steady slip of the belt too.
     level = 1 / (1 + 3 * 0.2)
@@ -246,6 +247,7 @@ def test_mirrored_orbits():
     np.testing.assert_allclose(mirrored.monodromy, orbit.monodromy, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_overdamped_orbit_without_friction():
     # m x'' + c x' + k x = cos(w t): state and multipliers in closed form.
     m, c, k, w = 1.0, 5.0, 1.0, 0.7

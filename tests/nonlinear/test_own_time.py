@@ -102,6 +102,7 @@ def test_its_orbit_is_that_of_the_same_system_with_a_force():
     np.testing.assert_allclose(np.sort_complex(own.multipliers), np.sort_complex(expected.multipliers), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_twice_the_period_of_both_drives():
     section = CALLS["section"](Shaken(), ss.Harmonic(1.0, 1.4), period=PERIOD)
     assert float(section.period) == PERIOD

@@ -30,7 +30,11 @@ CALLS = {
 
 @pytest.mark.filterwarnings("ignore:.* fewer events were found")
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in ("exponents", "basins") else name for name in CALLS]
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in ("exponents", "basins", "section") else name
+        for name in CALLS
+    ],
 )
 def test_what_is_stored_is_not_simulated_again(name, tmp_path, monkeypatch):
     expected = CALLS[name]()

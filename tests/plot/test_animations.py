@@ -91,7 +91,7 @@ def test_the_picture_tells_time_and_speed(one):
 # Histories and colours.
 
 
-@pytest.mark.parametrize("coordinate", ["position", "velocity"])
+@pytest.mark.parametrize("coordinate", [pytest.param("position", marks=pytest.mark.slow), "velocity"])
 def test_history_grows_to_the_time_of_the_frame(one, coordinate):
     film = plot.animate(one, window=(1.0, 11.0), speed=2.0, fps=5, coordinate=coordinate)
     number = ("position", "velocity").index(coordinate)
@@ -364,6 +364,7 @@ def own():
     return ss.simulate(system, ss.Harmonic(1.0, 0.8), t1=20.0, y0=(0.0, 0.0, 1.0, 0.0))
 
 
+@pytest.mark.slow
 def test_a_system_of_ones_own_as_bars(own):
     """Each coordinate over its largest size among the frames; all coloured while the contact sticks."""
     film = plot.animate(own, fps=5, coordinate="velocity 2")

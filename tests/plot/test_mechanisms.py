@@ -195,7 +195,9 @@ def test_drivetrain_with_a_clutch():
     assert shaft[:, 0].tolist() == [3, 6]
 
 
-@pytest.mark.parametrize("drawn_as", ["bars", "blocks", "storeys"])
+@pytest.mark.parametrize(
+    "drawn_as", ["bars", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("blocks", "storeys"))]
+)
 def test_a_structure_of_ones_own_is_drawn_as_it_says(drawn_as, annotations_unchecked):
     contacts = [ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(0.3)), ss.Contact.between(0, 1, 2, 1.0, ss.Coulomb(0.2))]
     stiffness = [[2.0, -1.0], [-1.0, 1.0]]
@@ -210,6 +212,7 @@ def test_a_structure_of_ones_own_is_drawn_as_it_says(drawn_as, annotations_unche
         ss.LinearStructure([1.0, 1.0], stiffness, contacts=contacts, drawn_as="tower")
 
 
+@pytest.mark.slow
 def test_many_bars_have_names_that_fit():
     row = ss.block_row(20, mass=1.0, between=1.0, to_ground=0.1, normal_force=1.0, friction=ss.Coulomb(0.3))
     bars = ss.LinearStructure(row.mass, row.stiffness, contacts=row.contacts)

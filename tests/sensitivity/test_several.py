@@ -88,7 +88,7 @@ def test_arithmetic(both):
     assert math.isnan((a / other).standard_error)
 
 
-@pytest.mark.parametrize("elasticity", [False, True])
+@pytest.mark.parametrize("elasticity", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_errors_of_combinations_are_honest(elasticity):
     """z-scores of independent repeats against their mean, and far from those that ignore the correlation.
 

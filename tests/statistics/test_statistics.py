@@ -261,7 +261,7 @@ def test_values_that_repeat_are_told_apart():
     assert math.isnan(statistics.stick_count.differential_entropy.value)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [pytest.param(np.float32, marks=pytest.mark.slow), np.float64])
 def test_values_that_are_close_by_their_number_do_not_repeat(dtype):
     """60,000 values on [1, 2), one in fifty 1.5: in float32 eleven neighbours lie within the round-off of the times."""
     rng = np.random.default_rng(6)

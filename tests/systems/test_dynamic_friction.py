@@ -188,7 +188,7 @@ def forces_behind_a_spring(law, normal, stiffness, backlash, moves):
     return np.array(found)
 
 
-@pytest.mark.parametrize("backlash", [0.0, 1e-3])
+@pytest.mark.parametrize("backlash", [pytest.param(0.0, marks=pytest.mark.slow), 1e-3])
 @pytest.mark.parametrize("law", [ss.Dahl(0.4, 200.0), ss.BoucWen(0.4, 200.0)], ids=["Dahl", "Bouc-Wen"])
 def test_bristles_behind_a_spring_with_backlash(law, backlash):
     """Forces at the turns of moves to and fro, and their derivatives, against the curves of the laws in closed form."""
@@ -207,7 +207,7 @@ def test_bristles_behind_a_spring_with_backlash(law, backlash):
     np.testing.assert_allclose(jax.jacfwd(force)(800.0), (high - low) / 0.2, rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("law", [LUGRE, AGEING], ids=["LuGre", "ageing"])
+@pytest.mark.parametrize("law", [LUGRE, pytest.param(AGEING, marks=pytest.mark.slow)], ids=["LuGre", "ageing"])
 def test_derivatives(law):
     """Of the work done by the force with respect to every number of the law: both modes, against differences."""
     times = np.linspace(0.0, 2.0, 21)

@@ -103,6 +103,7 @@ def test_derivatives_by_the_speeds():
         assert float(found[point]) == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_uncertain_and_stored(tmp_path):
     """A scale that differs from sample to sample, drawn and given; the file holds every point."""
     law = ss.FrictionCurve.from_table(SPEEDS, COEFFICIENTS, mu_static=STATIC, scale=ss.Uniform(0.8, 1.0))

@@ -66,7 +66,7 @@ def settled(velocities, stiffness, times_after):
     return law().force(times, velocity, NORMAL, series_stiffness=stiffness, rtol=1e-11, max_steps=10**6)[2:]
 
 
-@pytest.mark.parametrize("share", [0.9, 1.1, 4.0])
+@pytest.mark.parametrize("share", [*(pytest.param(share, marks=pytest.mark.slow) for share in (0.9, 4.0)), 1.1])
 def test_small_step_goes_as_linear_theory_says(share):
     """The force after the speed grows by 1e-5 of itself: eigenvalues of spring and state (Ruina 1983)."""
     stiffness, more = share * CRITICAL, 1e-5
@@ -96,6 +96,7 @@ def test_critical_stiffness():
     assert np.interp(0.0, growth[::-1], [1.02, 0.98]) == pytest.approx(1, abs=3e-3)
 
 
+@pytest.mark.slow
 def test_stiff_machine_measures_the_law():
     """Loops with a stiffer and stiffer machine: the error falls as its compliance."""
     after = jnp.linspace(0.5, 30.0, 60)
@@ -108,7 +109,7 @@ def test_stiff_machine_measures_the_law():
     assert errors[1] == pytest.approx(errors[0] / 10, rel=0.05)
 
 
-@pytest.mark.parametrize("form", ["ageing", "slip"])
+@pytest.mark.parametrize("form", ["ageing", pytest.param("slip", marks=pytest.mark.slow)])
 def test_derivatives(form):
     """Of the peak's neighbourhood by a, b, length and stiffness: both modes, against differences."""
     names = np.array([A, B, LENGTH, 1.8 * CRITICAL])
@@ -173,7 +174,7 @@ def test_a_subclass_of_other_friction_is_refused():
         Faster(MU, A, B, LENGTH, SPEED).force([0.0, 1.0], [SPEED] * 2, NORMAL, series_stiffness=1e9)
 
 
-@pytest.mark.parametrize("share", [2.0, 10.0, 200.0])
+@pytest.mark.parametrize("share", [*(pytest.param(share, marks=pytest.mark.slow) for share in (2.0, 10.0)), 200.0])
 def test_single_precision(share):
     """To a thousandth of the normal force, at the default tolerance, from machines that are soft to stiff ones."""
     times = np.array([0.0, 10.0, 10.5, 11.0, 12.0, 15.0, 60.0])

@@ -118,7 +118,7 @@ def strong(width, step, ratio=8.0):
     return ss.simulate(system, base, t1=8.0, y0=(-7.0, 0.0), method=method)
 
 
-@pytest.mark.parametrize("ratio", [8.0, 1000.0])
+@pytest.mark.parametrize("ratio", [8.0, pytest.param(1000.0, marks=pytest.mark.slow)])
 def test_no_step_jumps_over_a_stick(ratio):
     exact = strong(None, None, ratio)
     assert exact.sticks.count == 1
