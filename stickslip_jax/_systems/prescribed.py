@@ -40,16 +40,16 @@ def force_of_dynamic(
     if adjoint is not None and not isinstance(adjoint, diffrax.AbstractAdjoint):
         raise _checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", adjoint)
     adjoint = diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint
-    state = jnp.asarray(start, times.dtype)
+    state, velocities = jnp.asarray(start, times.dtype), _velocities(motion, times)
     if isinstance(law, BehindSpring | SpeedBehindSpring):
-        state = law.start(state, _velocities(motion, times)[0])
+        state = law.start(state, velocities[0])
     states, done = _states(law, times, motion, state, jnp.asarray(rtol), most, adjoint)
     if not _checks.is_traced(done) and not bool(done):
         raise ValueError(
             f"Argument max_steps must be larger, or rtol: {most} steps do not follow the motion to its end at "
             f"rtol = {rtol:g}.{law.why_endless if isinstance(law, SpeedBehindSpring) else ''}"
         )
-    return normal * jax.vmap(law.coefficient)(states, _velocities(motion, times))
+    return normal * jax.vmap(law.coefficient)(states, velocities)
 
 
 @jax.jit

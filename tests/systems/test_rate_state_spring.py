@@ -111,11 +111,11 @@ def test_stiff_machine_measures_the_law():
 
 @pytest.mark.parametrize("form", ["ageing", pytest.param("slip", marks=pytest.mark.slow)])
 def test_derivatives(form):
-    """Of the peak's neighbourhood by a, b, length and stiffness: both modes, against differences."""
-    names = np.array([A, B, LENGTH, 1.8 * CRITICAL])
+    """Of forces about the peak by a, b, length and stiffness: both modes, against differences."""
+    numbers = np.array([A, B, LENGTH, 1.8 * CRITICAL])
 
     def force(factors, adjoint=None):
-        a, b, length, stiffness = factors * names
+        a, b, length, stiffness = factors * numbers
         times = np.array([0.0, 1.0, 1.5, 2.0, 3.0])
         velocity = np.array([1.0, 1.0, 10.0, 10.0, 10.0]) * 1e-6
         found = law(form, a, b, length).force(
