@@ -44,10 +44,11 @@ test-browser:
 coverage: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal --cov=stickslip_jax $(MEASURED)
 
-# The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest; and on each
-# with plain jax.jit (docs/compiler.md).
+# The fast part of the tests on the lowest versions that pyproject.toml allows, the pinned ones and the newest, on each
+# with plain jax.jit too (docs/compiler.md); and with each set of the processor's instructions. WHICH="lowest" is one row.
+WHICH ?=
 versions:
-	$(PYTHON) tools/versions.py --tests $(FAST)
+	$(PYTHON) tools/versions.py $(WHICH) --tests $(FAST)
 
 # Folder by folder, each in processes of its own: what JAX has compiled stays in memory, more than 10 GB of it in the end.
 check-slow: $(READY)

@@ -132,12 +132,14 @@ print(f"stick fraction = count x duration / t1 at all {finer.stick_fraction.size
 # %% [markdown]
 # ## Entropies that can be compared
 # All points share the bins of their histograms. The entropy of a histogram is `-sum p log p` of the shares `p` of its
-# bins; it says how spread the durations are.
+# bins, and (bins with values - 1) / (2 number), by which few values make it too small; it says how spread the durations
+# are.
 
 # %%
 edges = np.append(finer.duration_bin_low.values, finer.duration_bin_high.values[-1])
 share = finer.duration_count_in_bin / finer.duration_count_in_bin.sum("duration_bin")
 by_hand = -(share * np.log(share.where(share > 0, 1.0))).sum("duration_bin")
+by_hand += ((share > 0).sum("duration_bin") - 1) / (2 * finer.duration_count_in_bin.sum("duration_bin"))
 print(f"entropies by hand differ by at most {float(np.abs(by_hand - finer.duration_entropy).max()):.1e} nat")
 for mu in finer.mu.values:
     row = finer.sel(mu=mu, rate=0.6)

@@ -120,7 +120,8 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         todo = "make room" if error.errno in FULL else "choose another folder, or make it writable"
-        said = OSError(f"{str(path)!r} cannot be written ({error.strerror or error}); {todo}: nothing was changed.")
+        reason = os.strerror(error.errno) if error.errno else error  # libraries write their own sentences around it
+        said = OSError(f"{str(path)!r} cannot be written ({reason}); {todo}: nothing was changed.")
         said.errno = error.errno
         raise said from error
 

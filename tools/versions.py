@@ -4,6 +4,9 @@
 `newest`: whatever pip finds for the newest Python on this machine. Each in an environment of its own in a temporary
 folder. A dependency whose newest release has left a Python behind resolves to its last one for that Python. Then the
 tests run again with STICKSLIP_PLAIN_JAX=1, which tells a fault of the compiler from one of the package.
+
+`instructions`: the pinned versions once more, for each set of instructions that XLA may use on this processor, by one
+thread and by several. Last digits differ between these, and with them what a test must allow.
 """
 
 import argparse
@@ -20,6 +23,8 @@ ROOT = Path(__file__).parents[1]
 EXTRAS = ("study", "cluster", "tables")
 TOOLS = ("pytest", "hypothesis", "beartype", "mpmath")
 """What the tests below need besides; at any version."""
+INSTRUCTIONS = {"SSE4_2": "sse4_2", "AVX2": "avx2", "AVX512": "avx512f"}
+"""As XLA and as the processor call them."""
 SHOWN = ("jax", "jaxlib", "numpy", "scipy", "diffrax", "equinox", "jaxtyping", "matplotlib")
 
 
@@ -65,7 +70,7 @@ def environment(which: str, folder: Path, python: str) -> Path:
     if which == "lowest":
         (folder / "lowest.txt").write_text("\n".join(lowest(requirements())) + "\n")
         command += ["-c", str(folder / "lowest.txt")]
-    if which == "pinned":
+    if which in ("pinned", "instructions"):
         command += ["-c", str(ROOT / "constraints.txt")]
     subprocess.run([*command, "-e", f"{ROOT}[{','.join(EXTRAS)}]", *TOOLS], check=True)
     return own
@@ -80,27 +85,43 @@ def versions(python: Path) -> str:
     return subprocess.run([str(python), "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
+def runs(which: str) -> dict[str, dict[str, str]]:
+    """The runs of the tests on one set of versions: a name and environment variables each."""
+    if which != "instructions":
+        return {which: {"STICKSLIP_PLAIN_JAX": "0"}, f"{which} with plain jax.jit": {"STICKSLIP_PLAIN_JAX": "1"}}
+    processor = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
+    able = [name for name, flag in INSTRUCTIONS.items() if flag in processor]
+    flags = {name: f"--xla_cpu_max_isa={name}" for name in able}
+    return {name: {"XLA_FLAGS": flag} for name, flag in flags.items()} | {
+        f"{name}, one thread": {"XLA_FLAGS": f"{flag} --xla_cpu_multi_thread_eigen=false", "NPROC": "1"}
+        for name, flag in flags.items()
+    }
+
+
 def main() -> int:
     """Test on each set of versions; returns how many runs of the tests failed."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("which", nargs="*", default=[], help="lowest, pinned, newest; by default all of them")
+    options.add_argument(
+        "which", nargs="*", default=[], help="lowest, pinned, newest, instructions; by default all of them"
+    )
     options.add_argument("--python", default=sys.executable, help="for the lowest and the pinned versions")
     options.add_argument("--newest-python", default="", help="for the newest versions; by default the newest found")
     options.add_argument("--tests", nargs="+", required=True, help="files of tests")
     chosen = options.parse_args()
-    unknown = set(chosen.which) - {"lowest", "pinned", "newest"}
+    every = ("lowest", "pinned", "newest", "instructions")
+    unknown = set(chosen.which) - {*every}
     if unknown:
         options.error(f"unknown versions: {', '.join(sorted(unknown))}")
     failed = []
-    for which in chosen.which or ("lowest", "pinned", "newest"):
+    for which in chosen.which or every:
         python = (chosen.newest_python or newest_python()) if which == "newest" else chosen.python
         with tempfile.TemporaryDirectory() as folder:
             own = environment(which, Path(folder), python)
             print(f"--- {which}: {versions(own)}", flush=True)
             command = [str(own), "-m", "pytest", "-p", "no:cacheprovider", *chosen.tests]
-            for plain, name in (("0", which), ("1", f"{which} with plain jax.jit")):
-                variables = os.environ | {"STICKSLIP_PLAIN_JAX": plain}
-                if subprocess.run(command, cwd=ROOT, env=variables, check=False).returncode != 0:
+            for name, variables in runs(which).items():
+                print(f"--- {name}", flush=True)
+                if subprocess.run(command, cwd=ROOT, env=os.environ | variables, check=False).returncode != 0:
                     failed.append(name)
     print(f"failed: {', '.join(failed)}" if failed else "all passed")
     return len(failed)

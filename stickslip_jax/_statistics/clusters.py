@@ -10,6 +10,8 @@ import math
 import numpy as np
 from jaxtyping import Float, Int
 
+from .estimate import RatioOfMeans
+
 
 class Clusters:
     """Values of the retained realisations of an ensemble.
@@ -39,6 +41,14 @@ class Clusters:
             return math.nan
         sums = np.bincount(self.owner, weights=influence, minlength=self.realizations)
         return float(sums.std(ddof=1)) * self.scale
+
+    def of_mean(self, mean: float) -> RatioOfMeans:
+        """What the interval of the `mean` needs, which is the ratio of the sum of all values to their number."""
+        if math.isnan(self.scale):
+            return RatioOfMeans(math.nan, math.nan)
+        each, sums = (np.bincount(self.owner, weights, self.realizations) for weights in (None, self.values - mean))
+        together = np.cov(each, sums) * self.scale**2
+        return RatioOfMeans(float(together[0, 0]), float(together[0, 1]))
 
     def errors_of_shares(self, bins: Int[np.ndarray, " values"], number: int) -> Float[np.ndarray, " bins"]:
         """The standard errors of the shares of values in bins 0, 1, ..., `number` - 1.

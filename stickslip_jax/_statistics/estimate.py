@@ -15,6 +15,7 @@ from .units import same_unit, unit_of_product
 DEFAULT_LEVEL = 0.95
 """The level of intervals that are asked for without one, everywhere in the package."""
 
+_SYMMETRIC = 0.05  # halves of an interval that differ by less of its width are shown as one error
 _LONGEST_NAME = 100  # letters: a combination with a longer name only says of how many estimates it is
 _ROUND_OFF = 1e-15  # what is left, relative to each, of two derivatives that cancel
 
@@ -24,6 +25,48 @@ class SharedErrors:
     """The covariance of several estimates from the same samples, in their units, (estimates, estimates)."""
 
     covariance: np.ndarray
+
+
+class RatioOfMeans(NamedTuple):
+    """What else the interval of a ratio of two means needs (Fieller 1954): a denominator that few samples determine
+    makes it longer on the side of large ratios. Both are over the squared mean of the denominator.
+
+    - `variance`: of the denominator's mean. `covariance`: of that with the mean of (numerator - ratio x denominator).
+    """
+
+    variance: float
+    covariance: float
+
+    def interval(self, estimate: "Estimate", level: float) -> tuple[float, float]:
+        """All ratios from which numerator and denominator deviate by no more than Student's t allows.
+
+        In units of the denominator's mean, that of (numerator - (r + d) denominator) is -d where r is the estimate. It
+        is within t of its standard errors if ``d^2 <= t^2 (s^2 - 2 w d + v d^2)``: s is the standard error of r, v the
+        variance and w the covariance. Where the denominator itself is not surely positive, no ratio is too large.
+        """
+        t = _quantile_of_t(estimate.samples - 1, level)
+        certain, middle = 1 - t**2 * self.variance, -(t**2) * self.covariance
+        square = (t * estimate.standard_error) ** 2
+        if square == 0:
+            return estimate.value, estimate.value
+        root = math.sqrt(max(middle**2 + certain * square, 0.0))
+        low = -square / (middle + root) if root > 0 and middle + root > 0 else -math.inf
+        return estimate.value + low, estimate.value + (square / (root - middle) if certain > 0 else math.inf)
+
+
+class Share(NamedTuple):
+    """That the estimate is the share of its samples that have something, whose interval is that of Clopper and Pearson
+    (1934): it does not end where all samples or none have it.
+    """
+
+    def interval(self, estimate: "Estimate", level: float) -> tuple[float, float]:
+        """The shares with which no fewer, and no more, samples have it with a probability above (1 - level) / 2."""
+        from scipy import special  # noqa: PLC0415 - adds a filter of warnings
+
+        having, tail = round(estimate.value * estimate.samples), (1 - level) / 2
+        without = estimate.samples - having
+        low = float(special.betaincinv(having, without + 1, tail)) if having else 0.0
+        return low, float(special.betaincinv(having + 1, without, 1 - tail)) if without else 1.0
 
 
 class _Source(NamedTuple):
@@ -47,6 +90,7 @@ class Estimate:
     - `samples`: the number of independent samples it is from. A value or error that these do not determine is NaN.
     - An infinite error: the samples do not determine the value, as that of a number which a calibration cannot tell.
     - `origin`: which random numbers it is from; for estimates of an ensemble, its key. By default its own.
+    - `kind`: what its interval follows from, where that is not Student's t about the value.
 
     It is a number where one is asked for (``float(estimate)`` is its value), and can be added, subtracted, multiplied
     and divided, with numbers and with other estimates; ``f"{estimate:.3f}"`` formats the value. A plain number that is
@@ -69,6 +113,7 @@ class Estimate:
     unit: str
     samples: int
     origin: Hashable = dataclasses.field(default_factory=object, compare=False, repr=False)
+    kind: RatioOfMeans | Share | None = dataclasses.field(default=None, compare=False, repr=False)
     _slopes: Mapping[_Source, float] | None = dataclasses.field(default=None, init=False, compare=False, repr=False)
 
     _shared: tuple[SharedErrors, int] | None = dataclasses.field(default=None, init=False, compare=False, repr=False)
@@ -76,7 +121,12 @@ class Estimate:
     __array_ufunc__ = None  # arithmetic with NumPy's numbers is left to the methods below
 
     def interval(self, level: float = DEFAULT_LEVEL) -> tuple[float, float]:
-        """Confidence interval at `level`, by Student's t with ``samples - 1`` degrees of freedom; NaN without error.
+        """Confidence interval at `level`; NaN without error.
+
+        By Student's t with ``samples - 1`` degrees of freedom; of a ratio of two means, such as the mean duration of
+        all sticks, by Fieller's method, which is the same for many samples; of a share of the samples, Clopper and
+        Pearson's. Printing shows the interval of level 0.95 where it is not symmetric about the value. For few samples
+        with few, skewed values `bootstrap_interval` comes closer to `level`.
 
         Raises:
             ValueError: Unless ``0 < level < 1``.
@@ -84,9 +134,9 @@ class Estimate:
         check_level(level)
         if self.samples < 2 or math.isnan(self.standard_error):
             return math.nan, math.nan
-        from scipy import special  # noqa: PLC0415 - adds a filter of warnings
-
-        half_width = float(special.stdtrit(self.samples - 1, (1 + level) / 2)) * self.standard_error
+        if self.kind is not None:
+            return self.kind.interval(self, level)
+        half_width = _quantile_of_t(self.samples - 1, level) * self.standard_error
         return self.value - half_width, self.value + half_width
 
     def __float__(self) -> float:
@@ -166,7 +216,21 @@ class Estimate:
             return f"{self.value:.6g}{unit} ({why})"
         if math.isinf(self.standard_error):
             return f"{self.value:.6g}{unit} (not determined)"
-        return f"{format_with_error(self.value, self.standard_error)}{unit}"
+        shown = f"{format_with_error(self.value, self.standard_error)}{unit}"
+        if self.kind is None or self.samples < 2:
+            return shown
+        low, high = self.interval()
+        below, above = self.value - low, high - self.value
+        if abs(above - below) <= _SYMMETRIC * (above + below):
+            return shown
+        return f"{shown} ({DEFAULT_LEVEL:.0%}: {low:.4g} to {high:.4g})".replace("%", " %")
+
+
+def _quantile_of_t(freedom: int, level: float) -> float:
+    """How many standard errors the interval of Student's t extends to either side."""
+    from scipy import special  # noqa: PLC0415 - adds a filter of warnings
+
+    return float(special.stdtrit(freedom, (1 + level) / 2))
 
 
 def check_level(level: float) -> None:

@@ -13,10 +13,12 @@ from .._numerics.dyadic import DyadicCounts
 from .._numerics.power_sums import PowerSums
 from .atoms import Atoms, atoms_of
 from .clusters import Clusters
-from .distribution import bin_of, joined
+from .distribution import bin_of, entropy_of, joined
 from .estimate import Estimate
 
 _MOST_BINS = 128
+_MOST_INFORMATIVE = 20  # bins of each quantity for the mutual information
+_PAIRS_IN_A_CELL = 10  # there, on average
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -155,24 +157,32 @@ class JointDistribution:
         influence = ranks[0] * ranks[1] + _mean_above(x, ranks[1]) + _mean_above(y, ranks[0])
         return self._estimate(name, value, 12 * self.x.error(influence - influence.mean()))
 
-    def mutual_information(self, bins: int = 20) -> Estimate:
+    def mutual_information(self, bins: int | None = None) -> Estimate:
         """Mutual information of the histogram in at most `bins` x `bins` cells, nats.
 
-        ``sum p_ij log(p_ij / (p_i p_j))`` over the cells. Never negative: for independent quantities the estimate is
-        about ``(x bins - 1) (y bins - 1) / (2 number)``, not 0.
+        ``sum p_ij log(p_ij / (p_i p_j))`` over the cells, without the bias of few pairs, as `Distribution.entropy`:
+        of independent quantities it is 0 on average, and may be negative. By default there are up to 20 bins, so that
+        each cell has 10 pairs on average; with fewer than 5 a part of the bias stays, and the name says so.
 
         Raises:
             ValueError: As `histogram`.
         """
+        if bins is None:
+            bins = min(_MOST_INFORMATIVE, max(2, math.isqrt(self.number // _PAIRS_IN_A_CELL)))
         _, counts, cell, inside = self._binned(bins)
         name = f"mutual information in {counts.shape[0]} x {counts.shape[1]} bins"
-        if counts.sum() == 0:
+        number = counts.sum()
+        if number == 0:
             return self._estimate(name, math.nan, math.nan, "nat")
-        share = counts / counts.sum()
-        product = share.sum(axis=1, keepdims=True) * share.sum(axis=0)
+        if counts.size > 1 and number < 5 * counts.size:
+            name += " (few pairs: too large)"
+        rows, columns = counts.sum(axis=1), counts.sum(axis=0)
+        value = entropy_of(rows) + entropy_of(columns) - entropy_of(counts.ravel())
+        share = counts / number
+        product = rows[:, None] * columns / number**2
         gain = np.log(np.where(share > 0, share, 1.0) / np.where(share > 0, product, 1.0))
-        value = float((share * gain).sum())
-        return self._estimate(name, value, self.x.error(np.where(inside, gain.reshape(-1)[cell] - value, 0)), "nat")
+        deviation = gain - (share * gain).sum()
+        return self._estimate(name, value, self.x.error(np.where(inside, deviation.reshape(-1)[cell], 0)), "nat")
 
     def conditional_mean(self, bins: int = 20) -> ConditionalMeans:
         """The mean of y given x, for x in `bins` bins of equal width, over the retained pairs.

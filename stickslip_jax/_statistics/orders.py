@@ -6,7 +6,7 @@ import math
 from collections.abc import Hashable, Mapping
 
 from .distribution import Distribution
-from .estimate import Estimate
+from .estimate import Estimate, Share
 from .quantities import SLIP_START, STICK_QUANTITIES, ordinal
 from .summary import Summary, summary_of_distributions
 
@@ -64,7 +64,7 @@ class OrderStatistics(ByQuantity):
         share = having / samples if samples else math.nan
         error = math.sqrt(share * (1 - share) / (samples - 1)) if samples > 1 else math.nan
         label = f"share of samples that have a {ordinal(number)} {body}"
-        return cls(number, Estimate(label, share, error, "1", samples, origin), distributions)
+        return cls(number, Estimate(label, share, error, "1", samples, origin, Share()), distributions)
 
     @property
     def _summary(self) -> Summary:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .estimate import Estimate
+from .estimate import Estimate, RatioOfMeans
 from .source import EnsembleLike, origin_of, require_ensemble
 
 TOTALS = ("stick_time", "stick_count", "slip_count", "rest_time", "rest_count")
@@ -86,9 +86,13 @@ class StatisticOfTotals:
             return Estimate(self.label, math.nan, math.nan, self.unit, moments.number, origin_of(ensemble))
         value = float(above[-1] + float(above[:-1] @ moments.mean)) / float(denominator)
         gradient = (above[:-1] - value * below[:-1]) / denominator
-        variance = float(gradient @ moments.covariance_of_mean @ gradient)
-        error = math.sqrt(max(variance, 0.0))
-        return Estimate(self.label, value, error, self.unit, moments.number, origin_of(ensemble))
+        covariance = moments.covariance_of_mean
+        error = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
+        of_denominator = covariance @ below[:-1] / denominator
+        kind = RatioOfMeans(float(below[:-1] @ of_denominator) / denominator, float(gradient @ of_denominator))
+        if self.denominator.is_constant:
+            kind = None
+        return Estimate(self.label, value, error, self.unit, moments.number, origin_of(ensemble), kind)
 
     def __repr__(self) -> str:
         return self.name

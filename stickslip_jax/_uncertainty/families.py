@@ -1,7 +1,7 @@
 """The distributions of a random number: uniform, normal, log-normal, beta, triangular, exponential, and others."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Annotated, ClassVar, TypeAlias
 
@@ -283,7 +283,7 @@ def _check_order(low: Scalar, high: Scalar) -> None:
         raise ValueError(f"Argument high must be above low = {low}, but {high} was given.")
 
 
-def _alike(a: ArrayLike, b: ArrayLike, x: ArrayLike) -> list[FloatArray]:
+def _alike(a: ArrayLike, b: ArrayLike, x: ArrayLike) -> Sequence[FloatArray]:
     """All three as arrays of one shape, in the precision of `x`."""
     x = floating(x)
     return jnp.broadcast_arrays(jnp.asarray(a, x.dtype), jnp.asarray(b, x.dtype), x)

@@ -7,10 +7,11 @@ import jax
 import numpy as np
 import pytest
 from scipy import stats
-from support.statistics import statistics_of
+from support.statistics import statistics_of, sticks_from
 
 import stickslip_jax as ss
 from stickslip_jax._numerics.moments import Moments
+from stickslip_jax._statistics.orders import OrderStatistics
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -52,6 +53,88 @@ def test_t_intervals_cover_as_often_as_they_promise(many, statistic, level):
         low, high = statistic(study).interval(level)
         hits.append(low <= truth <= high)
     assert_covers(hits, level)
+
+
+def few_sticks(number, size, sticks):
+    """Totals of small studies: a Poisson number of sticks in each sample, with exponential durations of mean 1 s."""
+    rng = np.random.default_rng(12)
+    count = rng.poisson(sticks, (number, size))
+    time = rng.gamma(np.maximum(count, 1)) * (count > 0)
+    return np.stack([time, count, count, 0.0 * count, 0.0 * count], axis=-1)
+
+
+@pytest.mark.parametrize(("size", "sticks"), [(20, 0.4), (20, 3.0), (100, 0.4)])
+def test_mean_durations_of_few_sticks(many, size, sticks):
+    """Eight sticks do not determine how many there are: Student's t misses one time in six, nearly always below."""
+    totals, hits, plain = few_sticks(600, size, sticks), [], []
+    for rows in totals[(totals[..., 1] > 0).sum(axis=1) > 1]:  # with less than two of them there is no error
+        found = ss.mean_stick_duration(dataclasses.replace(many, moments=Moments.of(rows)))
+        low, high = found.interval()
+        hits.append(low <= 1 <= high)
+        plain.append(abs(found.value - 1) <= stats.t.ppf(0.975, size - 1) * found.standard_error)
+    assert_covers(hits, 0.95)
+    if size * sticks < 10:
+        assert np.mean(plain) < 0.86
+
+
+@pytest.mark.parametrize("sticks", [0.1, 0.4, 3.0])
+def test_intervals_of_ratios_are_fieller_s(many, sticks):
+    """All ratios r for which (stick time - r number) is on average 0, as scipy's t test of single samples has it."""
+    unbounded = 0
+    for rows in few_sticks(8, 20, sticks):
+        if np.count_nonzero(rows[:, 1]) < 2:  # no error
+            continue
+        found = ss.mean_stick_duration(dataclasses.replace(many, moments=Moments.of(rows)))
+
+        def p_value(ratio, rows=rows):
+            return float(stats.ttest_1samp(rows[:, 0] - ratio * rows[:, 1], 0).pvalue)
+
+        for level, (low, high) in ((level, found.interval(level)) for level in (0.5, 0.95)):
+            for end, inside, far in ((low, 1e-3, -1e9), (high, -1e-3, 1e9)):
+                if math.isfinite(end):
+                    assert p_value(end) == pytest.approx(1 - level, rel=1e-6)
+                    assert p_value(end - inside) < 1 - level < p_value(end + inside)
+                else:
+                    assert p_value(far) > 1 - level
+                    unbounded += 1
+    assert (unbounded > 0) == (sticks == 0.1)
+
+
+def test_intervals_of_means_of_all_sticks():
+    """The same from sticks as from totals, and shown where it is not symmetric."""
+    rng = np.random.default_rng(5)
+    samples = [[(2.0 * i, 2.0 * i + rng.exponential(), 0.0, 0) for i in range(rng.poisson(0.6))] for _ in range(20)]
+    sticks = sticks_from(samples)
+    rows = np.array([(sum(b - a for a, b, *_ in one), len(one)) for one in samples])
+    mean = statistics_of(sticks, t1=40.0, rest=True).duration.mean
+    low, high = mean.interval()
+    for end in (low, high):
+        p_value = stats.ttest_1samp(rows[:, 0] - end * rows[:, 1], 0).pvalue
+        assert p_value == pytest.approx(0.05, rel=1e-6)
+    assert mean.without_name().endswith(f" s (95 %: {low:.4g} to {high:.4g})")
+
+
+@pytest.mark.parametrize("having", [0, 1, 13, 20])
+def test_intervals_of_shares_are_exact(having):
+    """As scipy's of Clopper and Pearson; where all have it, not all need to."""
+    found = OrderStatistics.of(2, "stick", having, 20, {}, "a key").share
+    expected = stats.binomtest(having, 20).proportion_ci(0.95, "exact")
+    assert found.interval() == pytest.approx((expected.low, expected.high), rel=1e-10)
+
+
+def test_mutual_information_of_independent_pairs_is_zero():
+    """Without correction it is 0.34 for these: more than ten of its errors. Default bins, and too many of them."""
+    rng, found = np.random.default_rng(3), []
+    for _ in range(40):
+        samples = [[(5.0 * i, 5.0 * i + rng.uniform(), rng.uniform(), 0) for i in range(3)] for _ in range(200)]
+        joint = statistics_of(sticks_from(samples), t1=40.0).joint("duration", "position")
+        found.append(joint.mutual_information())
+    values = np.array([one.value for one in found])
+    assert abs(values.mean()) < 4 * values.std() / math.sqrt(len(values)) + 1e-3  # of second order: cells^2 / number^2
+    assert values.std() == pytest.approx(np.mean([one.standard_error for one in found]), rel=0.5)
+    assert "7 x 7" in found[0].name or "8 x 8" in found[0].name
+    fine = joint.mutual_information(20)
+    assert "(few pairs: too large)" in fine.name
 
 
 @pytest.mark.slow
