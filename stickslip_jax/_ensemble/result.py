@@ -263,8 +263,8 @@ class Ensemble(EnsembleData):
         t = 0 (`is_initial_rest`) unless `numbering` counts it as the first.
 
         Args:
-            path: A file name that ends in .csv or .parquet. The column names include the units. Of a .csv file pandas may
-                miss the last digit, unless it reads with ``float_precision="round_trip"``.
+            path: A file name that ends in .csv or .parquet. The column names include the units. Of a .csv file pandas
+                may miss the last digit, unless it reads with ``float_precision="round_trip"``.
             overwrite: Whether to replace a file of that name. Until the table is whole, an older one stays.
 
         Returns:
