@@ -15,7 +15,7 @@ from .units import same_unit, unit_of_product
 DEFAULT_LEVEL = 0.95
 """The level of intervals that are asked for without one, everywhere in the package."""
 
-_SYMMETRIC = 0.05  # halves of an interval that differ by less of its width are shown as one error
+_SYMMETRIC = 0.15  # halves of an interval that differ by less of its width are shown as one error
 _LONGEST_NAME = 100  # letters: a combination with a longer name only says of how many estimates it is
 _ROUND_OFF = 1e-15  # what is left, relative to each, of two derivatives that cancel
 
