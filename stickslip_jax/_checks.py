@@ -19,6 +19,7 @@ import numpy.typing as npt
 from jax.core import Tracer
 from jax.errors import ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError
 
+from ._forks import require_threads_of_jax
 from ._types import AnyArray
 
 SMALLEST, LARGEST = 1e-100, 1e100
@@ -181,7 +182,10 @@ def non_negative(name: str, value: Any, unit: str = "") -> None:
 
 def jax_array(name: str, values: object) -> Any:
     """``values`` as an array of JAX, of any dimensions. Raises ValueError for what holds no real numbers."""
-    return values if is_traced(values) else jnp.asarray(numbers(name, values))
+    if is_traced(values):
+        return values
+    require_threads_of_jax()
+    return jnp.asarray(numbers(name, values))
 
 
 def real_array(name: str, values: object) -> AnyArray:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 
+from ._forks import require_threads_of_jax
+
 
 class Method(eqx.Module):
     # A bound method of a module: a PyTree that holds the module. Its docstring is that of the method.
@@ -24,6 +26,7 @@ class Method(eqx.Module):
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
+        require_threads_of_jax()  # what it computes would wait for them for ever
         return self.__func__(self.__self__, *args, **kwargs)
 
     def __get__(self, instance: object, owner: type | None = None) -> "Method":

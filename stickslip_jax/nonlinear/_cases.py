@@ -9,10 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._conventions import require_labels
 from .._dynamics.common.method import Exact
 from .._dynamics.common.time_scales import slowest_time
 from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
 from .._excitation.excitation import BaseMotion, motion_of
+from .._forks import require_threads_of_jax
 from .._numerics.leaves import as_arrays
 from .._sweep.checking import check_points
 from .._sweep.points import Points, points_of
@@ -87,8 +89,10 @@ def cases_of(
 
     `for_events`: to be followed in time steps, and where nothing drives the system for any time.
 
-    Raises ValueError for what cannot be followed from period to period.
+    Raises ValueError for what cannot be followed from period to period, and ImportError without the extra ``study``.
     """
+    require_threads_of_jax()
+    require_labels()
     if not isinstance(method, Exact):
         raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
     _check_known(system, base, y0, period)
