@@ -310,7 +310,7 @@ class Simulation(WithMethods):
 
     def _require_numbers(self, call: str) -> None:
         """Check that this is one trajectory with known numbers, which `call` asks for; warn if it did not finish."""
-        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self)):
+        if _checks.holds_traced(self):
             raise ValueError(
                 f"{call} needs numbers, but JAX is tracing this simulation; return it from the function that jit, vmap "
                 f"or grad transforms, and call {call} on what comes back."
@@ -365,7 +365,7 @@ class Simulation(WithMethods):
     @property
     def _is_one(self) -> bool:
         """Whether this is a single trajectory, which JAX does not trace."""
-        return np.ndim(self.status) == 0 and not any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self))
+        return np.ndim(self.status) == 0 and not _checks.holds_traced(self)
 
     def __repr__(self) -> str:
         require_threads_of_jax()

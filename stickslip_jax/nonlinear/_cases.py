@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -117,7 +116,7 @@ def cases_of(
 
 def _check_known(*arguments: object) -> None:
     """Raise ValueError where JAX traces a number of the arguments."""
-    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(arguments)):
+    if _checks.holds_traced(*arguments):
         raise ValueError(
             "Sections, diagrams, basins and exponents need numbers, but JAX is tracing an argument: call them outside "
             "jit, vmap and grad, with many starts in y0 and values of parameters in over. periodic_orbit can be "

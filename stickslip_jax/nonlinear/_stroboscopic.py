@@ -90,7 +90,9 @@ def stroboscopic_section(
 
 def checked_numbers(transient: object, kept: object) -> tuple[int, int]:
     """The numbers of periods, checked."""
-    return _checks.whole_number("transient", transient, minimum=0), _checks.whole_number("kept", kept)
+    most = 2**31 - 1  # periods that 32 bits count
+    transient = _checks.whole_number("transient", transient, minimum=0, maximum=most)
+    return transient, _checks.whole_number("kept", kept, maximum=most - transient)
 
 
 def section_of(cases: Cases, seen: Seen, transient: int, tolerance: float) -> "xarray.Dataset":

@@ -49,7 +49,7 @@ def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None
             f"Argument result must be a result of simulate, but {_checks.show(result)} was given; sample i of an "
             "ensemble is simulated with its base motion and initial state, ensemble.realization(i)."
         )
-    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(result)):
+    if _checks.holds_traced(result):
         raise ValueError(
             "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure "
             "outside jit, vmap and grad."
