@@ -74,6 +74,12 @@ class Cases(NamedTuple):
         return self._replace(cycle=Cycle(self.cycle.system, self.cycle.base, self.cycle.duration, more))
 
 
+def checked_numbers(transient: object, kept: object, most: int = 2**31 - 1) -> tuple[int, int]:
+    """The numbers of periods, checked; at most as many in all as 32 bits count."""
+    transient = _checks.whole_number("transient", transient, minimum=0, maximum=most)
+    return transient, _checks.whole_number("kept", kept, maximum=most - transient)
+
+
 def cases_of(
     system: System,
     base: BaseMotion,

@@ -21,6 +21,7 @@ TESTS = Path(__file__).parents[1]
 # From the ground up: a module imports only from its own folder and from entries before its own.
 ROWS = (
     "_starting",
+    "_processor",
     "_public_names",
     "_types",
     "_status",
@@ -34,7 +35,6 @@ ROWS = (
     "_extras",
     "_conventions",
     "_fields",
-    "_processor",
     "_compilation_cache",
     "_compiler",
     "_numerics",

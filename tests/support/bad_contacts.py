@@ -66,7 +66,7 @@ def periods() -> Iterator[Target]:
         "period": (None, "optional positive"), "method": (ss.Exact(), "method"), "progress": (False, "optional truth"),
         "folder": (None, "optional path"),
     }  # fmt: skip
-    begun = {**driven, "y0": ((0.0, 1.0), "optional reals")}
+    begun = {**driven, "y0": ((0.0, 1.0), "optional start | reals")}
     over = {"over": (None, "optional never")}
     yield fields(nonlinear.stroboscopic_section, ("base", "mu"), **begun, **over, tolerance=(1e-6, "positive"))
     yield fields(nonlinear.event_section, **begun, **over, of=("stick_start", "never"), contact=(0, "whole or zero"))
