@@ -19,7 +19,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast test-plain test-browser coverage check-slow docs site check-site notebooks lint format bench bench-smoke versions clean
+.PHONY: study test test-fast test-plain test-wheel test-browser coverage check-slow docs site check-site notebooks lint format bench bench-smoke versions clean
 
 study: $(READY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -34,6 +34,11 @@ test-fast: $(READY)
 # The same without what the package asks of the compiler beyond jax.jit (docs/compiler.md): slower.
 test-plain: export STICKSLIP_PLAIN_JAX = 1
 test-plain: test-fast
+
+# The wheel without extras, in an environment of its own: all public names, a call of each kind, every figure, and what
+# each missing extra says. A few minutes.
+test-wheel:
+	$(PYTHON) tools/plain_wheel.py
 
 # Pages in a browser. Installs nothing: without chromium, chromedriver or selenium it says what to do, and fails.
 test-browser:

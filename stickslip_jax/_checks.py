@@ -19,6 +19,7 @@ import numpy.typing as npt
 from jax.core import Tracer
 from jax.errors import ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError
 
+from ._forks import require_threads_of_jax
 from ._types import AnyArray
 
 SMALLEST, LARGEST = 1e-100, 1e100
@@ -81,18 +82,20 @@ def numeric(name: str, value: Any, ndim: int | None = 0) -> None:
 
 
 _MOST = 2**28  # numbers in an array made of a range
+_MOST_LISTS = 8  # within each other
+_MOST_LEVELS = 64  # of trees
+_NO_NUMBERS = (bool, str, bytes, bytearray)
 _SINGLE = (int, float, np.generic, np.ndarray, jax.Array, list, tuple)
 """What may be a number for JAX too, and lists, which are none because of their shape."""
 
 
 def _array_of(value: object) -> np.ndarray | None:
     """`value` as an array of whole or floating-point numbers of at most 64 bits; None for anything else."""
-    if value is None or isinstance(value, (bool, str, bytes, type)) or np.ma.is_masked(value):
+    if value is None or isinstance(value, (*_NO_NUMBERS, type)) or np.ma.is_masked(value):
         return None
     if isinstance(value, range) and value[_MOST:]:
         return None
-    listed = value if isinstance(value, (list, tuple)) else ()
-    if any(isinstance(one, (bool, np.bool_)) or one is np.ma.masked for one in listed):
+    if isinstance(value, (list, tuple)) and not _holds_numbers(value):
         return None
     try:
         array = np.asarray(value)
@@ -101,6 +104,69 @@ def _array_of(value: object) -> np.ndarray | None:
     is_number = array.dtype.kind in "iuf" and array.dtype.itemsize <= 8
     too_large = isinstance(value, int) and not -(2**63) <= value < 2**63
     return array if is_number and not too_large else None
+
+
+def _holds_numbers(listed: list[Any] | tuple[Any, ...], level: int = 1) -> bool:
+    """Whether NumPy makes an array of these lists in lists without making numbers of what is none, as of truth values
+    and masked entries.
+    """
+    if level > _MOST_LISTS:
+        return False
+    for one in listed:
+        if isinstance(one, (list, tuple)):
+            if not _holds_numbers(one, level + 1):
+                return False
+            continue
+        is_masked = isinstance(one, np.ma.MaskedArray) and np.ma.is_masked(one)
+        if is_masked or isinstance(one, _NO_NUMBERS) or getattr(getattr(one, "dtype", None), "kind", "f") not in "iuf":
+            return False
+    return True
+
+
+def _holds_masked(listed: list[Any] | tuple[Any, ...], level: int = 1) -> bool:
+    """Whether a masked number is in these lists in lists."""
+    if level > _MOST_LISTS:
+        return False
+    return any(
+        one is np.ma.masked or (isinstance(one, (list, tuple)) and _holds_masked(one, level + 1)) for one in listed
+    )
+
+
+def is_tree(value: object) -> bool:
+    """Whether JAX can go through `value`: not where lists are within hundreds of others, or in themselves, nor a dict
+    whose keys have no order.
+    """
+    layer = [value]
+    for _ in range(_MOST_LEVELS):
+        inside: dict[int, object] = {}
+        for one in layer:
+            if isinstance(one, dict):
+                try:
+                    sorted(one)
+                except TypeError:
+                    return False
+            parts = one.values() if isinstance(one, dict) else one if isinstance(one, (list, tuple)) else ()
+            inside |= {id(part): part for part in parts if isinstance(part, (list, tuple, dict))}
+        if not inside:
+            return True
+        layer = list(inside.values())
+    return False
+
+
+def tree(name: str, value: object) -> None:
+    """Check that JAX can go through ``value``, whatever is in it."""
+    if isinstance(value, Iterator):
+        raise refused(name, "be no iterator, which can be read only once", value)
+    if np.ma.is_masked(value) or (isinstance(value, (list, tuple)) and _holds_masked(value)):
+        raise refused(name, "hold no masked entries", value, "leave them out, or fill them")
+    if not is_tree(value):
+        raise refused(name, f"be no list within {_MOST_LEVELS} others, and no dict whose keys have no order", value)
+
+
+def holds_traced(*values: object) -> bool:
+    """Whether JAX traces a number in `values`; not in what is no tree, which other checks refuse by its name."""
+    trees = [value for value in values if is_tree(value) and not isinstance(value, Iterator)]
+    return any(is_traced(leaf) for leaf in jax.tree.leaves(trees))
 
 
 def _hint(value: object) -> str:
@@ -116,7 +182,7 @@ def _hint(value: object) -> str:
 
 def dimensions(value: Any) -> int:
     """The number of dimensions of an array, or of lists in lists; 0 for what is no array, also for uneven lists."""
-    if isinstance(value, (list, tuple)) and any(one is np.ma.masked for one in value):
+    if isinstance(value, (list, tuple)) and _holds_masked(value):
         return 1  # of which NumPy would warn
     if isinstance(value, range):
         return 1
@@ -181,7 +247,10 @@ def non_negative(name: str, value: Any, unit: str = "") -> None:
 
 def jax_array(name: str, values: object) -> Any:
     """``values`` as an array of JAX, of any dimensions. Raises ValueError for what holds no real numbers."""
-    return values if is_traced(values) else jnp.asarray(numbers(name, values))
+    if is_traced(values):
+        return values
+    require_threads_of_jax()
+    return jnp.asarray(numbers(name, values))
 
 
 def real_array(name: str, values: object) -> AnyArray:
@@ -216,12 +285,12 @@ def text(name: str, value: object, or_none: bool = False) -> None:
         raise refused(name, "be a string", value)
 
 
-def whole_number(name: str, value: Any, minimum: int = 1, maximum: int | None = None) -> int:
+def whole_number(name: str, value: Any, minimum: int = 1, maximum: int = 2**63 - 1) -> int:
     """Check that ``value`` is a whole number of at least ``minimum``, at most ``maximum``, and return it as an int."""
     whole = isinstance(value, kinds_of_numbers.Integral) and not isinstance(value, (bool, np.bool_))
     if not whole or value < minimum:
         raise refused(name, f"be a whole number of at least {minimum}", value)
-    if maximum is not None and int(value) > maximum:
+    if int(value) > maximum:
         raise refused(name, f"be at most {maximum}", value)
     return int(value)
 

@@ -65,10 +65,11 @@ def _answer(tokens: Sequence[str]) -> int:
 def _run_or_fail(tokens: Sequence[str], left: str) -> int:
     try:
         # Imported only here, so that help and errors in the arguments appear without loading the simulation.
-        from ._commands import run  # noqa: PLC0415 - needs the extra
-        from .study._errors import StudyError  # noqa: PLC0415
+        from .study._errors import StudyError  # noqa: PLC0415 - says which extra is missing
     except ImportError as error:
         return _fail(error, 1)
+    from ._commands import run  # noqa: PLC0415 - needs the extra
+
     try:
         run(tokens)
         sys.stdout.flush()

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from ._extras import require
+
 if TYPE_CHECKING:
     import xarray
 
@@ -18,16 +20,20 @@ def variable(
     return dimensions, values, {"long_name": long_name, "units": unit, **attributes}
 
 
+def require_labels() -> None:
+    """Raises ImportError without the extra ``study``: for who computes long before the results are labelled."""
+    require("Labelled results need", "study", "xarray")
+
+
 def labeled_dataset(variables: Entries, coordinates: Entries, attributes: Mapping[str, object]) -> "xarray.Dataset":
     """The data set of these variables.
 
     Raises:
         ImportError: Without the extra ``study``.
     """
-    try:
-        import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
-    except ImportError:
-        raise ImportError("Labelled results need xarray: pip install 'stickslip_jax[study]'.") from None
+    require_labels()
+    import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
+
     return xr.Dataset(variables, coordinates, {"Conventions": "CF-1.11", **attributes})
 
 

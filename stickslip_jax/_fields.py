@@ -113,6 +113,20 @@ class Choice:
             raise _checks.refused(name, f"be {options}", value)
 
 
+class Option:
+    """Of a field that holds no number, and what it may hold."""
+
+    def check(self, name: str, value: object) -> None:
+        """Check `value`, the argument `name`. Raises ValueError for what it may not hold."""
+
+
+class Truth(Option):
+    """An option that is True or False."""
+
+    def check(self, name: str, value: object) -> None:
+        _checks.truth(name, value)
+
+
 def is_distribution(value: object) -> bool:
     """Whether `value` is a distribution: of stickslip_jax, frozen of scipy.stats, or with a method ``sample(key)``."""
     if isinstance(value, type):  # the class of a distribution is none yet
@@ -120,9 +134,9 @@ def is_distribution(value: object) -> bool:
     return any(callable(getattr(value, name, None)) for name in ("icdf", "ppf", "sample"))
 
 
-def varies(value: object, about: "Quantity | Choice") -> bool:
+def varies(value: object, about: "Quantity | Choice | Option") -> bool:
     """Whether the field `about` holds more than one number: a distribution, or an array with one for each sample."""
-    if isinstance(about, Choice) or about.ndim or _checks.is_traced(value) or about.is_function(value):
+    if not isinstance(about, Quantity) or about.ndim or _checks.is_traced(value) or about.is_function(value):
         return False
     return is_distribution(value) or _checks.dimensions(value) == 1
 
@@ -148,11 +162,20 @@ def described(kind: type) -> dict[str, Quantity | Choice]:
 
 
 @cache
-def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice, bool, bool], ...]:
-    """Name, `Quantity` or `Choice` of each described field, whether it may be None, and whether it may be random."""
+def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice | Option, bool, bool], ...]:
+    """Name, `Quantity` or `Choice` of each described field and `Option` of each that has one, whether it may be None,
+    and whether it may be random.
+    """
     fields = {field.name: field for field in dataclasses.fields(kind)}
     random = {name: kind.may_be_random and not field.metadata.get("static", False) for name, field in fields.items()}
-    return tuple((name, about, fields[name].default is None, random[name]) for name, about in described(kind).items())
+    options = {
+        name: part
+        for name, field in fields.items()
+        for part in (Truth() if field.type in (bool, bool | None) else None, *getattr(field.type, "__metadata__", ()))
+        if isinstance(part, Option) and field.metadata.get("static", False)
+    }
+    known = {**described(kind), **options}
+    return tuple((name, about, fields[name].default is None, random[name]) for name, about in known.items())
 
 
 M = TypeVar("M", bound=eqx.Module)
@@ -187,6 +210,19 @@ def varies_within(tree: object) -> bool:
         for module in modules_in(tree)
         for name, about in described(type(module)).items()
     )
+
+
+def require_single(**arguments: object) -> None:
+    """Raises ValueError where a number of a module in the arguments `varies`, though one is needed."""
+    for name, tree in arguments.items():
+        for module in modules_in(tree):
+            for field, about in described(type(module)).items():
+                if varies(getattr(module, field), about):
+                    raise ValueError(
+                        f"Argument {field} of {type(module).__name__} in {name} must be one number here, but "
+                        f"{_checks.show(getattr(module, field))} was given; simulate_ensemble takes distributions, and "
+                        "arrays with one number for each sample."
+                    )
 
 
 def is_of_package(tree: object) -> bool:

@@ -2,15 +2,20 @@
 
 import contextlib
 import errno
+import io
 import os
 import re
 import stat
 import uuid
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+import numpy as np
+
 from . import _checks
+from ._processor import available_memory
 
 _UNFINISHED = ".unfinished"
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)  # opening a named pipe does not wait for its other end
@@ -140,10 +145,39 @@ class NotAFileError(OSError):
 def read_regular(path: Path, most: int = -1) -> bytes:
     """The bytes of a file, or the first `most`. Only regular files are read: a named pipe would wait for ever.
 
-    Raises OSError for a file that is not there, and NotAFileError.
+    Raises OSError for a file that is not there, and NotAFileError, also for one that is larger than the memory.
     """
     with _opened_regular(path, os.O_RDONLY | _BINARY) as handle, open(handle, "rb", closefd=False) as file:
+        size = os.fstat(handle).st_size
+        if most < 0 and size > available_memory():
+            raise NotAFileError(errno.EFBIG, f"it is larger than the memory: {size / 1e9:.3g} GB", str(path))
         return file.read(most)
+
+
+def unpacked_arrays(data: bytes, most: int) -> dict[str, np.ndarray]:
+    """The arrays of an archive of ``.npy`` files, by name. Raises ValueError where they take more than `most` bytes."""
+    found = {}
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        check_size(archive, most)
+        for entry in archive.namelist():
+            name, ending = entry.rsplit(".", 1)
+            if ending != "npy":
+                continue
+            with archive.open(entry) as file:  # its sum is checked at the end
+                if np.lib.format.read_magic(file) != (1, 0):
+                    raise ValueError(f"{entry} is of another format")
+                shape, by_columns, dtype = np.lib.format.read_array_header_1_0(file)
+                # Not more than is there, whatever the header says.
+                values = np.frombuffer(bytearray(file.read()), dtype)
+            found[name] = values.reshape(shape, order="F" if by_columns else "C")
+    return found
+
+
+def check_size(archive: zipfile.ZipFile, most: int) -> None:
+    """Raises ValueError for an archive whose entries take more than `most` bytes; none gives more than it says."""
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > most:
+        raise ValueError(f"it would unpack to {size / 1e9:.3g} GB")
 
 
 def append_regular(path: Path, text: str) -> None:

@@ -4,12 +4,19 @@ Equinox makes a module of every bound method, so that methods are PyTrees like t
 `help` opens with all numbers of the module, and where a method inherits its docstring, shows that of Equinox's class.
 """
 
+import dataclasses
 import inspect
 import types
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
+import numpy as np
+
+from . import _checks
+from ._forks import require_threads_of_jax
 
 
 class Method(eqx.Module):
@@ -24,6 +31,7 @@ class Method(eqx.Module):
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
+        require_threads_of_jax()  # what it computes would wait for them for ever
         return self.__func__(self.__self__, *args, **kwargs)
 
     def __get__(self, instance: object, owner: type | None = None) -> "Method":
@@ -50,7 +58,48 @@ class _Function:
         return self.function if instance is None else Method(self.function, instance)
 
 
-class WithMethods(eqx.Module):
+class Constructor(type(eqx.Module)):
+    """The class of classes whose constructors refuse in words what Equinox would stumble over before they see it."""
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        __tracebackhide__ = True
+        names = _parameters(cls)
+        for place, value in enumerate(args):
+            _checks.tree(names[min(place, len(names) - 1)], value)
+        for name, value in kwargs.items():
+            _checks.tree(name, value)
+        for place, name in _options(cls):
+            is_by_name = name in kwargs
+            if not is_by_name and place >= len(args):
+                continue
+            value = kwargs[name] if is_by_name else args[place]
+            plain = value.item() if isinstance(value, np.generic) else value
+            if not isinstance(plain, np.generic) and plain is not value:  # Equinox would warn of a number of NumPy
+                if is_by_name:
+                    kwargs[name] = plain
+                else:
+                    args = (*args[:place], plain, *args[place + 1 :])
+            elif any(isinstance(leaf, (np.ndarray, np.generic, jax.Array)) for leaf in jax.tree.leaves(value)):
+                raise _checks.refused(name, "be no array", value)
+        return super().__call__(*args, **kwargs)
+
+
+@cache
+def _parameters(kind: type) -> list[str]:
+    return list(inspect.signature(kind).parameters)
+
+
+@cache
+def _options(kind: type) -> tuple[tuple[int, str], ...]:
+    """Place and name of the arguments of a class of the package that hold no numbers, and are not converted."""
+    if not kind.__module__.startswith(f"{__name__.partition('.')[0]}."):
+        return ()
+    fields = dataclasses.fields(kind)
+    names = {one.name for one in fields if one.metadata.get("static") and "converter" not in one.metadata}
+    return tuple((place, name) for place, name in enumerate(_parameters(kind)) if name in names)
+
+
+class WithMethods(eqx.Module, metaclass=Constructor):
     """A module with such methods."""
 
     if not TYPE_CHECKING:

@@ -22,6 +22,7 @@ from ._excitation.piecewise_constant_laws import Constant, PoissonSwitching, Ran
 from ._excitation.random import RandomPhase
 from ._excitation.smooth import Harmonic
 from ._excitation.voltage import SourceVoltage
+from ._forks import require_threads_of_jax
 from ._simulation.call import simulate
 from ._sweep.sweep import Sweep
 from ._systems.friction import Coulomb
@@ -186,6 +187,7 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     >>> print(f"{100 * ss.papers.steady_stick_share(1.2):.2f} %")
     36.43 %
     """
+    require_threads_of_jax()
     periods = _checks.whole_number("periods", periods)
     setup = square_wave_belt(ratio)
     period = jnp.asarray(_belt_period(ratio))

@@ -72,6 +72,7 @@ class LogLikelihood(eqx.Module):
 
         Raises ValueError for names or shapes that do not fit, and for noise that is not given at all.
         """
+        require_threads_of_jax()
         return _density(self, self._numbers(values), self._sigma(noise))
 
     def _density(self, numbers: FloatArray, sigma: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
+from .._forks import require_threads_of_jax
 from .._sensitivity.call import check_estimator, require_differences
 from .._sensitivity.estimate import Estimator
 from .._sensitivity.statistic import AnyStatistic
@@ -96,6 +97,7 @@ def calibrate_sticks(
             for the covariance of the moments; fewer moments than parameters; moments that are the same in all
             recordings; first guesses at a bound; and for what `sensitivity` refuses.
     """
+    require_threads_of_jax()
     _checks.chosen("objective", objective, get_args(Objective))
     check_estimator(estimator)
     require_differences(estimator, method)

@@ -36,7 +36,7 @@ def fields_of_simulations(result: object, numbering: Numbering) -> Fields:
             "Argument result must be a batch of simulations, jax.vmap(lambda ...: simulate(...))(...) over one axis, "
             f"but {shown} was given."
         )
-    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(result)):
+    if _checks.holds_traced(result):
         raise ValueError(
             "Argument result must hold numbers, but JAX is tracing them; make the ensemble outside jit, vmap and grad."
         )

@@ -1,6 +1,6 @@
 """Parts of an ensemble, which threads simulate, and the accumulator that merges them."""
 
-import os
+import warnings
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ from .._dynamics.common.engine import SampleTotals
 from .._events.stick_stream import StickCollector, StickStream
 from .._events.sticks import NUMBERS, FlatSticks, with_columns
 from .._numerics.moments import Moments
+from .._processor import available_memory
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._status import Status
@@ -214,15 +215,27 @@ def _totals_of(part: Part) -> np.ndarray:
     return np.stack([np.asarray(column, np.float64) for column in columns], axis=1)[finished]
 
 
+_MUCH = 2e9  # bytes
+
+
 def _check_memory(kept: list[Part], samples: int) -> None:
-    """Raise ValueError before the sticks outgrow the memory: joining them takes twice their size."""
-    if len(kept) % 64 != 1 or "SC_PHYS_PAGES" not in getattr(os, "sysconf_names", {}):
+    """Say early how much memory the sticks will take: a warning where it is much, ValueError where it is not there.
+
+    Joining them takes twice their size.
+    """
+    if len(kept) % 64 != 1:
         return
     done = sum(len(part.results.status) for part in kept)
     size = sum(column.nbytes for part in kept for column in (*part.results, *(part.sticks or ())))
-    expected, memory = 2 * size / done * samples, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if expected > memory:
+    expected, there = 2 * size / done * samples, available_memory() + size
+    todo = f"keeping the sticks of {samples:,} samples takes about {expected / 1e9:.1f} GB of memory"
+    if expected > there:
         raise ValueError(
-            f'Argument keep must be "statistics" for so many samples: keeping the sticks of {samples} takes '
-            f"about {expected / 1e9:.0f} GB, and this machine has {memory / 1e9:.0f} GB."
+            f'Argument keep must be "statistics" for so many samples: {todo}, and {there / 1e9:.1f} GB are free.'
+        )
+    if len(kept) == 1 and expected > _MUCH:
+        warnings.warn(
+            f'The sticks need much memory: {todo}; keep="statistics" takes little, whatever the number of samples.',
+            RuntimeWarning,
+            stacklevel=2,
         )

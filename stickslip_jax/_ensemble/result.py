@@ -15,6 +15,7 @@ from .. import _checks, _html
 from .._events.sticks import Slips, Sticks
 from .._excitation.excitation import is_random
 from .._files import file_to_write
+from .._forks import require_threads_of_jax
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
 from .._statistics.distribution import Distribution
@@ -207,6 +208,7 @@ class Ensemble(EnsembleData):
         Raises:
             ValueError: Unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
+        require_threads_of_jax()
         if _checks.whole_number("number", number, minimum=0) >= self.samples:
             raise _checks.refused("number", f"be below the {self.samples} samples", number)
         part, number = part_with(self, number)

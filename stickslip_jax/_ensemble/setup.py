@@ -65,7 +65,9 @@ class EnsembleSetup:
 
         `of_every_contact`: whether sticks are counted of every contact of a list.
         """
-        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((model, t1, key, method))):
+        for name, value in model._asdict().items():
+            _checks.tree(name, value)
+        if _checks.holds_traced(*model, t1, key, method):
             raise ValueError(
                 "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "
                 "jax.vmap over simulate(system, law.sample(key, t1, capacity=...), ...)."

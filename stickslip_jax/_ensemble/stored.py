@@ -10,6 +10,7 @@ from .. import _checks
 from .._dynamics.common.engine import SampleTotals
 from .._events.stick_quantities import QUANTITIES
 from .._events.sticks import NUMBERS, FlatSticks
+from .._extras import require
 from .._files import file_for_user
 from .._statistics.accumulator import Numbering
 from .._statistics.totals import TOTALS
@@ -30,10 +31,8 @@ _STUDY = "study.nc"  # the file of a study's data in its folder
 
 def write_dataset(dataset: "xarray.Dataset", path: Path) -> Path:
     """Write the data set of an ensemble to `path`, from `file_to_write`; see `Ensemble.save`."""
-    try:
-        data = as_netcdf(dataset, compression(dataset))
-    except ImportError:
-        raise ImportError("Files of ensembles need h5netcdf: pip install 'stickslip_jax[study]'.") from None
+    require("Files of ensembles need", "study", "xarray", "h5netcdf")
+    data = as_netcdf(dataset, compression(dataset))
     with file_for_user(path) as file:
         file.write(data)
     return path
@@ -47,10 +46,9 @@ def fields_of_file(path: Path) -> Fields:
             "Argument path must name a file that Ensemble.save or stickslip study wrote, but there is no "
             f"{str(path)!r}; the working folder is {str(Path.cwd())!r}."
         )
+    require("Files of ensembles need", "study", "xarray", "h5netcdf", "h5py")
     try:
         dataset = read_netcdf(path)
-    except ImportError:
-        raise ImportError("Files of ensembles need xarray, h5netcdf: pip install 'stickslip_jax[study]'.") from None
     except DamagedFileError as error:
         raise ValueError(
             f"Argument path must name a file that Ensemble.save or stickslip study wrote, but {str(path)!r} cannot be "

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._conventions import Entries, flags, variable
+from .._extras import require
 from .._files import file_for_user, file_to_write
 from .._status import Ending
 from .._systems.system import Coordinate
@@ -73,23 +74,22 @@ def slip_variables(start: np.ndarray, end: np.ndarray, censored: np.ndarray) -> 
 
 def table_of(columns: Columns) -> "pandas.DataFrame":
     """The columns as a table of pandas. Raises ImportError without the extra ``tables``."""
-    try:
-        import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
-    except ImportError:
-        raise ImportError("Tables need pandas: pip install 'stickslip_jax[tables]'.") from None
+    require("Tables need", "tables", "pandas")
+    import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
+
     return pd.DataFrame(columns)
 
 
 def write_table(columns: Columns, path: str | os.PathLike[str], overwrite: bool) -> Path:
     """Write the columns to `path`, in the format of its ending. Raises the errors of `Ensemble.write_sticks`."""
     path = file_to_write(path, (".csv", ".parquet"), overwrite=overwrite)
+    is_csv = path.suffix.lower() == ".csv"
+    if not is_csv:
+        require("Parquet files need", "tables", "pandas", "pyarrow")
     table = table_of(columns)
-    try:
-        with file_for_user(path) as file:
-            if path.suffix.lower() == ".csv":
-                table.to_csv(file, index=False, mode="wb")
-            else:
-                table.to_parquet(file, engine="pyarrow", index=False, write_page_checksum=True)
-    except ImportError:
-        raise ImportError("Parquet files need pyarrow: pip install 'stickslip_jax[tables]'.") from None
+    with file_for_user(path) as file:
+        if is_csv:
+            table.to_csv(file, index=False, mode="wb")
+        else:
+            table.to_parquet(file, engine="pyarrow", index=False, write_page_checksum=True)
     return path

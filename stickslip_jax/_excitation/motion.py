@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
 
 import equinox as eqx
 
+from .._methods import Constructor
 from .._types import Number, Scalar
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ class Parts(NamedTuple):
     has_key_per_part: bool = False
 
 
-class Motion(eqx.Module):
+class Motion(eqx.Module, metaclass=Constructor):
     """Base class of base motions, ground motions and voltages.
 
     Attributes:

@@ -8,6 +8,7 @@ import numpy as np
 from jax.errors import ConcretizationTypeError
 
 from .. import _checks
+from .._forks import require_threads_of_jax
 from .._numerics.known import NotKnown
 from .._types import AnyArray, FloatArray, FloatScalar
 from .excitation import BaseMotion, excitation_of, motion_of
@@ -36,6 +37,7 @@ def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | 
     >>> print(ss.base_velocity(ss.Recorded([0.0, 2.0], [0.0, 1.0]), [0.0, 0.5, 2.0]))
     [0.   0.25 1.  ]
     """
+    require_threads_of_jax()
     motion = motion_of(base)
     _checks.numeric("times", times, ndim=None)
     if motion.is_random:

@@ -1,25 +1,21 @@
 """`explore`: the explorer in a notebook."""
 
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion, law_of
+from .._extras import require
 from .._systems.system import System
 from .._types import InitialState
 
 if TYPE_CHECKING:
     from .page import Explorer
 
-NEEDED = ("panel", "bokeh", "pydantic", "xarray")
-
 
 def require_panel() -> None:
     """Raise ImportError where the extra ``explore`` is not installed."""
-    missing = [name for name in NEEDED if find_spec(name) is None]
-    if missing:
-        raise ImportError(f"The explorer needs {', '.join(missing)}: pip install 'stickslip_jax[explore]'.")
+    require("The explorer needs", "explore", "panel", "bokeh", "pydantic", "xarray")
 
 
 def explore(

@@ -19,6 +19,7 @@ from .._events.sticks import Slips, Sticks, Totals, of_contact, slips_between
 from .._events.tables import table_of, write_table
 from .._excitation.excitation import BaseMotion
 from .._fields import with_fields
+from .._forks import require_threads_of_jax
 from .._methods import WithMethods
 from .._status import Status
 from .._systems.system import System
@@ -76,6 +77,7 @@ class Simulation(WithMethods):
 
     @property
     def slips(self) -> Slips:
+        require_threads_of_jax()
         if self.sticks.contact is not None:
             raise ValueError(
                 "Slips are those of one contact here: take simulation.of_contact(number).slips, or those of "
@@ -125,10 +127,12 @@ class Simulation(WithMethods):
 
     @property
     def slip_time(self) -> Float[Array, "*batch"]:
+        require_threads_of_jax()
         return self.time_reached - self.totals.stick_time
 
     @property
     def stick_fraction(self) -> Float[Array, "*batch"]:
+        require_threads_of_jax()
         return self.totals.stick_time / self.t1
 
     @property
@@ -306,7 +310,7 @@ class Simulation(WithMethods):
 
     def _require_numbers(self, call: str) -> None:
         """Check that this is one trajectory with known numbers, which `call` asks for; warn if it did not finish."""
-        if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self)):
+        if _checks.holds_traced(self):
             raise ValueError(
                 f"{call} needs numbers, but JAX is tracing this simulation; return it from the function that jit, vmap "
                 f"or grad transforms, and call {call} on what comes back."
@@ -361,9 +365,10 @@ class Simulation(WithMethods):
     @property
     def _is_one(self) -> bool:
         """Whether this is a single trajectory, which JAX does not trace."""
-        return np.ndim(self.status) == 0 and not any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(self))
+        return np.ndim(self.status) == 0 and not _checks.holds_traced(self)
 
     def __repr__(self) -> str:
+        require_threads_of_jax()
         if not self._is_one:
             return f"Simulation(status={self.status}, sticks={self.sticks!r})"
         status = Status(int(self.status))

@@ -16,6 +16,7 @@ from .._ensemble.encoding import Decoder, Encoder
 from .._ensemble.parts import EnsembleAccumulator
 from .._ensemble.result import Ensemble
 from .._events.sticks import FlatSticks
+from .._files import unpacked_arrays
 from .._sensitivity import Sensitivities, sensitivity
 from .._statistics.totals import DIFFERENTIABLE
 from .._status import Status
@@ -104,6 +105,7 @@ def packed(ensemble: Ensemble) -> bytes:
     return buffer.getvalue()
 
 
+_MOST_UNPACKED = 2**28  # bytes of a batch besides its outputs: sums, histograms, and the sticks that it keeps
 _UNFIT = (
     zipfile.BadZipFile, zlib.error, ArithmeticError, AttributeError, EOFError, LookupError, NotImplementedError,
     RecursionError, TypeError, ValueError,
@@ -117,10 +119,8 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
     `fields`: from `Plan.fields_at`. Raises DamagedBatchError for other bytes, and for those of other samples.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            head = _head_in(archive, first, end)
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:  # checks the sum of every entry that it reads
-            arrays = {name: archive[name] for name in archive.files if name != "head.json"}
+        head = head_of(data, first, end)
+        arrays = unpacked_arrays(data, _MOST_UNPACKED + 16 * (end - first) * (1 + len(fields["output_units"])))
         decoder = Decoder(arrays["floats"], arrays["integers"])
         found = {name: decoder.decoded(head[name]) for name in _SUMS}
         sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}
@@ -149,6 +149,8 @@ def head_of(data: bytes, first: int, end: int) -> Head:
 
 
 def _head_in(archive: zipfile.ZipFile, first: int, end: int) -> Head:
+    if archive.getinfo("head.json").file_size > _MOST_UNPACKED:
+        raise ValueError("its head is too long")
     head = json.loads(archive.read("head.json"))
     samples = end - first
     if (head["first_sample"], head["samples"], sum(head["status_counts"])) != (first, samples, samples):

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._ensemble.netcdf import DamagedFileError, as_netcdf, read_netcdf, verified
 from .._ensemble.result import Ensemble
+from .._extras import require
 from .._files import write_whole
 from .._numerics.dyadic import CommonBins
 from .._statistics.distribution import DEFAULT_BINS, Distribution, default_bins
@@ -68,12 +69,15 @@ class Variables:
             yield name, ((*own, *dimensions), values, attributes)
 
 
+def require_packages() -> None:
+    """Raises ImportError where what a sweep is stored with is not installed."""
+    require("Sweeps need", "study", "xarray", "h5netcdf", "h5py", "filelock")
+
+
 def dataset_of(work: Work) -> "xarray.Dataset":
     """All stored results. Points are read twice, one at a time: first for the bins, which all points share."""
-    try:
-        import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
-    except ImportError:
-        raise ImportError("Sweeps need xarray: pip install 'stickslip_jax[study]'.") from None
+    import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
+
     plan, variables = work.plan, Variables(work.plan)
     bins = _common_bins(work)
     for point in range(plan.points.number):
@@ -275,8 +279,6 @@ def write_dataset(store: Store, dataset: "xarray.Dataset") -> Path:
         write_whole(path, as_netcdf(dataset, packing))
     except OSError as error:
         raise cannot_write(store.folder, error) from error
-    except ImportError:
-        raise ImportError("Sweeps need h5netcdf: pip install 'stickslip_jax[study]'.") from None
     return path
 
 
@@ -342,6 +344,7 @@ def stored_dataset(folder: Path) -> "xarray.Dataset":
 
     Raises SweepError if there is none, or one of classes of your own that is not finished.
     """
+    require_packages()
     store = Store.reading(folder)
     finished = _finished(store)
     return dataset_of(Work(store.plan(), store)) if finished is None else finished

@@ -7,6 +7,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoo
 from contextlib import contextmanager
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+from .._extras import require
 from . import workers
 from .errors import SweepError
 from .plan import Plan, Task
@@ -99,10 +100,9 @@ class Processes(Executor):
         self._pool = self._new()
 
     def _new(self) -> Any:
-        try:
-            from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
-        except ImportError:
-            raise ImportError("Argument workers needs loky: pip install 'stickslip_jax[study]'.") from None
+        require("Argument workers needs", "study", "loky")
+        from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
+
         prepare = workers.prepare_process
         return ProcessPoolExecutor(self._workers, initializer=prepare, initargs=self._start, env=_ENVIRONMENT)
 

@@ -4,8 +4,6 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from .._files import FULL
 from .errors import SweepError
 
@@ -18,6 +16,8 @@ def locked(path: Path, said: str) -> Iterator[None]:
 
     Raises SweepError with `said` if another program holds it.
     """
+    from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra: `require_packages`
+
     lock = FileLock(path, timeout=_LOCK_SECONDS)
     try:
         lock.acquire()
@@ -37,6 +37,8 @@ def is_locked(path: Path) -> bool:
     """Whether a program holds the lock `path`; False where that cannot be found out."""
     if not path.exists():
         return False
+    from filelock import FileLock, Timeout  # noqa: PLC0415
+
     try:
         with FileLock(path, timeout=0):
             return False

@@ -14,6 +14,7 @@ from .._ensemble.data import Keep
 from .._ensemble.outputs import TAKEN, fields_of_outputs, runner_for
 from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup
 from .._numerics.random_bits import key_data_of
+from .._processor import require_memory
 from .._simulation.outputs import Output, Outputs, checked_outputs
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import DISTRIBUTIONS
@@ -28,6 +29,7 @@ Derivative = tuple[str, tuple[str, ...]]
 """A statistic, and the parameters by which it is differentiated."""
 
 _SMALLEST_BATCH, _LARGEST_BATCH, _BATCHES = 1024, 16_384, 64
+_MOST_BATCHES = 10_000_000
 RETAINED = 20_000
 """The most sticks of a point that are kept for standard errors."""
 
@@ -77,7 +79,10 @@ class Plan:
         self.t1, self.independent = float(self.t1), bool(self.independent)
         self.samples = checked_samples(self.samples)
         self.realizations = _checks.whole_number("realizations", self.realizations, minimum=0)
+        require_memory("realizations", 4096.0 * self.realizations * self.points.number, "the times of their sticks")
         self.batch = _checks.whole_number("batch", self.batch, maximum=MOST_SAMPLES)
+        if self.points.number * -(-self.samples // self.batch) > _MOST_BATCHES:
+            raise _checks.refused("batch", f"be larger, for at most {_MOST_BATCHES:,} batches in all", self.batch)
 
     @property
     def output_code(self) -> list[list[str]]:

@@ -14,7 +14,7 @@ from .. import _checks
 from .._ensemble.progress import progress_bar
 from .._processor import cores
 from .dask_executor import DaskCluster
-from .dataset import dataset_of, write_dataset
+from .dataset import dataset_of, require_packages, write_dataset
 from .errors import SweepError
 from .executors import Executor, Processes, Threads
 from .plan import Plan
@@ -75,6 +75,7 @@ class ExecutorChoice(NamedTuple):
 
 def run_sweep(plan: Plan, folder: Path | None, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
     """Do what is left of a sweep, and return its result; see `Sweep.run`."""
+    require_packages()
     choice.check(has_folder=folder is not None)
     _check_dtype(plan)
     if folder is None:

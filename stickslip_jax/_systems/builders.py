@@ -54,7 +54,7 @@ def block_row(
     number = _checks.whole_number("blocks", blocks, maximum=64)
     _checks.positive("mass", mass, "kg")
     for name, value in (("between", between), ("to_ground", to_ground), ("damping", damping)):
-        _not_negative(name, value)
+        _checks.non_negative(name, value)
     stiffness = to_ground * np.eye(number) + between * row_of_springs(np.ones(number - 1))
     contacts = tuple(Contact.of_mass(i, number, normal_force, friction) for i in range(number))
     is_damped = _checks.is_traced(damping) or damping != 0
@@ -96,7 +96,7 @@ def storeys_on_bearing(
     springs = _of_storeys("stiffness", stiffness, len(masses))
     if not np.all(springs > 0):
         raise _checks.refused("stiffness", "hold positive numbers", stiffness)
-    _not_negative("bearing_stiffness", bearing_stiffness)
+    _checks.non_negative("bearing_stiffness", bearing_stiffness, "N/m")
     _checks.positive("gravity", gravity, "m/s^2")
     matrix = row_of_springs(springs)
     matrix[0, 0] += float(bearing_stiffness)
@@ -128,9 +128,3 @@ def _of_storeys(name: str, values: Any, masses: int) -> np.ndarray:
     if array.shape != (masses - 1,) or not np.all(np.isfinite(array)):
         raise _checks.refused(name, f"hold {masses - 1} finite numbers, one for each storey", values)
     return array
-
-
-def _not_negative(name: str, value: Number) -> None:
-    _checks.numeric(name, value)
-    if not _checks.is_traced(value) and not float(value) >= 0:
-        raise _checks.refused(name, "be zero or positive", value)

@@ -13,8 +13,11 @@ from .normal_force import NormalForce, NormalForceQuantity
 
 
 def numbers_of(values: Any) -> Any:
-    """Numbers of a sequence as an array of NumPy; arrays, traced or not, as they are."""
-    return np.asarray(values, float) if isinstance(values, (list, tuple)) else values
+    """Numbers of a sequence as an array of NumPy; arrays, traced or not, as they are, and what is to be refused."""
+    try:
+        return np.asarray(_checks.numbers("", values), float) if isinstance(values, (list, tuple)) else values
+    except ValueError:
+        return values
 
 
 def entries_of(values: Any) -> Any:
@@ -49,8 +52,7 @@ class Contact(Checked):
     on_base: Annotated[Number, Quantity("", meaning="share of the base velocity that is subtracted")] = 1.0
 
     def check_parts(self) -> None:
-        if np.ndim(self.direction) != 1:
-            raise _checks.refused("direction", "be a sequence of numbers, one for each mass", self.direction)
+        _checks.bounded("direction", self.direction, ndim=1)
         if not isinstance(self.friction, FrictionLaw):
             raise _checks.refused("friction", "be a friction law such as Coulomb(mu=0.3)", self.friction)
 

@@ -17,6 +17,7 @@ from .._excitation.excitation import Excitation
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Choice, Quantity, is_distribution
+from .._forks import require_threads_of_jax
 from .._types import AnyArray, Array, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
 from .ageing_model import AgeingContact, with_ages
 from .cart_model import LONGEST_TURN, CartModel, OnPin
@@ -340,6 +341,7 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     >>> print(f"{bound:.5f} s")
     0.50828 s
     """
+    require_threads_of_jax()
     if not isinstance(system, MotorCart) or not keeps(voltage, SourceVoltage, "value"):
         raise ValueError(
             "Arguments system and voltage must be a MotorCart and a SourceVoltage, but "

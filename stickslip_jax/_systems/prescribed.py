@@ -12,6 +12,7 @@ from .. import _checks
 from .. import _diffrax as diffrax
 from .._excitation.recorded import Recorded
 from .._excitation.smooth import Signal
+from .._fields import require_single
 from .._types import Array, FloatArray, Number
 from .series_spring import BehindSpring, SpeedBehindSpring
 
@@ -31,6 +32,7 @@ def force_of_dynamic(
     adjoint: Any,
 ) -> FloatArray:
     """See `DynamicFriction.force`."""
+    require_single(law=law)
     times, motion = _checked(times, velocity)
     normal = _normal(normal_force, times)
     _checks.positive("rtol", rtol)
@@ -95,6 +97,7 @@ def force_of_law(
     backlash: Number,
 ) -> FloatArray:
     """See `FrictionLaw.force`."""
+    require_single(law=law)
     times, motion = _checked(times, velocity)
     velocities = _velocities(motion, times)
     if series_stiffness is None:

@@ -34,7 +34,7 @@ def check_forces(name: str, forces: Any, size: int) -> None:
     for number, part in enumerate(forces):
         if part is not None and not isinstance(part, (Signal, Recorded)):
             try:
-                _checks.numeric(f"{name}[{number}]", part)
+                _checks.bounded(f"{name}[{number}]", part)
             except ValueError:
                 raise _checks.refused(f"{name}[{number}]", "be a number, a Signal, a Recorded or None", part) from None
 
@@ -68,11 +68,10 @@ def numbers_in(name: str, value: Any) -> Any:
     if _checks.is_traced(value):
         return value
     try:
-        return np.asarray(value, float)
-    except (TypeError, ValueError):
-        raise _checks.refused(
-            name, "hold real numbers, no distributions; make an array of traced ones by jnp.array", value
-        ) from None
+        return np.asarray(_checks.numbers(name, value), float)
+    except ValueError:
+        demand = "hold real numbers, no distributions and nothing masked; make an array of traced ones by jnp.array"
+        raise _checks.refused(name, demand, value) from None
 
 
 def _check_matrix(name: str, value: Any, size: int | None) -> int:
@@ -87,8 +86,8 @@ def _check_matrix(name: str, value: Any, size: int | None) -> int:
     if _checks.is_traced(value):
         return shape[0]
     matrix = np.asarray(value, float)
-    if not np.all(np.isfinite(matrix)):
-        raise _checks.refused(name, "hold finite numbers", value)
+    if not np.all(np.abs(matrix) <= _checks.LARGEST):
+        raise _checks.refused(name, f"hold finite numbers of a size up to {_checks.LARGEST}", value)
     if matrix.ndim == 2 and np.max(np.abs(matrix - matrix.T)) > _ROUND_OFF * np.max(np.abs(matrix)):
         i, j = np.unravel_index(np.argmax(np.abs(matrix - matrix.T)), matrix.shape)
         raise ValueError(

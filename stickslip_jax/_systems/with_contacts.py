@@ -1,15 +1,21 @@
 """Systems with a list of contacts: which of their sticks are counted."""
 
-from typing import Literal, TypeAlias, TypeVar
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import equinox as eqx
 
 from .. import _checks
-from .._fields import with_fields
+from .._fields import Option, with_fields
 from .system import System
 
 Counted: TypeAlias = int | Literal["all"] | None
 """A contact, by its number from 0; "all": the times in which all contacts that are closed stick; None: every one."""
+
+
+class _OfCounted(Option):
+    def check(self, name: str, value: object) -> None:
+        if not (isinstance(value, str) and value == "all"):
+            _checks.whole_number(name, value, minimum=0)
 
 
 S = TypeVar("S", bound="WithContacts")
@@ -18,7 +24,7 @@ S = TypeVar("S", bound="WithContacts")
 class WithContacts(System):
     """A system that may have a list of contacts, of any number."""
 
-    counted_contact: Counted = eqx.field(static=True, default=None, kw_only=True)
+    counted_contact: Annotated[Counted, _OfCounted()] = eqx.field(static=True, default=None, kw_only=True)
 
     def of_contact(self: S, number: int) -> S:
         """The same system, of which the sticks of one contact are counted, as if it had no others.

@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 
 from .. import _checks
 from .._fields import Quantity
+from .._forks import require_threads_of_jax
 from .._types import AnyArray, Float, FloatArray, Scalar
 from .random_number import RandomNumber, floating
 
@@ -82,6 +83,7 @@ class LogNormal(RandomNumber):
     @classmethod
     def from_moments(cls, mean: Scalar, std: Scalar) -> "LogNormal":
         """The one with this mean and this standard deviation, both positive. Raises ValueError for others."""
+        require_threads_of_jax()
         _checks.positive("mean", mean)
         _checks.positive("std", std)
         ratio = std / mean

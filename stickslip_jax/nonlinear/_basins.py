@@ -17,12 +17,12 @@ from .._status import Status
 from .._systems.system import System, checked_system
 from .._types import Scalar
 from ._attractors import Attractor, dense, matched
-from ._cases import Cases, cases_of
+from ._cases import Cases, cases_of, checked_numbers
 from ._following import follow
 from ._labeled import START, dataset_of, names_of
 from ._recurrence import recurrence
 from ._stored import Folder, kept_in
-from ._stroboscopic import RECURS, checked_numbers
+from ._stroboscopic import RECURS
 from ._warnings import warn_of_none, warn_of_unfinished
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
 from .._systems.system import System
 from .._types import Scalar
-from ._cases import Over, cases_of
+from ._cases import Over, cases_of, checked_numbers
 from ._following import follow, follow_along
 from ._stored import Folder, kept_in
-from ._stroboscopic import RECURS, checked_numbers, section_of
+from ._stroboscopic import RECURS, section_of
 from ._warnings import warn_of_unfinished
 
 if TYPE_CHECKING:

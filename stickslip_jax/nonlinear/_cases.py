@@ -4,15 +4,16 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
+from .._conventions import require_labels
 from .._dynamics.common.method import Exact
 from .._dynamics.common.time_scales import slowest_time
 from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
 from .._excitation.excitation import BaseMotion, motion_of
+from .._forks import require_threads_of_jax
 from .._numerics.leaves import as_arrays
 from .._sweep.checking import check_points
 from .._sweep.points import Points, points_of
@@ -73,6 +74,12 @@ class Cases(NamedTuple):
         return self._replace(cycle=Cycle(self.cycle.system, self.cycle.base, self.cycle.duration, more))
 
 
+def checked_numbers(transient: object, kept: object, most: int = 2**31 - 1) -> tuple[int, int]:
+    """The numbers of periods, checked; at most as many in all as 32 bits count."""
+    transient = _checks.whole_number("transient", transient, minimum=0, maximum=most)
+    return transient, _checks.whole_number("kept", kept, maximum=most - transient)
+
+
 def cases_of(
     system: System,
     base: BaseMotion,
@@ -87,8 +94,10 @@ def cases_of(
 
     `for_events`: to be followed in time steps, and where nothing drives the system for any time.
 
-    Raises ValueError for what cannot be followed from period to period.
+    Raises ValueError for what cannot be followed from period to period, and ImportError without the extra ``study``.
     """
+    require_threads_of_jax()
+    require_labels()
     if not isinstance(method, Exact):
         raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
     _check_known(system, base, y0, period)
@@ -113,7 +122,7 @@ def cases_of(
 
 def _check_known(*arguments: object) -> None:
     """Raise ValueError where JAX traces a number of the arguments."""
-    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(arguments)):
+    if _checks.holds_traced(*arguments):
         raise ValueError(
             "Sections, diagrams, basins and exponents need numbers, but JAX is tracing an argument: call them outside "
             "jit, vmap and grad, with many starts in y0 and values of parameters in over. periodic_orbit can be "

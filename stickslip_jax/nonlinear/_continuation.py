@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from .. import _checks
-from .._conventions import Entries, labeled_dataset, variable
+from .._conventions import Entries, labeled_dataset, require_labels, variable
 from .._dynamics.common.validation import working_dtype
+from .._forks import require_threads_of_jax
 from .._simulation.labeled import provenance, source
 from .._sweep.setting import Setting, label_and_unit, setter_of
 from .._uncertainty.numbers import number_at
@@ -75,6 +76,8 @@ def continue_orbit(
         ValueError: For arguments that do not fit, and for an orbit that has not converged.
         ImportError: Without the extra ``study``.
     """
+    require_threads_of_jax()
+    require_labels()
     setting, equations, scale, begun = _problem(orbit, parameter, until, step)
     most = _checks.whole_number("most", most)
     branch = _Branch(equations, scale, parameter, begun, float(until), step)

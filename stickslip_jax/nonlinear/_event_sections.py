@@ -16,11 +16,12 @@ from .._dynamics.switched.path import StepPath
 from .._dynamics.switched.run import Beginnings, state_in_step
 from .._excitation.excitation import BaseMotion
 from .._fields import Checked, Quantity
+from .._processor import require_memory
 from .._status import Status
 from .._systems.switched_model import SwitchedModel
 from .._systems.system import System
 from .._types import Array, BoolArray, FloatArray, IntArray, Scalar
-from ._cases import Cases, Over, cases_of
+from ._cases import Cases, Over, cases_of, checked_numbers
 from ._cycle import Cycle
 from ._following import in_blocks
 from ._labeled import dataset_of, on_grid, outcome_of, states_of
@@ -130,9 +131,10 @@ def event_section(
         SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
-    transient = _checks.whole_number("transient", transient, minimum=0)
-    kept = _checks.whole_number("kept", kept)
+    transient, kept = checked_numbers(transient, kept, (2**31 - 1) // _MOST_PERIODS)
     cases = cases_of(system, base, y0, over, period, method, for_events=True)
+    numbers = cases.starts.shape[1] + 1
+    require_memory("kept", 8.0 * cases.number * kept * numbers, "the times and states of so many events")
     event = _checked_event(cases.system, of, contact)
     most = _MOST_PERIODS * (transient + kept)
 

@@ -12,7 +12,7 @@ from jax import lax
 
 from .._ensemble.progress import progress_bar
 from .._events.sticks import Sticks
-from .._processor import cores
+from .._processor import cores, require_memory
 from .._simulation.result import Simulation
 from .._status import Ending, Status
 from .._types import AnyArray, Array, FloatArray, IntArray
@@ -180,6 +180,8 @@ def follow_along(
 
 def follow(cases: Cases, transient: int, kept: int, progress: bool | None = None, stored: Kept | None = None) -> Seen:
     """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy."""
+    numbers = cases.starts.shape[1] + 3 * (cases.system.contact_count or 1)
+    require_memory("kept", 8.0 * cases.number * kept * numbers, "the states at the ends of so many periods")
 
     def run(cycle: Cycle, starts: Array) -> Seen:
         return _follow(cycle, starts, jnp.asarray(transient, jnp.int32), kept=kept)

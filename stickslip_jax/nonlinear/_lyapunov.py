@@ -17,7 +17,7 @@ from .._numerics.orthogonal import orthogonal_factors
 from .._status import Status
 from .._systems.system import System
 from .._types import Array, BoolScalar, FloatArray, IntArray, Scalar
-from ._cases import Cases, Over, cases_of
+from ._cases import Cases, Over, cases_of, checked_numbers
 from ._cycle import Cycle
 from ._following import in_blocks
 from ._labeled import CYCLE, START, dataset_of, dimensions_of, on_grid, outcome_of
@@ -100,8 +100,7 @@ def lyapunov_exponents(
         SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
-    transient = _checks.whole_number("transient", transient, minimum=0)
-    kept = _checks.whole_number("kept", kept)
+    transient, kept = checked_numbers(transient, kept)
     cases = cases_of(system, base, y0, over, period, method)
     size = len(cases.system.coordinates)
     number = size if exponents is None else _checks.whole_number("exponents", exponents, maximum=size)

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import numpy as np
 
 from .. import _checks
@@ -41,7 +40,7 @@ def without_trivial(multipliers: np.ndarray) -> np.ndarray:
 
 def guessed_period(system: System, base: BaseMotion, start: Any, method: Exact) -> float:
     """The time in which a motion that begins at `start` last came back to where it then was."""
-    if any(_checks.is_traced(value) for value in jax.tree.leaves((system, base, start))):
+    if _checks.holds_traced(system, base, start):
         raise ValueError(
             "Argument period must be given under jax.jit, vmap and grad, where nothing changes with time: a guess of "
             "the orbit's period, s."

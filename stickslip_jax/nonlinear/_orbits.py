@@ -10,6 +10,7 @@ from .. import _checks
 from .._dynamics.common.method import EXACT, Exact
 from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
 from .._excitation.excitation import BaseMotion, motion_of
+from .._forks import require_threads_of_jax
 from .._methods import WithMethods
 from .._numerics.leaves import as_arrays
 from .._simulation.call import simulate
@@ -130,6 +131,7 @@ def periodic_orbit(
     >>> print(orbit.period.round(9), orbit.multipliers.round(8))
     12.001031295 [1.+0.j 0.+0.j]
     """
+    require_threads_of_jax()
     periods = _checks.whole_number("periods", periods)
     iterations = _checks.whole_number("iterations", iterations)
     if not isinstance(method, Exact):

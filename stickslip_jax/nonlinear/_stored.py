@@ -6,6 +6,7 @@ import io
 import json
 import os
 import types
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,7 +17,7 @@ import numpy as np
 from .. import _checks
 from .._ensemble.encoding import Encoder
 from .._fields import is_of_package, modules_in
-from .._files import read_regular, remove_unfinished, write_whole
+from .._files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._simulation.outputs import code_of
 from .._sweep.errors import DamagedBatchError, SweepError
 from .._sweep.header import ID_LENGTH, ForeignBatchError, with_header, without_header
@@ -56,8 +57,14 @@ class Kept:
         """The results that are kept under a name; None where they are not there or damaged."""
         try:
             whole = read_regular(folder / name)
-            arrays = np.load(io.BytesIO(without_header(self._identity, name, whole)), allow_pickle=False)
-        except (FileNotFoundError, DamagedBatchError):  # what is damaged is done again, and replaced
+            # They are not compressed.
+            arrays = unpacked_arrays(without_header(self._identity, name, whole), 2 * len(whole))
+        except (
+            FileNotFoundError,
+            DamagedBatchError,
+            ValueError,
+            zipfile.BadZipFile,
+        ):  # what is damaged is done again, and replaced
             return None
         except (ForeignBatchError, OSError) as error:
             raise SweepError(f"{folder / name} cannot be read, or is of another call; move it elsewhere.") from error

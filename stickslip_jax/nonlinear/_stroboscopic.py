@@ -10,7 +10,7 @@ from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
 from .._systems.system import System
 from .._types import Scalar
-from ._cases import Cases, Over, cases_of
+from ._cases import Cases, Over, cases_of, checked_numbers
 from ._following import Seen, follow
 from ._labeled import CYCLE, dataset_of, on_grid, outcome_of, states_of
 from ._recurrence import recurrence
@@ -86,11 +86,6 @@ def stroboscopic_section(
         seen = follow(cases, transient, kept, progress, stored)
     warn_of_unfinished(seen.status, stacklevel=3)
     return section_of(cases, seen, transient, float(tolerance))
-
-
-def checked_numbers(transient: object, kept: object) -> tuple[int, int]:
-    """The numbers of periods, checked."""
-    return _checks.whole_number("transient", transient, minimum=0), _checks.whole_number("kept", kept)
 
 
 def section_of(cases: Cases, seen: Seen, transient: int, tolerance: float) -> "xarray.Dataset":

@@ -12,6 +12,7 @@ import numpy as np
 from .. import _checks
 from .._excitation.ground import GroundMotion
 from .._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
+from .._forks import require_threads_of_jax
 from .._simulation.result import Simulation
 from .._status import Status
 from ._types import Window
@@ -42,12 +43,13 @@ def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None
 
     `of_one_contact`: whether its sticks must be those of one contact.
     """
+    require_threads_of_jax()
     if not isinstance(result, Simulation):
         raise ValueError(
             f"Argument result must be a result of simulate, but {_checks.show(result)} was given; sample i of an "
             "ensemble is simulated with its base motion and initial state, ensemble.realization(i)."
         )
-    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves(result)):
+    if _checks.holds_traced(result):
         raise ValueError(
             "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure "
             "outside jit, vmap and grad."

@@ -10,13 +10,13 @@ Importing this module raises ImportError if the extra ``study`` is not installed
 """
 
 from importlib import import_module
-from importlib.util import find_spec
 
-from ._errors import StudyError as StudyError
+from .._extras import require as _require
 
-_missing = [name for name in ("pydantic", "cyclopts", "xarray", "h5netcdf", "h5py") if find_spec(name) is None]
-if _missing:
-    raise ImportError(f"Studies need {', '.join(_missing)}: pip install 'stickslip_jax[study]'.")
+# Before any module of this folder is there: who asks again is told again.
+_require("Studies and the command need", "study", "pydantic", "cyclopts", "xarray", "h5netcdf", "h5py", "filelock")
+
+from ._errors import StudyError as StudyError  # noqa: E402
 
 # Loaded when asked for, so that help and messages about a file do not wait for what only a simulation needs.
 _HOMES = {"StoredStudy": "_run", "StudyConfig": "_config", "read_config": "_reading", "run_study": "_run"}

@@ -30,6 +30,7 @@ _NOT_A_SECTION = {
     "too_short": "sections [[{}]] of keys, one or more",
 }
 """What must be where something else stands, by what pydantic says of it."""
+_LONGEST = 16 * 10**6  # bytes of a file
 _CHOSEN = None  # the name under which the chosen kind of a section stands
 
 OPTIONS = {
@@ -99,7 +100,11 @@ def _read(
 
 def _parse(path: Path, command: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:  # a pipe too, but no more than a description can be
+            data = file.read(_LONGEST + 1)
+        if len(data) > _LONGEST:
+            raise StudyError(f"{path}: is longer than {_LONGEST // 10**6} MB, and no description of a {command}.")
+        return tomllib.loads(data.decode("utf-8"))
     except FileNotFoundError:
         raise StudyError(
             f"{path}: no such file; `stickslip {command} --print-config` prints one to start from."

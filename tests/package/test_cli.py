@@ -346,9 +346,56 @@ def test_every_example_can_be_asked_for():
     assert list(get_args(Example)) == list(EXAMPLES)
 
 
+WITHOUT_EXTRAS = """
+import sys
+for name in ("xarray", "h5netcdf", "h5py", "tqdm", "cyclopts", "pydantic", "filelock", "loky", "pandas", "panel"):
+    sys.modules[name] = None
+import jax
+import stickslip_jax as ss
+from stickslip_jax._cli import main
+jax.config.update("jax_enable_x64", True)
+there = [getattr(ss, name) for name in dir(ss) if name != "study"]
+there += [getattr(ss.plot, name) for name in ss.plot.__all__]
+sweep = ss.Sweep(ss.papers.belt_oscillator(), ss.PoissonSwitching(1.0, 1.0), over={"mu": [1.0]}, t1=5.0, samples=2,
+                 key=jax.random.key(0))
+calls = (
+    lambda: ss.study,
+    lambda: sweep.run(progress=False),
+    lambda: ss.load(__file__),
+    lambda: ss.nonlinear.basins(ss.papers.belt_oscillator(), ss.SquareWave(1.0, 2.0), y0=[[0.0, 1.0]]),
+    lambda: ss.explore(ss.papers.belt_oscillator(), ss.Constant(1.0)),
+)
+for call in calls:
+    try:
+        call()
+    except ImportError as error:
+        print(error)
+sys.exit(main(["--help"]))
+"""
+
+
+def test_without_extras_all_names_are_there_and_each_says_what_it_needs(tmp_path):
+    """`make test-wheel` tries everything, in an environment that has none."""
+    program = tmp_path / "program.py"
+    program.write_text(WITHOUT_EXTRAS)
+    done = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr == (
+        "stickslip: Studies and the command need pydantic, cyclopts, xarray, h5netcdf, h5py, filelock: "
+        "pip install 'stickslip_jax[study]'.\n"
+    )
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == [
+        "Studies and the command need pydantic, cyclopts, xarray, h5netcdf, h5py, filelock",
+        "Sweeps need xarray, h5netcdf, h5py, filelock",
+        "Files of ensembles need xarray, h5netcdf, h5py",
+        "Labelled results need xarray",
+        "The explorer needs panel, pydantic, xarray",
+    ]
+
+
 def test_missing_extra_is_named():
     absent = "import sys; sys.modules['h5netcdf'] = None"
     code = f"{absent}; from stickslip_jax._cli import main; sys.exit(main(['study']))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == "stickslip: Studies need h5netcdf: pip install 'stickslip_jax[study]'.\n"
+    assert done.stderr == "stickslip: Studies and the command need h5netcdf: pip install 'stickslip_jax[study]'.\n"

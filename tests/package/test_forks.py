@@ -1,9 +1,11 @@
 """Forks: a process that was forked after JAX had started says so, and does not wait for threads that are not there."""
 
+import json
 import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -31,6 +33,11 @@ def tries():
     if sweep is not None:
         yield "Sweep.run", lambda: sweep.run(threads=1, progress=False)
         yield "extended", lambda: many.extended(samples=2)
+        yield "periodic_orbit", lambda: ss.nonlinear.periodic_orbit(system, base, y0=(0.0, 1.0))
+        yield "lyapunov_exponents", lambda: ss.nonlinear.lyapunov_exponents(system, base, y0=(0.0, 1.0), period=1.0)
+        yield "force", lambda: ss.LuGre(0.3, 0.4, 0.1, 1e3, 1.0).force([0.0, 1.0], [0.0, 1.0])
+        yield "evaluate", lambda: one.evaluate([0.0, 1.0])
+        yield "print", lambda: repr(one)
 
 def told():
     for name, call in tries():
@@ -55,9 +62,15 @@ os._exit(0)
 STARTED = """
 sweep = ss.Sweep(system, base, over={"mu": [0.5, 1.0]}, key=jax.random.key(0), keep="totals", **options)
 many = ss.simulate_ensemble(system, base, key=jax.random.key(0), keep="totals", **options)
+one = ss.simulate(system, base, t1=5.0)
 key = jax.random.key(0)
 key = lambda key=key: key
 """
+
+
+WAITS = "waits for ever"
+MISSING = ("SweepError", "FileNotFoundError", "ValueError")
+"""What calls raise anywhere whose usual argument is a file that is not there, or no result of simulations."""
 
 
 def lines_of(program: str) -> list[str]:
@@ -71,12 +84,28 @@ def test_a_fork_after_jax_has_started_is_told():
     program = PROGRAM.replace("EARLY", STARTED).replace("def key():\n    return jax.random.key(0)\n", "")
     *forked, first = lines_of(program)
     assert first == "first 0"  # the first process goes on
-    assert len(forked) == 2 * 5
+    assert len(forked) == 2 * 10
     for line in forked:
         said = line.partition(" said ")[2]
         assert re.fullmatch(
             r'JAX cannot run in a fork [^.]*; start processes by .*"spawn".*Sweep\.run\(workers=.*\.', said
         )
+
+
+@pytest.mark.slow
+def test_no_public_call_waits_for_ever_in_a_fork():
+    """Each says so, or returns because it computes nothing with JAX, or refuses what it refuses anywhere."""
+    here = Path(__file__).parents[1]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(here), str(here.parent)])}
+    command = [sys.executable, "-m", "support.forked_calls"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, check=False)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert len(told) > 130
+    assert [name for name, said in told if said == WAITS] == []
+    refused = [name for name, said in told if said.startswith("RuntimeError: JAX cannot run in a fork of a process")]
+    assert {"stroboscopic_section", "continue_orbit", "FrictionLaw.force", "calibrate_sticks"} <= set(refused)
+    assert not {said.partition(":")[0] for _, said in told} - {"", "RuntimeError", *MISSING}
 
 
 def test_jax_that_only_made_a_key_has_started():

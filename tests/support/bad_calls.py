@@ -5,7 +5,7 @@ import signal
 import warnings
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import matplotlib.pyplot as plt
@@ -13,7 +13,8 @@ import numpy as np
 
 import stickslip_jax as ss
 from stickslip_jax import papers
-from support.bad_values import KEY, VALUES, Draw, takes
+from support import bad_contacts
+from support.bad_values import KEY, VALUES, Draw, Target, fields, takes
 
 SECONDS = 60  # after which a call is taken for one that never ends
 
@@ -24,28 +25,6 @@ TABLE = {"sample": [0, 0, 1], "start": [1.0, 3.0, 2.0], "end": [2.0, 4.0, 4.5], 
 @cache
 def many() -> ss.Ensemble:
     return ss.simulate_ensemble(SYSTEM, LAW, t1=20.0, samples=32, key=KEY, y0=(0.0, 1.0), keep="sticks")
-
-
-class Target(NamedTuple):
-    """A call that is right with the arguments `usual`; `kinds`: of the arguments that may be wrong.
-
-    `also`: other names by which a refusal may speak of the arguments.
-    """
-
-    call: Callable[..., Any]
-    usual: dict[str, Any]
-    kinds: dict[str, str]
-    also: tuple[str, ...] = ()
-
-
-def fields(call: Callable[..., Any], also: tuple[str, ...] = (), **given: tuple[Any, str]) -> Target:
-    """A target with the usual value and kind of each argument."""
-    return Target(
-        call,
-        {name: value for name, (value, _) in given.items()},
-        {name: kind for name, (_, kind) in given.items()},
-        also,
-    )
 
 
 ENSEMBLE = {
@@ -368,8 +347,11 @@ def calibrations() -> Iterator[Target]:
 
 
 TARGETS: dict[str, Callable[[], Iterator[Target]]] = {
-    each.__name__: each for each in (constructors, numbers_and_methods, designs, runs, results, calibrations)
-}
+    each.__name__: each for each in (
+        constructors, numbers_and_methods, designs, runs, results, calibrations, bad_contacts.structures,
+        bad_contacts.periods,
+    )
+}  # fmt: skip
 
 
 # --- what comes of a call

@@ -8,7 +8,7 @@ import math
 import os
 import pathlib
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -134,8 +134,22 @@ VALUES: dict[str, Callable[[Draw], Any]] = {
     "list with a truth": lambda draw: [True, 1.0],
     "list with many digits": lambda draw: [0.5, 10**400],
     "list that is uneven": lambda draw: [[0.5], [1.0, 2.0]],
+    "list of digits and numbers": lambda draw: ["5", 1.0],
+    "list of dates": lambda draw: [datetime.date(2020, 1, 1), np.datetime64("2020-01-01")],
+    "list with a masked number": lambda draw: [np.ma.masked, 1.0],
+    "list of masked arrays": lambda draw: [np.ma.array([1.0, 2.0], mask=[False, True]), [2.0, 1.0]],
+    "list of complex numbers": lambda draw: [1.0 + 1e-9j, 1.0],
+    "rows of digits": lambda draw: [["1.0", 0.0], [0.0, "1.0"]],
+    "rows of truths": lambda draw: [[True, 0.0], [False, 1.0]],
+    "rows of arrays of truths": lambda draw: [np.array([True, False]), np.array([0.0, 1.0])],
+    "rows with a masked number": lambda draw: [[1.0, np.ma.masked], [0.0, 1.0]],
+    "rows": lambda draw: draw.uniform(size=(2, 2)).tolist(),
     "list in itself": lambda draw: recursive(),
     "deep list": lambda draw: deep(),
+    "deep dict": lambda draw: {"a": deep()},
+    "list of some depth": lambda draw: [[[[[[[[[[0.5]]]]]]]]]],
+    "dict without order": lambda draw: {1: 0.5, "a": 1.0},
+    "bytearray": lambda draw: bytearray(b"12"),
     "list of objects": lambda draw: [object(), Broken()],
     "range": lambda draw: range(int(draw.integers(0, 5))),
     "long range": lambda draw: range(10**15),
@@ -154,6 +168,10 @@ VALUES: dict[str, Callable[[Draw], Any]] = {
     "array of dates": lambda draw: np.array(["2020-01-01"], "datetime64[D]"),
     "records": lambda draw: np.zeros(2, [("a", float), ("b", int)]),
     "masked": lambda draw: np.ma.masked,
+    "masked matrix": lambda draw: np.ma.array(np.eye(2), mask=[[False, True], [True, False]]),
+    "complex matrix": lambda draw: np.eye(2) * (1 + 1j),
+    "complex matrix of jax": lambda draw: jnp.eye(2) * (1 + 1j),
+    "matrix of objects": lambda draw: np.eye(2).astype(object),
     "masked array": lambda draw: np.ma.array([0.0, 1.0, 2.0], mask=[False, True, False]),
     "matrix": lambda draw: draw.uniform(size=(2, 3)),
     "cube": lambda draw: draw.uniform(size=(1, 1, 1)),
@@ -212,6 +230,17 @@ def is_array(value: Any, low: float = -math.inf) -> bool:
     return all(is_number(one, low) for one in np.asarray(value))
 
 
+def is_reals(value: Any) -> bool:
+    """Real numbers along any dimensions."""
+    if isinstance(value, (list, tuple)):
+        return all(is_reals(one) for one in value)
+    if isinstance(value, np.ndarray) and value.ndim > 1:
+        return not np.ma.is_masked(value) and all(is_reals(row) for row in value)
+    if isinstance(value, jax.Array) and value.ndim > 1:
+        return is_reals(np.asarray(value))
+    return is_number(value) or is_array(value)
+
+
 def is_start(value: Any) -> bool:
     """Numbers of any size: how such a motion ends, its status tells."""
     is_large = isinstance(value, np.ndarray) and value.dtype.kind == "f" and value.ndim == 1
@@ -248,6 +277,7 @@ KINDS: dict[str, Callable[[Any], bool]] = {
     "not negative per contact": lambda value: is_number(value, 0.0) or is_of_contacts(value, 0.0),
     "force": lambda value: isinstance(value, (ss.Signal, ss.Recorded, ss.ForceSteps)),
     "array": is_array,
+    "reals": is_reals,
     "start": is_start,
     "number or array": lambda value: is_number(value) or is_array(value),
     "whole": is_whole,
@@ -286,3 +316,28 @@ def takes(kind: str, value: Any) -> bool:
     if kind not in KINDS and " | " in kind:
         return any(takes(one, value) for one in kind.split(" | "))
     return KINDS[kind](value)
+
+
+# --- calls
+
+
+class Target(NamedTuple):
+    """A call that is right with the arguments `usual`; `kinds`: of the arguments that may be wrong.
+
+    `also`: other names by which a refusal may speak of the arguments.
+    """
+
+    call: Callable[..., Any]
+    usual: dict[str, Any]
+    kinds: dict[str, str]
+    also: tuple[str, ...] = ()
+
+
+def fields(call: Callable[..., Any], also: tuple[str, ...] = (), **given: tuple[Any, str]) -> Target:
+    """A target with the usual value and kind of each argument."""
+    return Target(
+        call,
+        {name: value for name, (value, _) in given.items()},
+        {name: kind for name, (_, kind) in given.items()},
+        also,
+    )

@@ -117,6 +117,7 @@ def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
 def check_fixed(**arguments: object) -> None:
     """Check that no argument holds a distribution, or an array where a number belongs. Raises ValueError otherwise."""
     for name, value in arguments.items():
+        _checks.tree(name, value)
         for path, source, _ in varying(value, (name,)):
             raise ValueError(
                 f"Argument {shown(path)} must be one number here, but {_checks.show(source)} was given; "
