@@ -12,6 +12,7 @@ from .._uncertainty.numbers import Parameter, with_numbers
 from .bounds import SHARE, Bounds, all_bounds
 from .fit import chi_squared
 from .information import information_of
+from .misfit import explanations, other_units
 from .problem import Setting
 from .record import Record, Windows
 from .result import Calibration
@@ -31,15 +32,19 @@ def result_of(
     arguments: Arguments,
     parameters: tuple[Parameter, ...],
     found: Found,
-    start_is_searched: bool,
+    start: np.ndarray | None,
     given_up: float | None,
 ) -> Calibration:
-    """The result of a fit. `given_up`: by how much chi-squared grew where one motion over the whole record failed."""
+    """The result of a fit.
+
+    `start`: the state at t = 0 if it is known. `given_up`: by how much chi-squared grew where one motion over the whole
+    record failed.
+    """
     problem, fit, _, sigma = found
     transform, seen = problem.model.transform, fit.seen.over(sigma)
     number, size = len(parameters), fit.point.s.shape[1]
     is_one = len(fit.point.s) == 1
-    with_start = is_one and start_is_searched
+    with_start = is_one and start is None
     own = _without_states(seen, number) if is_one and not with_start else seen
     told = information_of(own, number)
     joint = information_of(own, number + size) if with_start else told
@@ -53,11 +58,11 @@ def result_of(
     )
     is_told = np.concatenate([is_told, np.diag(joint.covariance)[number:] < _VAGUE**2])
     covariance, by_blocks = (covariance_of(slope, matrix, is_told) for matrix in (joint.covariance, joint.by_blocks))
-    setting = Setting(arguments.system, arguments.base)
+    setting = Setting(arguments.system, arguments.base, sensors=problem.model.setting.sensors)
     states = np.asarray(problem.model.state_origin) + fit.point.s
     coordinates = arguments.system.coordinates
     names = [parameter.name for parameter in parameters] + [one.name for one in coordinates] * with_start
-    units = [unit_at(setting, one.path) for one in parameters] + [one.unit for one in coordinates] * with_start
+    units = [_unit(setting, record, one) for one in parameters] + [one.unit for one in coordinates] * with_start
     values = np.concatenate([numbers, states[0] * with_start if with_start else []])
     estimates = correlated_estimates(names, values, units, covariance, max(freedom, 1) + 1)
     windows = Windows(*map(np.asarray, problem.windows))
@@ -73,7 +78,12 @@ def result_of(
     of_bounds = _names_of_bounds(names[:number], transform)
     bounds = {of_bounds[i]: one for i, one in found_bounds.items()}
     total = chi_squared(seen)
-    system, base = with_numbers(setting, [one.path for one in parameters], [float(value) for value in numbers])
+    system, base, *_ = with_numbers(setting, [one.path for one in parameters], [float(value) for value in numbers])
+    coloured = [name for name, test in noisy.items() if test.made and test.p_value < _SIGNIFICANCE]
+    wrong = []
+    if coloured:
+        wrong = explanations(record, windows, own, sigma, number)
+        wrong += other_units(record, arguments, start if start is not None else np.zeros(size))
     return Calibration(
         estimates=dict(zip(names[:number], estimates[:number], strict=True)),
         covariance=covariance[:number, :number],
@@ -97,9 +107,10 @@ def result_of(
         converged=fit.converged,
         remarks=(
             *(() if fit.converged else ("The search did not converge: do not use its numbers.",)),
+            *_about_colour(coloured, wrong),
             *_about_bounds(of_bounds, transform, fit.point.x, found_bounds, is_told),
             *_about_ties(names[:number], numbers, told.tied @ slope[:number, :number].T),
-            *_about_fit(total, freedom, all(known.values()), noisy, given_up, len(fit.point.s)),
+            *_about_fit(total, freedom, all(known.values()), given_up, len(fit.point.s)),
         ),
     )
 
@@ -150,9 +161,7 @@ def _about_ties(names: list[str], numbers: np.ndarray, directions: np.ndarray) -
     return said
 
 
-def _about_fit(
-    total: float, freedom: int, is_known: bool, tests: dict, given_up: float | None, windows: int
-) -> list[str]:
+def _about_fit(total: float, freedom: int, is_known: bool, given_up: float | None, windows: int) -> list[str]:
     """Sentences on the residuals, and on windows."""
     said = []
     if given_up is not None:
@@ -162,9 +171,25 @@ def _about_fit(
         )
     if is_known and freedom > 0 and stats.chi2.sf(total, freedom) < _SIGNIFICANCE:
         said.append("Chi-squared is larger than the given noise allows: the model lacks something, or noise is larger.")
-    if coloured := [name for name, test in tests.items() if test.made and test.p_value < _SIGNIFICANCE]:
-        said.append(
-            f"The residuals of {' and '.join(coloured)} are not white: rather use covariance_by_blocks, whose errors "
-            "do not rest on that."
-        )
     return said
+
+
+def _about_colour(channels: list[str], wrong: list[str]) -> list[str]:
+    """Sentences on residuals of `channels` that are not white; `wrong`: what may be the cause."""
+    if not channels:
+        return []
+    return [
+        f"The residuals of {' and '.join(channels)} are not white. First of all the model, a clock, a zero or a unit "
+        "may be wrong, and then so are the numbers, by more than any of the errors: see plot.calibration, and search "
+        '"clock.delay" or a channel\'s ".delay" or ".offset". Only if the model is right and the noise lasts, use '
+        "covariance_by_blocks.",
+        *wrong,
+    ]
+
+
+def _unit(setting: Setting, record: Record, parameter: Parameter) -> str:
+    """The unit of a number of the system, the base, or a channel's sensor."""
+    kind, *_, last = parameter.path
+    if kind == "sensors" and last == "offset":
+        return record.channels[int(parameter.path[1])].unit or "1"
+    return unit_at(setting, parameter.path)

@@ -88,7 +88,9 @@ class Calibration:
         ]
         for name, one in self.estimates.items():
             ends = zip(("at least", "at most"), self.bounds.get(name, (None, None)), strict=True)
-            limits = [f"{word} {end:.4g}" for word, end in ends if end is not None and math.isfinite(one.standard_error)]
+            limits = [
+                f"{word} {end:.4g}" for word, end in ends if end is not None and math.isfinite(one.standard_error)
+            ]
             said = f" ({' and '.join(limits)}, 95 % confidence each)" if limits else ""
             lines.append(f"  {name} = {one.without_name()}{said}")
         for name in self.channels:

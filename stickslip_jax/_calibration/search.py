@@ -32,13 +32,14 @@ class Search(NamedTuple):
     parameters: tuple[Parameter, ...]
     transform: Transform
     y0: np.ndarray | None
+    setting: Setting
 
     def cuts(self, number: int) -> Cuts:
         """Where `number` windows begin, and the states there by the measurements."""
-        system, base, method, _ = self.arguments
+        system, _, method, _ = self.arguments
         if number > 1 or self.begins_where_measured:
             solver = method.solver if isinstance(method, Exact) else None
-            return cuts_of(self.record, Setting(system, base), solver, number)
+            return cuts_of(self.record, self.setting, solver, number)
         size = len(system.coordinates)
         state = np.zeros(size) if self.y0 is None else self.y0
         return Cuts(np.zeros(1, int), state[None], None)
@@ -50,12 +51,12 @@ class Search(NamedTuple):
 
     def problem(self, cuts: Cuts, numbers: np.ndarray, more: int = 1) -> Problem:
         """The problem in windows, with steps for the parameters at `numbers`, or `more` times as many."""
-        system, base, method, _ = self.arguments
+        method = self.arguments.method
         is_from_zero = len(cuts.firsts) == 1 and not self.begins_where_measured
         windows = self.record.cut(cuts.firsts, 0.0 if is_from_zero else None)
         dtype = jnp.result_type(float)
         model = Model(
-            as_arrays(Setting(system, base), dtype),
+            as_arrays(self.setting, dtype),
             jnp.asarray(cuts.states, dtype),
             None if cuts.resting is None else jnp.asarray(cuts.resting),
             method,
@@ -70,9 +71,8 @@ class Search(NamedTuple):
 
     def _steps(self, durations: np.ndarray, numbers: np.ndarray) -> int:
         """Loop steps for the longest window, with the parameters at `numbers`."""
-        setting = Setting(self.arguments.system, self.arguments.base)
         paths = tuple(parameter.path for parameter in self.parameters)
-        system, base = with_numbers(setting, paths, [float(number) for number in numbers])
+        system, base, *_ = with_numbers(self.setting, paths, [float(number) for number in numbers])
         arguments = self.arguments._replace(system=system, base=base)
         assert isinstance(arguments.method, Exact)
         if arguments.method.max_steps is not None:
