@@ -5,7 +5,7 @@ likelihood.
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from .fit import Free, Point, Problem, chi_squared
 from .information import Information
@@ -13,12 +13,13 @@ from .information import Information
 LEVEL = 0.95
 _FARTHEST_FIRST = np.log(2) / 2  # first step in the coordinate, at most
 _DOUBLINGS = 6  # of the step: a factor of 4,000,000,000 of a number that is searched by its logarithm
-_HALVINGS = 14
+_RESOLUTION = 1e-4  # of the first step
+_NO_MOTION = 1e3  # in place of infinity
 
 
 SHARE = 0.05  # of a direction, below which a number has no part in it
 _NEAR = 3.0  # standard errors from a bound: farther away the estimate is normal
-_AS_NORMAL = 2.0  # times its largest distance that a number can go, up to which its standard error is believed
+_AS_NORMAL = 5.0  # times its largest distance that a number can go, up to which its standard error is believed
 
 
 class Bounds(NamedTuple):
@@ -65,39 +66,38 @@ def _bounds_of(
     """
     others = Free(free.x & (np.arange(len(free.x)) != which), free.s)
     least = chi_squared(problem.search(sigma, at, others).seen.over(sigma))
-    limit = least + float(stats.t.ppf(LEVEL, freedom)) ** 2
+    limit = float(stats.t.ppf(LEVEL, freedom))
     first = min(2 * error, _FARTHEST_FIRST)
     ends = [float(end[which]) for end in problem.model.transform.box]
 
-    def moved(to: float, start: Point) -> tuple[bool, Point]:
-        x = start.x.copy()
-        x[which] = to
-        try:
-            fit = problem.search(sigma, Point(x, start.s), others)
-        except ValueError:  # no motion there reaches the end of its window
-            return False, start
-        return chi_squared(fit.seen.over(sigma)) <= limit, fit.point
-
     def edge(direction: float) -> float | None:
-        inside, point, far = at.x[which], at, None
+        point = at
+
+        def beyond(to: float) -> float:
+            """How far the root of what chi-squared has grown by is beyond the limit."""
+            nonlocal point
+            x = point.x.copy()
+            x[which] = to
+            try:
+                fit = problem.search(sigma, Point(x, point.s), others)
+            except ValueError:  # no motion there reaches the end of its window
+                return _NO_MOTION
+            over = np.sqrt(max(chi_squared(fit.seen.over(sigma)) - least, 0)) - limit
+            point = fit.point if over <= 0 else point
+            return float(over) if np.isfinite(over) else _NO_MOTION
+
+        inside = at.x[which]
         for doubling in range(_DOUBLINGS + int(np.log2(_FARTHEST_FIRST / first))):
             to = float(np.clip(at.x[which] + direction * 2.0**doubling * first, *ends))
             if to == inside:  # the number's own bound is allowed
                 return None
-            allowed, reached = moved(to, point)
-            if not allowed:
-                far = to
+            if beyond(to) > 0:
                 break
-            inside, point = to, reached
-        if far is None:
+            inside = to
+        else:
             return None
-        for _ in range(_HALVINGS):
-            middle = (inside + far) / 2
-            allowed, reached = moved(middle, point)
-            inside, far = (middle, far) if allowed else (inside, middle)
-            point = reached if allowed else point
         x = at.x.copy()
-        x[which] = inside
+        x[which] = optimize.brentq(beyond, inside, to, xtol=_RESOLUTION * first)
         return float(problem.model.transform.own(x)[which])
 
     return Bounds(edge(-1.0), edge(1.0))

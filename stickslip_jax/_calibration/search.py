@@ -124,14 +124,24 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
     return found
 
 
-def _with_noise(problem: Problem, record: Record, start: Point, free: Free, sigma: np.ndarray | None) -> Found:
-    """The fit with the standard deviation of the noise that is not known estimated too, in turn."""
+def _with_noise(
+    problem: Problem,
+    record: Record,
+    start: Point,
+    free: Free,
+    sigma: np.ndarray | None,
+    about: np.ndarray | None = None,
+) -> Found:
+    """The fit with the noise `sigma`, or with the standard deviation of what is not known of it estimated too, in turn.
+
+    `about`: where to begin with that.
+    """
     if sigma is not None:
         return Found(problem, problem.search(sigma, start, free), free, sigma)
     known = np.isfinite(record.noise)
     spread = np.nanstd(record.values, axis=1)
     least = 1e-10 * np.nanmax(np.abs(record.values), axis=1) + np.finfo(float).tiny
-    sigma = np.where(known, record.noise, np.maximum(0.1 * spread, least))
+    sigma = np.where(known, record.noise, np.maximum(0.1 * spread, least)) if about is None else about
     fit = problem.search(sigma, start, free)
     for _ in range(_MOST_ROUNDS if not np.all(known) else 0):
         spent = (np.count_nonzero(free.x) + free.s * fit.point.s.size) * record.counts / record.counts.sum()
@@ -139,8 +149,9 @@ def _with_noise(problem: Problem, record: Record, start: Point, free: Free, sigm
         new = np.where(known, record.noise, np.maximum(np.sqrt(squares), least))
         is_settled = np.all(np.abs(new - sigma) < 1e-4 * sigma)
         sigma = new
-        if is_settled or len(sigma) == 1:  # the noise of a single channel does not change its fit
+        if is_settled:
             break
+        # Of a single channel too: what holds numbers near their first guesses weighs more the larger the noise.
         fit = problem.search(sigma, fit.point, free)
     return Found(problem, fit, free, sigma)
 
@@ -163,4 +174,4 @@ def as_one(search: Search, found: Found) -> Found | float:
     fewer = found.fit.point.s.size - (search.y0 is None) * whole.fit.point.s.size
     if not whole.fit.converged or growth > stats.chi2.isf(_CONTRADICTION, fewer):
         return growth
-    return _with_noise(whole.problem, search.record, whole.fit.point, whole.free, None)
+    return _with_noise(whole.problem, search.record, whole.fit.point, whole.free, None, found.sigma)
