@@ -60,8 +60,11 @@ def calibrate(
             `observe`. Accelerations and friction forces jump where a stick begins or a slip reverses, and the search
             does not see how a jump moves past a measurement: set those next to jumps to NaN, and measure positions too.
         wrt: The names of the numbers to be estimated, as for `sensitivity`: those of fields of the system or the base,
-            such as "mu" or "friction.forward.mu". They stay inside the bounds of these fields,
-            positive ones since they are searched by their logarithms.
+            such as "mu" or "friction.forward.mu". They stay inside the bounds of these fields: positive ones are
+            searched by their logarithms, those that may be zero are found there, and `mu_static` is never below `mu`.
+            Of the sensors too: "clock.delay" (s) of the whole record, "position.delay" (s) and "position.offset" of a
+            channel, which shows what it measures so much later, and so much more. Of the record so much is left out
+            at both ends as a delay may be long: 5 % of it, or a quarter of the slowest known time scale.
         noise: The standard deviation of the noise of each channel, in its unit; of those left out it is estimated.
         y0: The state at t = 0, where it is known; it is estimated otherwise (None).
         windows: How many. By default as many as have two periods of the system's slowest known time scale, and then
@@ -72,8 +75,8 @@ def calibrate(
 
     Returns:
         The estimates, with their errors; print it. Warns (RuntimeWarning) with each of its remarks: of numbers that the
-        record does not tell (their error is infinite), of residuals that the noise does not explain, and of a search
-        that did not converge.
+        record does not tell (their error is infinite), of numbers at their bounds, of residuals that are not white,
+        with what may be wrong, and of a search that did not converge.
 
     Raises:
         ValueError: For arguments outside these bounds, for names that fit no number, for measurements that are all the
