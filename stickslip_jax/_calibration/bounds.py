@@ -88,7 +88,7 @@ def _bounds_of(
 
         inside = at.x[which]
         for doubling in range(_DOUBLINGS + int(np.log2(_FARTHEST_FIRST / first))):
-            to = float(np.clip(at.x[which] + direction * 2.0**doubling * first, *ends))
+            to = float(np.clip(at.x[which] + direction * 2.0**doubling * first, ends[0], ends[1]))
             if to == inside:  # the number's own bound is allowed
                 return None
             if beyond(to) > 0:

@@ -49,7 +49,7 @@ def result_of(
     told = information_of(own, number)
     joint = information_of(own, number + size) if with_start else told
     numbers = transform.numbers(fit.point.x)
-    slope = linalg.block_diag(transform.slopes(numbers), np.eye(size * with_start))
+    slope = np.asarray(linalg.block_diag(transform.slopes(numbers), np.eye(size * with_start)))
     states_searched = 0 if is_one and not with_start else fit.point.s.size
     freedom = int(record.counts.sum()) - number - states_searched + told.lost
     known = {channel.name: bool(np.isfinite(one)) for channel, one in zip(record.channels, record.noise, strict=True)}

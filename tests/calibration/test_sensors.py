@@ -20,7 +20,7 @@ def motion():
 
 def shown(motion, clock=0.0, number=0, delay=0.0, offset=0.0, seed=0):
     """Times by a late clock, and a coordinate by a late sensor whose zero is elsewhere, with noise."""
-    times = TIMES[TIMES >= clock + delay]
+    times = TIMES[clock + delay <= TIMES]
     clean = np.asarray(motion.evaluate(times - clock - delay)[number])
     return times, clean + offset + NOISE * np.random.default_rng(seed).normal(size=len(times))
 
