@@ -129,13 +129,20 @@ class Record(NamedTuple):
 KNOWN = Band(4e11, 1.5e11, 1e4, 1.5e4, -1e-3, 0.8, 0.3, 3e-3, 500.0)
 
 
-def made(frequency, amplitude, key):
-    """A record of the law that is known, with noise of 2 % of the largest force."""
+class Turning(Band):
+    """The same law up to 0.08 m/s; at higher speeds the limits rise again, half as steeply as they fell."""
+
+    def _moved(self, u, q, step, speed):
+        return super()._moved(u, q, step, jnp.minimum(speed, 0.08 - 0.5 * (speed - 0.08)))
+
+
+def made(frequency, amplitude, key, law=KNOWN):
+    """A record of a law that is known, with noise of 2 % of the largest force."""
     duration = max(1.5, min(4.0, SAMPLES / 250)) / frequency
     times = np.arange(0, duration, 1 / 256)
     grows = np.minimum(1, frequency * times)
     record = Record.of(times, amplitude * grows * np.sin(2 * np.pi * frequency * times), np.zeros_like(times))
-    force = np.asarray(KNOWN.force(record))
+    force = np.asarray(law.force(record))
     return record._replace(
         force=force + 0.02 * np.max(np.abs(force)) * np.random.default_rng(key).normal(size=len(times))
     )
@@ -147,7 +154,10 @@ if GIVEN:
     further = {path.stem: Record.from_file(path) for path in GIVEN[1:]}
 else:
     records = {f"{f:g} Hz, {1e3 * a:g} mm": made(f, a, key) for key, (f, a) in enumerate([(0.5, 0.025), (1.0, 0.012)])}
-    further = {"2 Hz, 12 mm": made(2.0, 0.012, 7)}
+    further = {
+        "2 Hz, 12 mm": made(2.0, 0.012, 7),
+        "2 Hz, 25 mm, turning": made(2.0, 0.025, 8, Turning(*vars(KNOWN).values())),
+    }
 print(f"{len(records)} records of {', '.join(str(len(one.times)) for one in records.values())} points")
 
 # %% [markdown]
@@ -217,15 +227,19 @@ def slopes(values, records):
     return jax.jacfwd(residuals)(values, records)
 
 
+def robust_and_white(values, listed):
+    """The covariance of the fitted numbers by half cycles, and for white residuals."""
+    matrix, left = np.asarray(slopes(values, listed)), np.asarray(residuals(values, listed))
+    parts = [half_cycles(one) for one in listed]
+    offsets = np.cumsum([0] + [part[-1] + 1 for part in parts[:-1]])
+    halves = np.concatenate([part + offset for part, offset in zip(parts, offsets, strict=True)])
+    scores = np.stack([matrix[halves == half].T @ left[halves == half] for half in np.unique(halves)])
+    inverse = np.linalg.inv(matrix.T @ matrix)
+    return inverse @ scores.T @ scores @ inverse, inverse * (left @ left) / (len(left) - len(values))
+
+
 listed = list(records.values())
-matrix, left = np.asarray(slopes(values, listed)), np.asarray(residuals(values, listed))
-parts = [half_cycles(one) for one in listed]
-offsets = np.cumsum([0] + [part[-1] + 1 for part in parts[:-1]])
-halves = np.concatenate([part + offset for part, offset in zip(parts, offsets, strict=True)])
-scores = np.stack([matrix[halves == half].T @ left[halves == half] for half in np.unique(halves)])
-inverse = np.linalg.inv(matrix.T @ matrix)
-robust = np.sqrt(np.diag(inverse @ scores.T @ scores @ inverse))
-white = np.sqrt(np.diag(inverse) * (left @ left) / (len(left) - len(values)))
+robust, white = (np.sqrt(np.diag(one)) for one in robust_and_white(values, listed))
 band = band_of(values)
 UNITS = ("N/m^3", "N/m^3", "N", "N", "m", "s/m", "", "m", "kg")
 for (name, value), unit, error, naive in zip(vars(band).items(), UNITS, robust, white, strict=True):
@@ -238,15 +252,79 @@ for (name, value), unit, error, naive in zip(vars(band).items(), UNITS, robust, 
 # ## Prediction
 #
 # Each record is predicted by a fit to the others, and further records by the fit to all. That is what to expect of a
-# record that nobody has seen.
+# record that nobody has seen, as long as it is like those of the fit. A law says nothing of speeds and slip paths that
+# the fit did not see: standard errors of its numbers are those of a right law. So each half cycle is asked how far its
+# largest speed and its path are outside the range of those in the fit, as the logarithm of a factor, 0 inside.
+#
+# The band of 95 % around a prediction holds the error of the numbers, what the fit leaves, and, at speeds beyond those
+# of the fit, how much the law changes from the fastest of these on: it may change as it is said to, or not, or the other
+# way. All this is multiplied by a factor that grows with the distance. Predictions of left-out records say how large it
+# is inside, and how fast it grows outside; at least so that a factor of e outside doubles the band, where they say less
+# or nothing.
 
 # %%
-if len(records) > 2:
-    for name, one in records.items():
-        others = [other for other in listed if other is not one]
-        print(f"{name}: error {errors(fitted(others), [one])[0]:.3f} when predicted from the others")
-for name, one in further.items():
+LEVEL, NORMAL = 0.95, 1.96
+
+
+def sizes(record):
+    """The logarithms of the largest speed and of the path of the half cycle of each point, (points, 2)."""
+    which, speed = half_cycles(record), np.abs(np.gradient(record.position, record.times))
+    whole = [which == half for half in range(which[-1] + 1)]
+    largest = np.array([(speed[own].max(), np.ptp(record.position[own])) for own in whole])
+    return np.log(np.maximum(largest, 1e-12))[which]
+
+
+def outside(record, seen):
+    """How far each point's half cycle is outside of the range of those in the records `seen`, (points, 2)."""
+    known = np.concatenate([sizes(one) for one in seen])
+    low, high = np.quantile(known, 0.02, axis=0), known.max(axis=0)  # the rig at rest is no half cycle
+    return np.maximum(0, np.maximum(sizes(record) - high, low - sizes(record)))
+
+
+def prediction(values, seen, record):
+    """The force along a record by a fit to the records `seen`, and its standard error, (points,)."""
+    force = lambda values: band_of(values).force(record)  # noqa: E731
+    slope, level = np.asarray(jax.jacfwd(force)(values)), np.asarray(force(values))
+    left = np.sqrt(np.mean(np.square(errors(values, seen)))) * np.sqrt(np.mean(level**2))
+    covariance = robust_and_white(values, seen)[0]
+    fastest = max(np.max(one.speeds) for one in seen)
+    held = np.asarray(band_of(values).force(record._replace(speeds=np.minimum(record.speeds, fastest))))
+    return level, np.sqrt(np.einsum("ij,jk,ik->i", slope, covariance, slope) + left**2 + (level - held) ** 2)
+
+
+missed, distance = [], []
+for name, one in records.items():
+    others = [other for other in listed if other is not one]
+    found = fitted(others)
+    level, error = prediction(found, others, one)
+    missed.append(np.abs(one.force - level) / error)
+    distance.append(outside(one, others).max(axis=1))
+    print(f"{name}: error {errors(found, [one])[0]:.3f} when predicted from the others")
+missed, distance = np.concatenate(missed), np.concatenate(distance)
+inside = distance == 0
+factor = max(NORMAL, np.quantile(missed[inside], LEVEL) if np.any(inside) else 0)
+needed = (missed[~inside] / factor - 1) / distance[~inside]
+growth = max(1.0, np.quantile(needed, LEVEL) if len(needed) else 0)
+print(f"band: {factor:.2f} standard errors inside, {growth:.2f} times more for a factor of e outside")
+
+
+def about(name, one):
+    """How far a record is outside, and how much of it the band holds, with and without its growth."""
+    level, error = prediction(values, listed, one)
+    far = outside(one, listed)
+    wide = factor * (1 + growth * far.max(axis=1)) * error
+    inner = np.sqrt(np.mean(np.square(errors(values, listed))) * np.mean(level**2))  # of a record like those of the fit
+    off = np.abs(one.force - level)
     print(f"{name}: error {errors(values, [one])[0]:.3f} of the force, predicted with the fitted numbers")
+    share, (speed, path) = np.mean(far.max(axis=1) > 0), np.exp(far.max(axis=0))
+    print(
+        f"  {share:.0%} of it outside the range of the fit, up to {speed:.1f} times in speed, {path:.1f} in slip path"
+    )
+    print(f"  the band of 95 % holds {np.mean(off < wide):.0%} of it (unwidened {np.mean(off < factor * inner):.0%})")
+    return wide
+
+
+bands = {name: about(name, one) for name, one in further.items()}
 
 # %% [markdown]
 # ## Figures
@@ -263,6 +341,9 @@ for column, (name, one) in zip(axes.T, shown.items(), strict=True):
     column[0].set(xlabel="displacement (mm)", ylabel="force (kN)")
     column[0].set_title(name + (", predicted" if name in further else ""), fontsize=9)
     column[1].plot(one.times, 1e-3 * (one.force - predicted), lw=0.6)
+    if name in bands:
+        column[1].fill_between(one.times, -1e-3 * bands[name], 1e-3 * bands[name], color="0.85", label="band of 95 %")
+        column[1].legend(fontsize=8, loc="upper left")
     column[1].set(xlabel="time (s)", ylabel="measured less law (kN)")
 axes[0, 0].legend(fontsize=8, loc="upper left")
 plt.show()

@@ -1,15 +1,25 @@
-"""Bounds of numbers on which the fitted motion does not depend, by the profile of the likelihood."""
+"""Bounds of numbers on which the fitted motion does not depend, or that are near their own bound, by the profile of the
+likelihood.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
 from .fit import Free, Point, Problem, chi_squared
+from .information import Information
 
 LEVEL = 0.95
-_DOUBLINGS = 6  # of the step in the logarithm: a factor of 65,000 in the end
-_HALVINGS = 14
+_FARTHEST_FIRST = np.log(2) / 2  # first step in the coordinate, at most
+_DOUBLINGS = 6  # of the step: a factor of 4,000,000,000 of a number that is searched by its logarithm
+_RESOLUTION = 1e-4  # of the first step
+_NO_MOTION = 1e3  # in place of infinity
+
+
+SHARE = 0.05  # of a direction, below which a number has no part in it
+_NEAR = 3.0  # standard errors from a bound: farther away the estimate is normal
+_AS_NORMAL = 5.0  # times its largest distance that a number can go, up to which its standard error is believed
 
 
 class Bounds(NamedTuple):
@@ -19,42 +29,75 @@ class Bounds(NamedTuple):
     high: float | None
 
 
-def bounds_of(problem: Problem, sigma: np.ndarray, at: Point, free: Free, which: int) -> Bounds:
-    """How far the number `which` can go down and up until the record contradicts it, all others fitted again.
+def all_bounds(
+    problem: Problem, sigma: np.ndarray, at: Point, free: Free, told: Information, freedom: float
+) -> tuple[dict[int, Bounds], np.ndarray]:
+    """The bounds by the record of the numbers, by place, that it does not tell, each by itself, and of those near a
+    bound that they may have; and which numbers the record tells, (parameters,).
 
-    One-sided: chi-squared has then grown by the 90 % quantile of one degree of freedom.
+    Near its bound a number need not be known to 30 % to be told: the record only has to say how far away it can be.
+    """
+    transform, is_told = problem.model.transform, ~told.untold
+    errors = np.sqrt(np.diag(told.covariance))
+    slopes, own = np.diag(transform.slopes(transform.numbers(at.x))), transform.own(at.x)
+    from_low, from_high = (
+        np.where(np.isfinite(end), np.abs(own - np.asarray(bound)), np.inf)
+        for end, bound in zip(transform.box, (transform.low, transform.high), strict=True)
+    )
+    is_near = np.minimum(from_low, from_high) < _NEAR * slopes * errors
+    is_tied = np.any(np.abs(told.tied) > SHARE, axis=0)
+    bounds = {}
+    for i in np.flatnonzero((told.untold | is_near) & ~is_tied):
+        bounds[int(i)] = _bounds_of(problem, sigma, at, free, int(i), errors[i], freedom)
+        end = bounds[int(i)][int(from_low[i] <= from_high[i])]
+        if is_near[i] and end is not None:
+            is_told[i] = slopes[i] * errors[i] < _AS_NORMAL * abs(end - own[i])
+    return bounds, is_told
+
+
+def _bounds_of(
+    problem: Problem, sigma: np.ndarray, at: Point, free: Free, which: int, error: float, freedom: float
+) -> Bounds:
+    """How far the number `which`, or how much it is above the one it is counted from, can go down and up until the
+    record contradicts it, all others fitted again.
+
+    One-sided: chi-squared has then grown by the square of the 95 % quantile of Student's t with `freedom` degrees of
+    freedom, infinite where the noise is known. `error`: about the standard error of the coordinate.
     """
     others = Free(free.x & (np.arange(len(free.x)) != which), free.s)
     least = chi_squared(problem.search(sigma, at, others).seen.over(sigma))
-    limit = least + float(stats.chi2.ppf(2 * LEVEL - 1, 1))
-
-    def moved(to: float, start: Point) -> tuple[bool, Point]:
-        x = start.x.copy()
-        x[which] = to
-        try:
-            fit = problem.search(sigma, Point(x, start.s), others)
-        except ValueError:  # no motion there reaches the end of its window
-            return False, start
-        return chi_squared(fit.seen.over(sigma)) <= limit, fit.point
+    limit = float(stats.t.ppf(LEVEL, freedom))
+    first = min(2 * error, _FARTHEST_FIRST)
+    ends = [float(end[which]) for end in problem.model.transform.box]
 
     def edge(direction: float) -> float | None:
-        inside, point, far = at.x[which], at, None
-        for doubling in range(_DOUBLINGS):
-            to = at.x[which] + direction * 2.0**doubling * np.log(2) / 2
-            allowed, reached = moved(to, point)
-            if not allowed:
-                far = to
+        point = at
+
+        def beyond(to: float) -> float:
+            """How far the root of what chi-squared has grown by is beyond the limit."""
+            nonlocal point
+            x = point.x.copy()
+            x[which] = to
+            try:
+                fit = problem.search(sigma, Point(x, point.s), others)
+            except ValueError:  # no motion there reaches the end of its window
+                return _NO_MOTION
+            over = np.sqrt(max(chi_squared(fit.seen.over(sigma)) - least, 0)) - limit
+            point = fit.point if over <= 0 else point
+            return float(over) if np.isfinite(over) else _NO_MOTION
+
+        inside = at.x[which]
+        for doubling in range(_DOUBLINGS + int(np.log2(_FARTHEST_FIRST / first))):
+            to = float(np.clip(at.x[which] + direction * 2.0**doubling * first, ends[0], ends[1]))
+            if to == inside:  # the number's own bound is allowed
+                return None
+            if beyond(to) > 0:
                 break
-            inside, point = to, reached
-        if far is None:
+            inside = to
+        else:
             return None
-        for _ in range(_HALVINGS):
-            middle = (inside + far) / 2
-            allowed, reached = moved(middle, point)
-            inside, far = (middle, far) if allowed else (inside, middle)
-            point = reached if allowed else point
         x = at.x.copy()
-        x[which] = inside
-        return float(problem.model.transform.numbers(x)[which])
+        x[which] = optimize.brentq(beyond, inside, to, xtol=_RESOLUTION * first)
+        return float(problem.model.transform.own(x)[which])
 
     return Bounds(edge(-1.0), edge(1.0))

@@ -9,22 +9,24 @@ import numpy.typing as npt
 from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.common.time_scales import slowest_time
+from .._dynamics.common.validation import Arguments
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
 from .._systems.system import System
 from .._types import InitialState
-from .._uncertainty.numbers import parameters_of
+from .._uncertainty.numbers import Parameter, Path, parameters_of
 from .asked import asked
-from .problem import Setting
-from .record import Observer
+from .problem import Sensor, Setting
+from .record import Observer, Record
 from .report import result_of
 from .result import Calibration
 from .search import Found, Search, as_one, fitted
-from .transform import transform_of
+from .transform import Transform, transform_of
 
 _PERIODS = 2.0  # of the slowest known time scale, in a window
 _FEWEST = 12  # measurements in a window
 _MOST_WINDOWS = 128
+_DELAYED, _DELAYED_TIME = 0.05, 0.25  # of the record, and of the slowest known time scale: the longest delay searched
 
 
 def calibrate(
@@ -58,8 +60,11 @@ def calibrate(
             `observe`. Accelerations and friction forces jump where a stick begins or a slip reverses, and the search
             does not see how a jump moves past a measurement: set those next to jumps to NaN, and measure positions too.
         wrt: The names of the numbers to be estimated, as for `sensitivity`: those of fields of the system or the base,
-            such as "mu" or "friction.forward.mu". They stay inside the bounds of these fields,
-            positive ones since they are searched by their logarithms.
+            such as "mu" or "friction.forward.mu". They stay inside the bounds of these fields: positive ones are
+            searched by their logarithms, those that may be zero are found there, and `mu_static` is never below `mu`.
+            Of the sensors too: "clock.delay" (s) of the whole record, "position.delay" (s) and "position.offset" of a
+            channel, which shows what it measures so much later, and so much more. Of the record so much is left out
+            at both ends as a delay may be long: 5 % of it, or a quarter of the slowest known time scale.
         noise: The standard deviation of the noise of each channel, in its unit; of those left out it is estimated.
         y0: The state at t = 0, where it is known; it is estimated otherwise (None).
         windows: How many. By default as many as have two periods of the system's slowest known time scale, and then
@@ -70,8 +75,8 @@ def calibrate(
 
     Returns:
         The estimates, with their errors; print it. Warns (RuntimeWarning) with each of its remarks: of numbers that the
-        record does not tell (their error is infinite), of residuals that the noise does not explain, and of a search
-        that did not converge.
+        record does not tell (their error is infinite), of numbers at their bounds, of residuals that are not white,
+        with what may be wrong, and of a search that did not converge.
 
     Raises:
         ValueError: For arguments outside these bounds, for names that fit no number, for measurements that are all the
@@ -102,7 +107,7 @@ def calibrate(
         whole = as_one(search, found)
         given_up = None if isinstance(whole, Found) else whole
         found = whole if isinstance(whole, Found) else found
-    done = result_of(search.record, search.arguments, search.parameters, found, search.y0 is None, given_up)
+    done = result_of(search.record, search.arguments, search.parameters, found, search.y0, given_up)
     for remark in done.remarks:
         warnings.warn(remark, RuntimeWarning, stacklevel=2)
     return done
@@ -120,15 +125,67 @@ def _checked(
     method: Exact | Regularized,
 ) -> Search:
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
-    setting = Setting(arguments.system, arguments.base)
-    parameters = parameters_of(setting._asdict(), wrt)
+    setting, parameters = _setting_and_parameters(arguments, record, wrt)
+    transform = transform_of(setting, parameters)
+    if setting.sensors:
+        record, transform = _with_sensors(record, arguments, parameters, transform)
     for channel, row, sigma in zip(record.channels, record.values, record.noise, strict=True):
         if np.isnan(sigma) and not np.nanmax(row, initial=-np.inf) > np.nanmin(row, initial=np.inf):
             raise ValueError(
                 f"Argument noise must give the standard deviation of {channel.name!r}, whose measurements are all the "
                 f'same, so that it cannot be estimated: noise={{"{channel.name}": ...}}.'
             )
-    return Search(record, arguments, parameters, transform_of(setting, parameters), None if y0 is None else start)
+    return Search(record, arguments, parameters, transform, None if y0 is None else start, setting)
+
+
+def _setting_and_parameters(arguments: Arguments, record: Record, wrt: object) -> tuple[Setting, tuple[Parameter, ...]]:
+    """Where the numbers stand, and those named by `wrt`: of system and base, and offsets and delays."""
+    own: dict[str, Path] = {"clock.delay": ("clock", "delay")}
+    for i, channel in enumerate(record.channels):
+        own |= {f"{channel.name}.{kind}": ("sensors", i, kind) for kind in ("delay", "offset")}
+    where = {"system": arguments.system, "base": arguments.base}
+    names = (wrt,) if isinstance(wrt, str) else wrt
+    if not isinstance(names, (tuple, list)) or not any(name in own for name in names if isinstance(name, str)):
+        return Setting(arguments.system, arguments.base), parameters_of(where, wrt)
+    others = tuple(name for name in names if name not in own)
+    if len(set(names)) < len(names):
+        raise _checks.refused("wrt", "be a parameter's name or several different ones", wrt)
+    known = {one.name: one for one in parameters_of(where, others)} if others else {}
+    parameters = tuple(known.get(name) or Parameter(name, own[name], 0.0) for name in names)
+    sensors = tuple(Sensor() for _ in record.channels)
+    return Setting(arguments.system, arguments.base, sensors=sensors), parameters
+
+
+def _with_sensors(
+    record: Record, arguments: Arguments, parameters: tuple[Parameter, ...], transform: Transform
+) -> tuple[Record, Transform]:
+    """The record, less what is too near to its ends for delays to be searched, and offsets and delays in their units.
+
+    Raises ValueError where too little is left.
+    """
+    spread = np.nanstd(record.values, axis=1)
+    low, high, closed, scale = (np.array(one) for one in transform[1:5])
+    slowest = slowest_time(arguments.system, arguments.base)
+    longest = min(_DELAYED * float(np.ptp(record.times)), _DELAYED_TIME * slowest)
+    for i, parameter in enumerate(parameters):
+        if parameter.path[-1] == "offset" and parameter.path[0] == "sensors":
+            scale[i] = spread[parameter.path[1]] or 1.0  # pyright: ignore[reportArgumentType, reportCallIssue]
+        elif parameter.path[0] in ("clock", "sensors"):
+            low[i], high[i], closed[i], scale[i] = -longest, longest, 1.0, 2 * longest
+    delays = [parameter.path[0] for parameter in parameters if parameter.path[-1] == "delay"]
+    if delays and {"clock", "sensors"} <= set(delays) and delays.count("sensors") == len(record.channels):
+        raise ValueError(
+            'Argument wrt must leave one channel without a delay of its own if "clock.delay" is searched, which delays '
+            "all of them."
+        )
+    kinds = sum(kind in delays for kind in ("clock", "sensors"))
+    record = record._replace(reach=kinds * longest * (1 + 1e-9))
+    if kinds and record.counts.sum() < 3:
+        raise ValueError(
+            f"Argument times must hold measurements more than {record.reach:.3g} s away from the ends of the record if "
+            "delays are searched, which need the motion before and after a measurement, but it holds fewer than three."
+        )
+    return record, transform._replace(low=low, high=high, closed=closed, scale=scale)
 
 
 def _usual_windows(search: Search) -> int:

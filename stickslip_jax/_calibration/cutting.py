@@ -39,8 +39,9 @@ def cuts_of(record: Record, setting: Setting, solver: Any, number: int) -> Cuts:
     # What begins in a gap begins at the first measurement after it.
     candidates = np.vstack([np.zeros((1, _CANDIDATES), int), places])
     flat = candidates.ravel()
-    states = np.stack([start_guess(record, setting.system, float(times[place]), _SPAN * width) for place in flat])
-    speeds = np.asarray(slip_speeds(setting, solver, jnp.asarray(times[flat]), jnp.asarray(states)))
+    begins = record.begin(flat)
+    states = np.stack([start_guess(record, setting.system, float(at), _SPAN * width) for at in begins])
+    speeds = np.asarray(slip_speeds(setting, solver, jnp.asarray(begins), jnp.asarray(states)))
     contacts = speeds.reshape(len(flat), -1)
     usual = np.sqrt(np.mean(np.where(np.isfinite(contacts), contacts, 1.0) ** 2, axis=0)) + np.finfo(float).tiny
     relative = contacts / usual

@@ -18,6 +18,7 @@ from .record import Windows
 _MOST_EVALUATIONS = 300
 _TOLERANCE = 1e-9  # relative, of chi-squared and of the numbers
 _LARGEST_DENSE = 1 << 22  # entries of the matrix of derivatives
+_NEAR_BOUND = 0.3  # in coordinates: whether the record rather has the number at the bound itself is tried
 LOOSE = 0.1
 """Weight of the distance from the first guess among the standardised residuals: a number that the record does not tell
 stays there. One with a standard error of 1 % moves by less than a thousandth of that for it."""
@@ -97,11 +98,28 @@ class Problem(NamedTuple):
 
         if not len(begin):
             return Fit(start, self.seen(start), True)
+        box = self.model.transform.box
+        low, high = (
+            np.pad(1 + end[free.x], (0, len(begin) - number), constant_values=beyond)
+            for end, beyond in zip(box, (-np.inf, np.inf), strict=True)
+        )
         options: dict[str, Any] = {"jac": jacobian, "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS}
         tolerances: dict[str, Any] = {"ftol": _TOLERANCE, "xtol": _TOLERANCE, "gtol": None}
-        found = optimize.least_squares(residuals, begin, **options, **tolerances)
-        point = _point(found.x, start, free)
-        return Fit(point, self.seen(point), found.status > 0)
+        found = optimize.least_squares(residuals, begin, bounds=(low, high), **options, **tolerances)
+        fit = self._at(_point(found.x, start, free), found.status > 0)
+        # SciPy comes as near to a bound as its tolerance asks, and never there; to some only slowly, as to static
+        # friction as large as kinetic one, where nothing depends on the difference to first order.
+        x = fit.point.x
+        nearest = np.where(x - box[0] < box[1] - x, *box)
+        ends = np.where(free.x & (np.abs(x - nearest) < _NEAR_BOUND), nearest, x)
+        if np.array_equal(ends, x):
+            return fit
+        there = self._at(fit.point._replace(x=ends), fit.converged)
+        most = chi_squared(fit.seen.over(sigma)) * (1 + _TOLERANCE)
+        return there if chi_squared(there.seen.over(sigma)) <= most else fit
+
+    def _at(self, point: Point, converged: bool) -> Fit:
+        return Fit(point, self.seen(point), converged)
 
 
 def matrix_of(seen: Seen, free: Free) -> np.ndarray | sparse.coo_matrix:

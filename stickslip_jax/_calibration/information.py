@@ -34,14 +34,7 @@ def information_of(seen: Seen, number: int) -> Information:
     The other ones, the states at the windows' starts, are taken out: each window's derivatives are projected on what
     its own state cannot explain. All numbers are loosely held where they are, as in the search.
     """
-    windows = len(seen.slopes)
-    slopes = seen.slopes.reshape(windows, -1, seen.slopes.shape[-1])
-    of_numbers, lost = np.empty((*slopes.shape[:2], number)), 0
-    for window, both in enumerate(slopes):
-        own = _orthonormal(both[:, number:])
-        lost += both.shape[1] - number - own.shape[1]
-        of_numbers[window] = both[:, :number] - own @ (own.T @ both[:, :number])
-    matrix = of_numbers.reshape(-1, number)
+    matrix, lost = without_states(seen.slopes, number)
     inverse = np.linalg.inv(matrix.T @ matrix + LOOSE**2 * np.eye(number))
     variances, directions = np.linalg.eigh(inverse)
     untold, loose = np.diag(inverse) > _UNTOLD**2, directions.T[variances > _UNTOLD**2]
@@ -51,6 +44,19 @@ def information_of(seen: Seen, number: int) -> Information:
     return Information(inverse, inverse @ scores @ inverse, untold, tied[~alone], lost + len(loose))
 
 
+def without_states(slopes: np.ndarray, number: int) -> tuple[np.ndarray, int]:
+    """The part of the first `number` columns that the others, states at starts, cannot explain in their own window,
+    (residuals, number), and how many of the others nothing depends on. `slopes` (windows, channels, times, columns).
+    """
+    columns = slopes.reshape(len(slopes), -1, slopes.shape[-1])
+    of_numbers, lost = np.empty((*columns.shape[:2], number)), 0
+    for window, both in enumerate(columns):
+        own = orthonormal(both[:, number:])
+        lost += both.shape[1] - number - own.shape[1]
+        of_numbers[window] = both[:, :number] - own @ (own.T @ both[:, :number])
+    return of_numbers.reshape(-1, number), lost
+
+
 def _scores(matrix: np.ndarray, residuals: np.ndarray) -> np.ndarray:
     """The covariance of the gradient, from its parts by blocks of the record that are taken as independent."""
     blocks = min(_BLOCKS, max(len(residuals) // 10, 2))
@@ -58,7 +64,7 @@ def _scores(matrix: np.ndarray, residuals: np.ndarray) -> np.ndarray:
     return parts.T @ parts * blocks / max(blocks - 1, 1)
 
 
-def _orthonormal(columns: np.ndarray) -> np.ndarray:
+def orthonormal(columns: np.ndarray) -> np.ndarray:
     """An orthonormal basis of what the columns span, (residuals, rank)."""
     size = np.linalg.norm(columns, axis=0)
     columns = columns[:, size > _NO_INFLUENCE] / size[size > _NO_INFLUENCE]

@@ -210,7 +210,7 @@ def log_likelihood(
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
     setting, method = Setting(arguments.system, arguments.base), arguments.method
     state = tuple(start.tolist())
-    parameters = parameters_of({**setting._asdict(), "y0": state}, wrt)
+    parameters = parameters_of({"system": setting.system, "base": setting.base, "y0": state}, wrt)
     dtype = working_dtype()
     windows = record.cut(np.zeros(1, int), 0.0)
     of_setting = [parameter for parameter in parameters if parameter.path[0] != "y0"]

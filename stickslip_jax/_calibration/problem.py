@@ -1,6 +1,6 @@
 """What is fitted: numbers of a system and its base, and the states in which windows of the record begin."""
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,12 +14,12 @@ from .._dynamics.switched.run import run_trajectory
 from .._excitation.excitation import BaseMotion, excitation_of
 from .._excitation.merged import merged
 from .._excitation.segments import first_segment, segment_at
-from .._fields import modules_in
+from .._fields import Quantity, modules_in
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.friction import FrictionLaw
 from .._systems.system import System
-from .._types import Array, BoolArray, FloatArray
+from .._types import Array, BoolArray, FloatArray, Scalar
 from .._uncertainty.numbers import Path, with_numbers
 from .record import Observer, Windows
 from .transform import Transform
@@ -27,11 +27,22 @@ from .transform import Transform
 _ROUND_OFF = 1e-12  # relative, of static friction below kinetic
 
 
+class Sensor(eqx.Module):
+    """What a channel shows: what it measures, a time `delay` ago, and a constant `offset` more."""
+
+    delay: Annotated[Scalar, Quantity("s")] = 0.0
+    offset: Annotated[Scalar, Quantity()] = 0.0
+
+
 class Setting(NamedTuple):
-    """Where the numbers to be estimated stand."""
+    """Where the numbers to be estimated stand. `clock`: a delay of the whole record; `sensors`: of the channels, or
+    none if all are as they should be.
+    """
 
     system: System
     base: BaseMotion
+    clock: Sensor = Sensor()
+    sensors: tuple[Sensor, ...] = ()
 
 
 def static_holds(setting: Setting) -> BoolArray:
@@ -61,13 +72,13 @@ class Model(eqx.Module):
     steps: int = eqx.field(static=True)
 
     def setting_at(self, numbers: FloatArray) -> Setting:
-        """System and base with other numbers, (parameters,)."""
+        """System, base and sensors with other numbers, (parameters,)."""
         return with_numbers(self.setting, self.paths, numbers)
 
-    def motion(self, numbers: FloatArray, y: FloatArray, resting: BoolArray | None, window: Windows) -> Simulation:
+    def motion(self, setting: Setting, y: FloatArray, resting: BoolArray | None, window: Windows) -> Simulation:
         """The motion in a window from the state `y` (coordinates,)."""
         begin, end = jnp.asarray(window.begins), jnp.asarray(window.ends)
-        system, base = self.setting_at(numbers)
+        system, base, *_ = setting
         if isinstance(self.method, Regularized):
             return simulate(system, base, t1=end, y0=tuple(y), method=self.method)
         excitation, step = Arguments(system, merged(base, end), self.method, end).checked_step()
@@ -84,8 +95,14 @@ class Model(eqx.Module):
         """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end, and for
         static friction below kinetic friction.
         """
-        one = self.motion(self.transform.numbers(x), origin + s, resting, window)
-        seen = jnp.stack([observe(one, jnp.asarray(window.times)) for observe in self.observers])
+        setting, times = self.setting_at(self.transform.numbers(x)), jnp.asarray(window.times)
+        one = self.motion(setting, origin + s, resting, window)
+        if setting.sensors:
+            shown = zip(self.observers, setting.sensors, strict=True)
+            late = times - setting.clock.delay
+            seen = jnp.stack([observe(one, late - sensor.delay) + sensor.offset for observe, sensor in shown])
+        else:
+            seen = jnp.stack([observe(one, times) for observe in self.observers])
         return jnp.where(static_holds(Setting(one.system, one.base)), seen, jnp.nan)
 
 
@@ -134,7 +151,7 @@ def slip_speeds(setting: Setting, solver: Any, times: FloatArray, states: FloatA
     """The sizes of the relative velocities of contacts in `states` (times, coordinates) at `times` (s), (times, modes)
     or (times,); infinite for modes that are no contacts.
     """
-    system, base = setting
+    system, base, *_ = setting
     excitation, dtype = excitation_of(merged(base, times[-1])), states.dtype
     laws = SegmentLaws.of(system, excitation)
     model = system.switched_model(excitation.signal, solver)

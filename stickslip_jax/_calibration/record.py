@@ -31,13 +31,16 @@ class Channel(NamedTuple):
 class Record(NamedTuple):
     """Measurements: `times` (s, (times,)), `channels`, and `values` (channels, times), NaN where nothing was measured.
 
-    `noise`: the standard deviation of each channel's noise, (channels,), NaN where it is not known.
+    `noise`: the standard deviation of each channel's noise, (channels,), NaN where it is not known. `reach`: how far
+    (s) what is measured may be from where the motion is that it shows, with delays that are searched; so much of the
+    record is left out at both of its ends.
     """
 
     times: np.ndarray
     channels: tuple[Channel, ...]
     values: np.ndarray
     noise: np.ndarray
+    reach: float = 0.0
 
     @classmethod
     def of(
@@ -75,9 +78,19 @@ class Record(NamedTuple):
         return cls(at[kept], channels, values[:, kept], known)
 
     @property
+    def is_used(self) -> np.ndarray:
+        """Which measurements there are that are compared, (channels, times)."""
+        at, reach = self.times, self.reach
+        return np.isfinite(self.values) & (at >= at[0] + reach) & (at <= at[-1] - reach)
+
+    @property
     def counts(self) -> np.ndarray:
         """The number of measurements of each channel, (channels,)."""
-        return np.count_nonzero(np.isfinite(self.values), axis=1)
+        return np.count_nonzero(self.is_used, axis=1)
+
+    def begin(self, place: AnyArray) -> AnyArray:
+        """Where the motion begins whose first measurement is at this place among the times, s."""
+        return np.maximum(self.times[place] - self.reach, self.times[0])
 
     def cut(self, firsts: np.ndarray, begin: float | None) -> "Windows":
         """The record in windows, each from one of `firsts` on, places among its times, the first of which is 0.
@@ -86,15 +99,16 @@ class Record(NamedTuple):
         """
         parts = np.split(np.arange(len(self.times)), firsts[1:])
         longest = padded_length(max(len(part) for part in parts))  # so that similar records share a compilation
-        starts = np.array([self.times[part[0]] for part in parts])
+        starts = np.array([self.begin(part[0]) for part in parts])
         if begin is not None:
             starts[0] = begin
         index = np.stack([np.pad(part, (0, longest - len(part)), mode="edge") for part in parts])
         is_own = np.arange(longest) < np.array([len(part) for part in parts])[:, None]
         values = np.moveaxis(self.values[:, index], 0, 1)
-        is_there = is_own[:, None, :] & np.isfinite(values)
+        is_there = is_own[:, None, :] & np.moveaxis(self.is_used[:, index], 0, 1)
         # A window of one point at its own start has no duration: it ends a little later.
-        ends = np.maximum(self.times[index[:, -1]], np.nextafter(starts, np.inf) + 1e-9 * (self.times[-1] - starts))
+        lasts = np.minimum(self.times[index[:, -1]] + self.reach, self.times[-1])
+        ends = np.maximum(lasts, np.nextafter(starts, np.inf) + 1e-9 * (self.times[-1] - starts))
         return Windows(starts, ends, self.times[index], np.where(is_there, values, 0), is_there)
 
 

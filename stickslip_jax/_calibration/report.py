@@ -3,22 +3,23 @@
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import linalg, stats
 
 from .._dynamics.common.validation import Arguments
 from .._statistics.estimate import correlated_estimates
 from .._systems.units import unit_at
 from .._uncertainty.numbers import Parameter, with_numbers
-from .bounds import Bounds, bounds_of
+from .bounds import SHARE, Bounds, all_bounds
 from .fit import chi_squared
-from .information import Information, information_of
+from .information import information_of
+from .misfit import explanations, other_units
 from .problem import Setting
 from .record import Record, Windows
 from .result import Calibration
 from .search import Found
+from .transform import Transform, covariance_of
 from .whiteness import whiteness
 
-_SHARE = 0.05  # of a direction, below which a number has no part in it
 _VAGUE = 3.0  # standard error of an initial state, in its unit, beyond which the record does not tell it
 _WITHOUT_NOISE = (
     1e-6  # of a channel's standard deviation: smaller residuals are what the search leaves, and never white
@@ -31,29 +32,37 @@ def result_of(
     arguments: Arguments,
     parameters: tuple[Parameter, ...],
     found: Found,
-    start_is_searched: bool,
+    start: np.ndarray | None,
     given_up: float | None,
 ) -> Calibration:
-    """The result of a fit. `given_up`: by how much chi-squared grew where one motion over the whole record failed."""
+    """The result of a fit.
+
+    `start`: the state at t = 0 if it is known. `given_up`: by how much chi-squared grew where one motion over the whole
+    record failed.
+    """
     problem, fit, _, sigma = found
     transform, seen = problem.model.transform, fit.seen.over(sigma)
     number, size = len(parameters), fit.point.s.shape[1]
     is_one = len(fit.point.s) == 1
-    with_start = is_one and start_is_searched
+    with_start = is_one and start is None
     own = _without_states(seen, number) if is_one and not with_start else seen
     told = information_of(own, number)
     joint = information_of(own, number + size) if with_start else told
     numbers = transform.numbers(fit.point.x)
-    slope = np.concatenate([transform.slopes(numbers), np.ones(size * with_start)])
-    is_told = np.concatenate([~told.untold, np.diag(joint.covariance)[number:] < _VAGUE**2])
-    covariance, by_blocks = (_scaled(matrix, slope, is_told) for matrix in (joint.covariance, joint.by_blocks))
+    slope = np.asarray(linalg.block_diag(transform.slopes(numbers), np.eye(size * with_start)))
     states_searched = 0 if is_one and not with_start else fit.point.s.size
     freedom = int(record.counts.sum()) - number - states_searched + told.lost
-    setting = Setting(arguments.system, arguments.base)
+    known = {channel.name: bool(np.isfinite(one)) for channel, one in zip(record.channels, record.noise, strict=True)}
+    found_bounds, is_told = all_bounds(
+        problem, sigma, fit.point, found.free, told, np.inf if all(known.values()) else float(max(freedom, 1))
+    )
+    is_told = np.concatenate([is_told, np.diag(joint.covariance)[number:] < _VAGUE**2])
+    covariance, by_blocks = (covariance_of(slope, matrix, is_told) for matrix in (joint.covariance, joint.by_blocks))
+    setting = Setting(arguments.system, arguments.base, sensors=problem.model.setting.sensors)
     states = np.asarray(problem.model.state_origin) + fit.point.s
     coordinates = arguments.system.coordinates
     names = [parameter.name for parameter in parameters] + [one.name for one in coordinates] * with_start
-    units = [unit_at(setting, one.path) for one in parameters] + [one.unit for one in coordinates] * with_start
+    units = [_unit(setting, record, one) for one in parameters] + [one.unit for one in coordinates] * with_start
     values = np.concatenate([numbers, states[0] * with_start if with_start else []])
     estimates = correlated_estimates(names, values, units, covariance, max(freedom, 1) + 1)
     windows = Windows(*map(np.asarray, problem.windows))
@@ -66,11 +75,15 @@ def result_of(
     noisy = {
         channel.name: tests[channel.name] for channel, is_so in zip(record.channels, has_noise, strict=True) if is_so
     }
-    alone = told.untold & ~np.any(np.abs(told.tied) > _SHARE, axis=0)
-    bounds = {names[i]: bounds_of(problem, sigma, fit.point, found.free, int(i)) for i in np.flatnonzero(alone)}
+    of_bounds = _names_of_bounds(names[:number], transform)
+    bounds = {of_bounds[i]: one for i, one in found_bounds.items()}
     total = chi_squared(seen)
-    system, base = with_numbers(setting, [one.path for one in parameters], [float(value) for value in numbers])
-    known = {channel.name: bool(np.isfinite(one)) for channel, one in zip(record.channels, record.noise, strict=True)}
+    system, base, *_ = with_numbers(setting, [one.path for one in parameters], [float(value) for value in numbers])
+    coloured = [name for name, test in noisy.items() if test.made and test.p_value < _SIGNIFICANCE]
+    wrong = []
+    if coloured:
+        wrong = explanations(record, windows, own, sigma, number)
+        wrong += other_units(record, arguments, start if start is not None else np.zeros(size))
     return Calibration(
         estimates=dict(zip(names[:number], estimates[:number], strict=True)),
         covariance=covariance[:number, :number],
@@ -94,8 +107,10 @@ def result_of(
         converged=fit.converged,
         remarks=(
             *(() if fit.converged else ("The search did not converge: do not use its numbers.",)),
-            *_about_numbers(names[:number], numbers, told, bounds, slope[:number]),
-            *_about_fit(total, freedom, all(known.values()), noisy, given_up, len(fit.point.s)),
+            *_about_colour(coloured, wrong),
+            *_about_bounds(of_bounds, transform, fit.point.x, found_bounds, is_told),
+            *_about_ties(names[:number], numbers, told.tied @ slope[:number, :number].T),
+            *_about_fit(total, freedom, all(known.values()), given_up, len(fit.point.s)),
         ),
     )
 
@@ -104,34 +119,41 @@ def _without_states(seen: Any, number: int) -> Any:
     return seen._replace(slopes=seen.slopes[..., :number])
 
 
-def _scaled(covariance: np.ndarray, slope: np.ndarray, is_told: np.ndarray) -> np.ndarray:
-    """The covariance of numbers from that of what is searched; variances that the record does not tell are infinite."""
-    scaled = np.where(is_told[:, None] & is_told, covariance * slope[:, None] * slope, np.nan)
-    np.fill_diagonal(scaled, np.where(is_told, np.diag(scaled), np.inf))
-    return scaled
+def _names_of_bounds(names: list[str], transform: Transform) -> list[str]:
+    """What the bounds of each number are of: it, or how much it is above the one from which it is counted."""
+    return [
+        name if not np.any(from_) else f"{name} - {names[int(np.argmax(from_))]}"
+        for name, from_ in zip(names, np.asarray(transform.added), strict=True)
+    ]
 
 
-def _about_numbers(
-    names: list[str],
-    numbers: np.ndarray,
-    told: Information,
-    bounds: dict[str, Bounds],
-    slope: np.ndarray,
+def _about_bounds(
+    names: list[str], transform: Transform, x: np.ndarray, bounds: dict[int, Bounds], is_told: np.ndarray
 ) -> list[str]:
-    """Sentences on numbers that the record does not tell."""
-    said = []
-    for name, (low, high) in bounds.items():
-        value = numbers[names.index(name)]
+    """Sentences on numbers that the record does not tell, and on those at their bounds."""
+    said, own = [], transform.own(x)
+    for i, (low, high) in bounds.items():
         ends = [f"{word} {one:.4g}" for word, one in (("at least", low), ("at most", high)) if one is not None]
         limit = f"it is {' and '.join(ends)} (95 % confidence each)" if ends else "it gives no bound either"
-        said.append(f"The motion hardly depends on {name} near {value:.4g}, so the record does not tell it: {limit}.")
-    for direction in told.tied:
-        change = direction * slope / np.where(numbers == 0, 1, numbers)
+        if not is_told[i]:
+            said.append(
+                f"The motion hardly depends on {names[i]} near {own[i]:.4g}, so the record does not tell it: {limit}."
+            )
+        elif any(x[i] == end[i] for end in transform.box):
+            said.append(f"{names[i]} is at its bound, {own[i]:.4g}, where its error is to one side only: {limit}.")
+    return said
+
+
+def _about_ties(names: list[str], numbers: np.ndarray, directions: np.ndarray) -> list[str]:
+    """Sentences on numbers that the record tells together only; directions (directions, parameters) of them."""
+    said = []
+    for direction in directions:
+        change = direction / np.where(numbers == 0, 1, numbers)
         if not np.any(np.abs(change) > 0):
             continue
         change = change / np.max(np.abs(change))
         parts = [f"{name} by {100 * share:+.0f} %" for name, share in zip(names, change, strict=True)
-                 if abs(share) > _SHARE]  # fmt: skip
+                 if abs(share) > SHARE]  # fmt: skip
         said.append(
             f"The record does not tell these apart: changing {', '.join(parts)} (in these ratios) leaves the motion "
             "as it is; fix one of them."
@@ -139,9 +161,7 @@ def _about_numbers(
     return said
 
 
-def _about_fit(
-    total: float, freedom: int, is_known: bool, tests: dict, given_up: float | None, windows: int
-) -> list[str]:
+def _about_fit(total: float, freedom: int, is_known: bool, given_up: float | None, windows: int) -> list[str]:
     """Sentences on the residuals, and on windows."""
     said = []
     if given_up is not None:
@@ -151,9 +171,25 @@ def _about_fit(
         )
     if is_known and freedom > 0 and stats.chi2.sf(total, freedom) < _SIGNIFICANCE:
         said.append("Chi-squared is larger than the given noise allows: the model lacks something, or noise is larger.")
-    if coloured := [name for name, test in tests.items() if test.made and test.p_value < _SIGNIFICANCE]:
-        said.append(
-            f"The residuals of {' and '.join(coloured)} are not white: rather use covariance_by_blocks, whose errors "
-            "do not rest on that."
-        )
     return said
+
+
+def _about_colour(channels: list[str], wrong: list[str]) -> list[str]:
+    """Sentences on residuals of `channels` that are not white; `wrong`: what may be the cause."""
+    if not channels:
+        return []
+    return [
+        f"The residuals of {' and '.join(channels)} are not white. First of all the model, a clock, a zero or a unit "
+        "may be wrong, and then so are the numbers, by more than any of the errors: see plot.calibration, and search "
+        '"clock.delay" or a channel\'s ".delay" or ".offset". Only if the model is right and the noise lasts, use '
+        "covariance_by_blocks.",
+        *wrong,
+    ]
+
+
+def _unit(setting: Setting, record: Record, parameter: Parameter) -> str:
+    """The unit of a number of the system, the base, or a channel's sensor."""
+    kind, *_, last = parameter.path
+    if kind == "sensors" and last == "offset":
+        return record.channels[int(parameter.path[1])].unit or "1"
+    return unit_at(setting, parameter.path)

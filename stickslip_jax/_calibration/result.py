@@ -1,6 +1,7 @@
 """The result of a calibration."""
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -24,9 +25,11 @@ class Calibration:
     - `covariance`: of the estimates in their order, (numbers, numbers), for white noise.
     - `covariance_by_blocks`: the same from the scatter of 40 parts of the record, which are taken as independent: for
       residuals that are not white.
-    - `bounds`: of each number on which the motion does not depend at its first guess, such as the friction coefficient
-      of a mass that never slips: the smallest and the largest value that the record allows, each with 95 % confidence,
-      None where there is none.
+    - `bounds`: the smallest and the largest value that the record allows, each with 95 % confidence by the profile of
+      the likelihood, None where there is none, of each number on which the motion does not depend at its first guess,
+      such as the friction coefficient of a mass that never slips, and of each that is less than three standard errors
+      away from a bound of its own, such as a damping near zero: its error is to one side there. Static friction that
+      is fitted together with kinetic friction has bounds of the difference, "mu_static - mu".
     - `system`, `base`: with the estimates in place; of a number that the record does not tell, its first guess.
     - `start`: the estimated state at the first measurement, by the names of the coordinates; None where `y0` was given,
       or where several windows were fitted.
@@ -84,7 +87,12 @@ class Calibration:
             + ("" if self.converged else ", NOT CONVERGED")
         ]
         for name, one in self.estimates.items():
-            lines.append(f"  {name} = {one.without_name()}")
+            ends = zip(("at least", "at most"), self.bounds.get(name, (None, None)), strict=True)
+            limits = [
+                f"{word} {end:.4g}" for word, end in ends if end is not None and math.isfinite(one.standard_error)
+            ]
+            said = f" ({' and '.join(limits)}, 95 % confidence each)" if limits else ""
+            lines.append(f"  {name} = {one.without_name()}{said}")
         for name in self.channels:
             kind = "given" if self.noise_is_known[name] else "estimated"
             test = self.whiteness[name]

@@ -32,13 +32,14 @@ class Search(NamedTuple):
     parameters: tuple[Parameter, ...]
     transform: Transform
     y0: np.ndarray | None
+    setting: Setting
 
     def cuts(self, number: int) -> Cuts:
         """Where `number` windows begin, and the states there by the measurements."""
-        system, base, method, _ = self.arguments
+        system, _, method, _ = self.arguments
         if number > 1 or self.begins_where_measured:
             solver = method.solver if isinstance(method, Exact) else None
-            return cuts_of(self.record, Setting(system, base), solver, number)
+            return cuts_of(self.record, self.setting, solver, number)
         size = len(system.coordinates)
         state = np.zeros(size) if self.y0 is None else self.y0
         return Cuts(np.zeros(1, int), state[None], None)
@@ -50,12 +51,12 @@ class Search(NamedTuple):
 
     def problem(self, cuts: Cuts, numbers: np.ndarray, more: int = 1) -> Problem:
         """The problem in windows, with steps for the parameters at `numbers`, or `more` times as many."""
-        system, base, method, _ = self.arguments
+        method = self.arguments.method
         is_from_zero = len(cuts.firsts) == 1 and not self.begins_where_measured
         windows = self.record.cut(cuts.firsts, 0.0 if is_from_zero else None)
         dtype = jnp.result_type(float)
         model = Model(
-            as_arrays(Setting(system, base), dtype),
+            as_arrays(self.setting, dtype),
             jnp.asarray(cuts.states, dtype),
             None if cuts.resting is None else jnp.asarray(cuts.resting),
             method,
@@ -70,9 +71,8 @@ class Search(NamedTuple):
 
     def _steps(self, durations: np.ndarray, numbers: np.ndarray) -> int:
         """Loop steps for the longest window, with the parameters at `numbers`."""
-        setting = Setting(self.arguments.system, self.arguments.base)
         paths = tuple(parameter.path for parameter in self.parameters)
-        system, base = with_numbers(setting, paths, [float(number) for number in numbers])
+        system, base, *_ = with_numbers(self.setting, paths, [float(number) for number in numbers])
         arguments = self.arguments._replace(system=system, base=base)
         assert isinstance(arguments.method, Exact)
         if arguments.method.max_steps is not None:
@@ -124,14 +124,24 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
     return found
 
 
-def _with_noise(problem: Problem, record: Record, start: Point, free: Free, sigma: np.ndarray | None) -> Found:
-    """The fit with the standard deviation of the noise that is not known estimated too, in turn."""
+def _with_noise(
+    problem: Problem,
+    record: Record,
+    start: Point,
+    free: Free,
+    sigma: np.ndarray | None,
+    about: np.ndarray | None = None,
+) -> Found:
+    """The fit with the noise `sigma`, or with the standard deviation of what is not known of it estimated too, in turn.
+
+    `about`: where to begin with that.
+    """
     if sigma is not None:
         return Found(problem, problem.search(sigma, start, free), free, sigma)
     known = np.isfinite(record.noise)
     spread = np.nanstd(record.values, axis=1)
     least = 1e-10 * np.nanmax(np.abs(record.values), axis=1) + np.finfo(float).tiny
-    sigma = np.where(known, record.noise, np.maximum(0.1 * spread, least))
+    sigma = np.where(known, record.noise, np.maximum(0.1 * spread, least)) if about is None else about
     fit = problem.search(sigma, start, free)
     for _ in range(_MOST_ROUNDS if not np.all(known) else 0):
         spent = (np.count_nonzero(free.x) + free.s * fit.point.s.size) * record.counts / record.counts.sum()
@@ -139,8 +149,9 @@ def _with_noise(problem: Problem, record: Record, start: Point, free: Free, sigm
         new = np.where(known, record.noise, np.maximum(np.sqrt(squares), least))
         is_settled = np.all(np.abs(new - sigma) < 1e-4 * sigma)
         sigma = new
-        if is_settled or len(sigma) == 1:  # the noise of a single channel does not change its fit
+        if is_settled:
             break
+        # Of a single channel too: what holds numbers near their first guesses weighs more the larger the noise.
         fit = problem.search(sigma, fit.point, free)
     return Found(problem, fit, free, sigma)
 
@@ -163,4 +174,4 @@ def as_one(search: Search, found: Found) -> Found | float:
     fewer = found.fit.point.s.size - (search.y0 is None) * whole.fit.point.s.size
     if not whole.fit.converged or growth > stats.chi2.isf(_CONTRADICTION, fewer):
         return growth
-    return _with_noise(whole.problem, search.record, whole.fit.point, whole.free, None)
+    return _with_noise(whole.problem, search.record, whole.fit.point, whole.free, None, found.sigma)

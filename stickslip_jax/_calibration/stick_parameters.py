@@ -34,7 +34,9 @@ class Models:
         systems, laws = _for_each("system", system, experiments), _for_each("law", law, experiments)
         models = tuple(checked_model(one, two, y0) for one, two in zip(systems, laws, strict=True))
         parameters = tuple(parameters_of(model._asdict(), wrt) for model in models)
-        return cls(models, parameters, transform_of(models[0], parameters[0]))
+        transform = transform_of(models[0], parameters[0])
+        # Its search has no ends: bounds are approached only.
+        return cls(models, parameters, transform._replace(closed=np.zeros_like(transform.closed)))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -45,8 +47,8 @@ class Models:
         """The parameters at coordinates `x`."""
         return self.transform.numbers(x)
 
-    def slopes(self, values: _Vector) -> _Vector:
-        """The derivatives of the parameters by their coordinates."""
+    def slopes(self, values: _Vector) -> Float[np.ndarray, "parameters coordinates"]:
+        """The derivatives of the parameters by the coordinates."""
         return self.transform.slopes(values)
 
     def at(self, values: _Vector) -> list[Model]:

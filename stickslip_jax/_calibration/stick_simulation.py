@@ -55,11 +55,13 @@ class Simulated(NamedTuple):
         """Whether all moments and derivatives are numbers."""
         return bool(np.all(np.isfinite(self.mean)) and np.all(np.isfinite(self.slope)))
 
-    def scaled(self, by: Float[np.ndarray, " parameters"]) -> "Simulated":
+    def scaled(self, by: Float[np.ndarray, "parameters coordinates"]) -> "Simulated":
         """With derivatives by coordinates; `by`: those of the parameters by the coordinates."""
         moments = len(self.mean)
-        factor = np.concatenate([np.ones(moments), np.tile(by, moments)])
-        return self._replace(slope=self.slope * by, error=self.error * np.outer(factor, factor))
+        factor = np.zeros_like(self.error)
+        factor[:moments, :moments] = np.eye(moments)
+        factor[moments:, moments:] = np.kron(np.eye(moments), by.T)
+        return self._replace(slope=self.slope @ by, error=factor @ self.error @ factor.T)
 
     def noise(self, weight: Float[np.ndarray, "moments moments"]) -> Float[np.ndarray, "parameters parameters"]:
         """What the errors of the derivatives alone add to ``slope' weight slope``, on average."""

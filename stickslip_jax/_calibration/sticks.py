@@ -34,6 +34,7 @@ from .stick_result import MomentFit, Overidentification, StickCalibration
 from .stick_search import Found, Precision, minimised, precision
 from .stick_simulation import Simulated, Simulator, key_of
 from .stick_weights import Part, by_likelihood, by_moments, covariance_of_misfit, with_products
+from .transform import covariance_of
 
 Objective: TypeAlias = Literal["moments", "likelihood"]
 _MOST = 60  # iterations
@@ -231,7 +232,7 @@ class _Fit:
         """What the user gets."""
         values = self.models.values(found.x)
         slopes = self.models.slopes(values)
-        covariance = certain.covariance * np.outer(slopes, slopes)
+        covariance = covariance_of(slopes, certain.covariance, np.isfinite(np.diag(certain.covariance)))
         simulated, models = self.at(found.x) or [], self.models.at(values)
         fits = tuple(
             fit for at, pair in enumerate(zip(self.observations, simulated, strict=True)) for fit in _fits(at, *pair)
@@ -239,7 +240,7 @@ class _Fit:
         recordings = sum(one.recordings for one in self.observations)
         test, curvature = self._test(found, len(fits)), None
         if self.objective == "likelihood":
-            errors = np.sqrt(np.diag(np.linalg.pinv(found.part.hessian))) * slopes
+            errors = np.sqrt(np.diag(slopes @ np.linalg.pinv(found.part.hessian) @ slopes.T))
             curvature = dict(zip(self.models.names, map(float, errors), strict=True))
         unfinished = sum(one.unfinished for one in simulated)
         return StickCalibration(
