@@ -1,5 +1,6 @@
 """The equations of a periodic orbit as a function of its state, its period and a parameter, for continuation."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -48,9 +49,20 @@ class Equations:
     back, and without a drive it begins on a `Plane`.
     """
 
-    def __init__(self, setting: Setting, path: Path, driven: bool, duration: float, dtype: Any):
-        """`duration`: of the orbit where the branch begins, s: so many periods of the drive, or one that was given."""
+    def __init__(
+        self,
+        setting: Setting,
+        path: Path,
+        driven: bool,
+        duration: float,
+        dtype: Any,
+        is_allowed: Callable[[float], bool],
+    ):
+        """`duration`: of the orbit where the branch begins, s: so many periods of the drive, or one that was given.
+        `is_allowed`: whether the parameter may have a value.
+        """
         assert isinstance(setting.method, Exact)
+        self._is_allowed, self._first = is_allowed, duration
         self._path, self.driven, self._dtype, self.itemsize = path, driven, dtype, np.dtype(dtype).itemsize
         self._setting = as_arrays(setting, dtype)
         self.names = tuple(coordinate.name for coordinate in setting.system.coordinates)
@@ -59,12 +71,12 @@ class Equations:
         known = has_known_period(setting.system, motion, self._by_itself)
         self._drive = None if known or not driven else duration
         drive = drive_period(setting.system, motion, self._drive, self._by_itself)
-        self._periods = 1 if drive is None or not driven else round(duration / float(drive))
+        self.periods = 1 if drive is None or not driven else round(duration / float(drive))
         realized = motion.realized_until(duration)
         self.steps = steps_in(setting.system, realized, setting.method, duration, by_steps=True)
         if self.steps is None:
             self.steps = setting.method.max_steps
-        self._most = _MOST_STEPS * (self.steps or 0)
+        self._most_each = _MOST_STEPS * (self.steps or 0)
         self._capacity = None
         if driven and isinstance(motion, PiecewiseConstantLaw):
             self._capacity = motion.checked_capacity(duration) + 1
@@ -74,13 +86,13 @@ class Equations:
         """The number of equations."""
         return len(self.names) + (not self.driven)
 
-    def at(self, unknowns: np.ndarray, plane: Plane | None) -> Evaluated | None:
-        """The equations at a point; None where the motion cannot be followed there."""
-        found = self._evaluated(unknowns, plane)
-        while int(found.status) == int(Status.OUT_OF_STEPS) and self.steps and self.steps < self._most:
-            self.steps *= 2
-            found = self._evaluated(unknowns, plane)
-        if int(found.status) != int(Status.FINISHED):
+    def at(self, unknowns: np.ndarray, plane: Plane | None, periods: int | None = None) -> Evaluated | None:
+        """The equations at a point; None where the motion cannot be followed there, or the parameter may not be.
+
+        `periods`: of the drive; by default those of the orbit.
+        """
+        found = self._evaluated(unknowns, plane, self.periods if periods is None else periods)
+        if found is None or int(found.status) != int(Status.FINISHED):
             return None
         value, matrix = np.asarray(found.value), np.asarray(found.matrix)
         if not (np.all(np.isfinite(value)) and np.all(np.isfinite(matrix))):
@@ -89,13 +101,34 @@ class Equations:
         modes = modes_between(np.asarray(found.times), np.asarray(found.signs), duration)
         return Evaluated(value, matrix, duration, modes, len(self.names))
 
-    def _evaluated(self, unknowns: np.ndarray, plane: Plane | None) -> "_Raw":
-        found = _evaluate(
-            self._setting, jnp.asarray(unknowns, self._dtype), plane, path=self._path,
-            driven=self.driven, by_itself=self._by_itself, periods=self._periods, drive=self._drive, steps=self.steps,
-            capacity=self._capacity,
-        )  # fmt: skip
-        return jax.tree.map(np.asarray, found)
+    def _evaluated(self, unknowns: np.ndarray, plane: Plane | None, periods: int) -> "_Raw | None":
+        size = len(self.names)
+        if not self._is_allowed(float(unknowns[-1])) or not (self.driven or unknowns[size] > 0):
+            return None
+        while True:
+            found = _evaluate(
+                self._setting, jnp.asarray(unknowns, self._dtype), plane, path=self._path,
+                driven=self.driven, by_itself=self._by_itself, periods=periods, drive=self._drive, steps=self.steps,
+                capacity=self._capacity,
+            )  # fmt: skip
+            found = jax.tree.map(np.asarray, found)
+            most = self._most_each * max(float(found.duration) / self._first, 1)
+            if int(found.status) != int(Status.OUT_OF_STEPS) or not self.steps or self.steps >= most:
+                return found
+            self.steps *= 2
+
+    def half_way(self, unknowns: np.ndarray, plane: Plane | None) -> np.ndarray | None:
+        """What the state moves in half of the period, (coordinates,); None where the drive does not repeat itself in
+        it, or the motion cannot be followed.
+        """
+        size = len(self.names)
+        if self.driven and self.periods % 2:
+            return None
+        moved = np.array(unknowns, float)
+        if not self.driven:
+            moved[size] /= 2
+        found = self.at(moved, plane, self.periods // 2 if self.driven else None)
+        return None if found is None else found.value[:size]
 
     def plane(self, point: np.ndarray, normal: np.ndarray) -> Plane:
         """The plane through `point` across `normal`."""

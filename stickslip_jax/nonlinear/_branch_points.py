@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ._branch_function import Evaluated
-from ._modes import Mode, sequence, stick_count
+from ._modes import Mode, sequence, slip_count, stick_count
 from ._orbit_parts import multipliers_of, without_trivial
 
 _FAR = 0.05  # of the period, from the begin of an orbit to the next event
@@ -17,7 +17,8 @@ _SIGNS = {1: "+", -1: "-", 0: "0"}
 class BranchEvent(NamedTuple):
     """What happens on a branch: its `kind`, the value of the `parameter` there, the point after which, and in words.
 
-    Kinds: "fold", "flip", "Neimark-Sacker", "branch point", "stick appears", "stick vanishes", "grazing", "end".
+    Kinds: "fold", "flip", "Neimark-Sacker", "branch point", "stick appears", "stick vanishes", "slip appears", "slip
+    vanishes", "grazing"; of ends also "Hopf", "homoclinic", "endless stick", and "end" where none of these was found.
     """
 
     kind: str
@@ -60,6 +61,11 @@ class Point:
         return float(stuck / self.found.duration)
 
     @property
+    def is_at_rest(self) -> bool:
+        """Whether all contacts stick all the time."""
+        return not any(any(mode.signs) for mode in self.found.modes)
+
+    @property
     def order(self) -> tuple[object, ...]:
         """The sequence of modes, and that with which the period begins: where it changes, the branch has a corner."""
         return sequence(self.found.modes), self.found.modes[0].signs
@@ -67,7 +73,7 @@ class Point:
     @property
     def sequence_text(self) -> str:
         """The sequence of modes: "-0" is a slip with negative relative velocity and a stick."""
-        return " ".join("".join(_SIGNS[sign] for sign in signs) for signs in sequence(self.found.modes))
+        return " ".join(text_of(signs) for signs in sequence(self.found.modes))
 
     @property
     def is_far_from_events(self) -> bool:
@@ -123,15 +129,55 @@ _TESTS = (
 )
 
 
+def text_of(signs: tuple[int, ...]) -> str:
+    """The signs of the relative velocities of all contacts as text."""
+    return "".join(_SIGNS[sign] for sign in signs)
+
+
 def change_of_modes(last: Point, found: Point) -> Change | None:
     """The change of the sequence of modes between two neighbouring points; None where it is the same."""
     order = sequence(last.found.modes)
     if order == sequence(found.found.modes):
         return None
-    before, after = stick_count(last.found.modes), stick_count(found.found.modes)
-    kind = "grazing" if after == before else "stick appears" if after > before else "stick vanishes"
     text = f"the sequence of modes {last.sequence_text} becomes {found.sequence_text}"
+    kind = kind_of(last.found.modes, found.found.modes)
     return Change(kind, text, lambda point: sequence(point.found.modes) == order)
+
+
+def kind_of(before: tuple[Mode, ...], after: tuple[Mode, ...]) -> str:
+    """What a change of the sequence of modes is called, by the numbers of sticks and slips. Where one less of both is
+    left, a slip vanished in a stick or a stick in a slip: which of them is shorter.
+    """
+    if not any(any(mode.signs) for mode in after):
+        return "slip vanishes"
+    sticks, slips = stick_count(after) - stick_count(before), slip_count(after) - slip_count(before)
+    if not sticks:
+        return "grazing"
+    shortest = min(before if sticks < 0 else after, key=lambda mode: mode.end - mode.start)
+    thing = "slip" if sticks * slips > 0 and all(shortest.signs) else "stick"
+    return f"{thing} {'appears' if sticks > 0 else 'vanishes'}"
+
+
+def end_of(before: tuple[Mode, ...], beyond: tuple[Mode, ...]) -> tuple[str, str]:
+    """What the end of a branch is called, and in words, by the modes of its last orbit, and of the motion that was
+    followed from just `beyond` it: what comes first that is not as before counts, as the rest may follow from that.
+    """
+    shown = (" ".join(text_of(mode.signs) for mode in modes) for modes in (before, beyond))
+    kind = kind_of(before, beyond)
+    for number, mode in enumerate(before):
+        there = beyond[number].signs if number < len(beyond) else beyond[-1].signs
+        if there == mode.signs:
+            continue
+        contact = next(
+            contact for contact, pair in enumerate(zip(mode.signs, there, strict=True)) if pair[0] != pair[1]
+        )
+        until = before[number - 1].signs[contact] if number else 0
+        if mode.signs[contact] and not there[contact]:
+            kind = "slip vanishes" if until == 0 else "stick appears"
+        elif there[contact] and not mode.signs[contact]:
+            kind = "slip appears" if until == 0 and number else "stick vanishes"
+        break
+    return kind, "a motion with the modes {} becomes one with {}".format(*shown)
 
 
 def description(modes: tuple[Mode, ...]) -> str:

@@ -1,9 +1,10 @@
 """Periodic orbits followed along a parameter, by pseudo-arclength (Keller 1977), and what happens on the way."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.interpolate import BarycentricInterpolator
 
 from .. import _checks
 from .._conventions import Entries, labeled_dataset, require_labels, variable
@@ -12,16 +13,18 @@ from .._forks import require_threads_of_jax
 from .._simulation.labeled import provenance, source
 from .._sweep.setting import Setting, label_and_unit, setter_of
 from .._uncertainty.numbers import number_at
+from ._branch_ends import tangent_release, turning_back
 from ._branch_function import Equations
-from ._branch_points import BranchEvent, Change, Point, change_of_modes, changes, description
+from ._branch_points import BranchEvent, Change, Point, change_of_modes, changes, description, end_of
 from ._labeled import apart
-from ._modes import stick_count
+from ._modes import sequence, stick_count
 from ._orbits import TOLERANCE, PeriodicOrbit
 
 if TYPE_CHECKING:
     import xarray
 
 _ITERATIONS = 40  # near grazing, where the map has the slope of a square root, Newton's method converges slowly
+_ROUND_OFF = 4.0  # units in the last place of the unknowns, to which they are found
 _FEW = 4  # iterations after which the next step may be longer
 _SHORTEST = 1e-9  # step, relative to the first
 _LONGEST = 4.0  # likewise
@@ -31,6 +34,12 @@ _MOST_CHANGES = 20  # of the sequence of modes between two points
 _FARTHEST = 1.0  # change in one iteration, scaled
 _LEAST_COSINE = 0.5  # between the tangents of neighbours
 _CORNER = 1e-3  # step, relative to the first, over which the tangent may turn more: at a corner
+_TOLD = 1e-6  # of the way to `until`: the width of a bracket from which on an event says it
+_BEYOND = 4.0 ** np.arange(16)  # steps, by which a motion beyond the end of a branch is looked for
+_CROSSES = 0.9  # cosine of the angle between the motion and the normal of the plane where an orbit begins
+_MOVES = 1e-6  # in its period, scaled: an orbit that is no equilibrium
+_LONG = 6.0  # first periods: of an orbit whose period may grow without bound
+_LATELY = 1.0  # first periods by which it has grown, while the parameter hardly changed
 _LOOKS = (2.0, 10.0, 50.0, 250.0, 1250.0)  # steps, by which the way from a corner is found
 
 
@@ -107,12 +116,20 @@ def _problem(
     if float(until) == value:
         raise ValueError(f"Argument until must differ from the {parameter} of the orbit, but both are {value:g}.")
     setter((float(until),))
+
+    def is_allowed(value: float) -> bool:
+        try:
+            setter((value,))
+        except ValueError:
+            return False
+        return True
+
     dtype = np.dtype(working_dtype(stacklevel=5))
     one, names = orbit.simulation, [coordinate.name for coordinate in orbit.system.coordinates]
     sizes = np.array([float(one.maximum(name) - one.minimum(name)) for name in names])
     free = [] if orbit.is_driven else [float(orbit.period)]
     scale = np.array([*np.maximum(sizes, max(1e-3 * np.max(sizes), 1e-12)), *free, abs(until - value)])
-    equations = Equations(setting, path, orbit.is_driven, float(orbit.period), dtype)
+    equations = Equations(setting, path, orbit.is_driven, float(orbit.period), dtype, is_allowed)
     return setting, equations, scale, np.array([*state, *free, value])
 
 
@@ -129,6 +146,7 @@ class _Branch:
         self.parameter, self._scale, self._step = parameter, scale, step
         self._range = (begun[-1], until)
         self._tolerance = TOLERANCE[equations.itemsize]
+        self._eps = np.finfo(np.float64 if equations.itemsize == 8 else np.float32).eps
         self._begun = begun
 
     def follow(self, most: int) -> None:
@@ -138,30 +156,103 @@ class _Branch:
         first = self._moved(self._begun)
         last = None if first is None else self._corrected(first, toward, toward)
         if last is None:
-            self._end("Newton's method did not converge at the first point")
-            return
+            raise ValueError(
+                "Argument orbit must be one whose motion comes back, but Newton's method did not converge there again; "
+                "find it with a smaller tolerance."
+            )
         self.points.append(last)
         length = self._step
         while len(self.points) < most:
             last = self.points[-1]
-            found = self._corrected(last.unknowns / self._scale + length * last.tangent, last.tangent, last.tangent)
-            if found is not None and self._is_next(last, found, length):
-                if min(self._range) <= found.unknowns[-1] <= max(self._range):
-                    self.points.append(self._rebased(self._noted(last, found)))
-                    length = min(length * (2 if found.iterations <= _FEW else 1), _LONGEST * self._step)
+            noted = None
+            for guess in self._guesses(last, length):
+                found = self._corrected(guess, last.tangent, last.tangent)
+                if found is None or not self._is_next(last, found, length):
                     continue
-                if self._land(last, found):
+                if self._turns_back(last, found):
                     return
+                inside = min(self._range) <= found.unknowns[-1] <= max(self._range)
+                noted = self._noted(last, found) if inside else None
+                if noted is not None or (not inside and self._land(last, found)):
+                    break
+            if self.ending:
+                return
+            if noted is not None:
+                self.points.append(self._rebased(noted))
+                if self._lasts_for_ever():
+                    return
+                length = min(length * (2 if noted.iterations <= _FEW else 1), _LONGEST * self._step)
+                continue
             length /= 2
             if length < _SHORTEST * self._step:
-                self._end(f"no orbit was found beyond: {description(last.found.modes)}")
+                self._end_here(last, length)
                 return
         self.ending = f"{most} points were found; ask for more with the argument most"
 
-    def _end(self, why: str) -> None:
-        value = self.points[-1].unknowns[-1] if self.points else self._begun[-1]
+    def _guesses(self, last: Point, length: float) -> Iterator[np.ndarray]:
+        """Guesses (scaled) of the point that follows at a `length`: along the tangent, and along a parabola.
+
+        Where a stick is about to last for ever, its release is nearly tangent, and the way to the end in the state as
+        the square of that in the parameter: along the tangent one leaves the motions that are released at half the way.
+        """
+        yield last.unknowns / self._scale + length * last.tangent
+        before = self.points[-3:]
+        if self.equations.driven and len(before) == 3 and len({point.order for point in before}) == 1:
+            places = np.array([point.unknowns for point in before]) / self._scale
+            at = np.append(0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+            yield BarycentricInterpolator(at, places)(at[-1] + length)
+
+    def _end(self, kind: str, value: float, why: str) -> None:
         self.ending = why
-        self.events.append(BranchEvent("end", float(value), max(len(self.points) - 1, 0), why))
+        self.events.append(BranchEvent(kind, float(value), max(len(self.points) - 1, 0), why))
+
+    def _end_here(self, last: Point, length: float) -> None:
+        """End where no orbit continues `last`: what vanishes is told by the motion that is followed from just beyond,
+        which also is the other end of the bracket in which the branch ends.
+        """
+        for factor in _BEYOND:
+            ahead = last.unknowns + factor * length * last.tangent * self._scale
+            beyond = self.equations.at(ahead, self._plane)
+            if beyond is None or sequence(beyond.modes) == sequence(last.found.modes):
+                continue
+            kind, text = end_of(last.found.modes, beyond.modes)
+            end = tangent_release(self.points)
+            value = (last.unknowns[-1] + ahead[-1]) / 2 if end is None else end
+            ahead = 2 * value - last.unknowns
+            self._end(kind, value, f"{text}; no orbit continues the branch{self._width(last.unknowns, ahead)}")
+            return
+        self._end("end", last.unknowns[-1], f"no orbit was found beyond: {description(last.found.modes)}")
+
+    def _width(self, one: np.ndarray, other: np.ndarray) -> str:
+        """The bracket of an event between two points in words, where it is wider than events are located."""
+        low, high = sorted((one[-1], other[-1]))
+        return f" (between {low:.9g} and {high:.9g})" if high - low > _TOLD * self._scale[-1] else ""
+
+    def _turns_back(self, last: Point, found: Point) -> bool:
+        """Whether the branch ends between two points because it would go back over the same orbits. Ends it there."""
+        end = turning_back(self.equations, self._plane, self._scale, last, found)
+        if end is not None:
+            kind, value, text = end
+            self._end(kind, value, f"{text}, and the branch ends")
+        return end is not None
+
+    def _lasts_for_ever(self) -> bool:
+        """Whether the period of an orbit that nothing drives grows without bound where the parameter hardly changes any
+        more. Ends the branch there.
+        """
+        first, last = self.points[0].found.duration, self.points[-1].found.duration
+        if self.equations.driven or last < _LONG * first:
+            return False
+        value = self.points[-1].unknowns[-1]
+        before = next(point for point in reversed(self.points) if point.found.duration < last - _LATELY * first)
+        if abs(value - before.unknowns[-1]) > _TOLD * self._scale[-1]:
+            return False
+        longest = max(self.points[-1].found.modes, key=lambda mode: mode.end - mode.start)
+        if any(longest.signs):
+            self._end("homoclinic", value, "the period grows without bound: a slip comes to rest at an equilibrium")
+        else:
+            self._end("endless stick", value, "the period grows without bound: a stick lasts for ever")
+        return True
 
     def _land(self, last: Point, found: Point) -> bool:
         """The last point, where the parameter is at the end of its range that it passed; whether it was found."""
@@ -172,9 +263,10 @@ class _Branch:
         fixed = np.zeros(len(guess))
         fixed[-1] = 1.0
         landed = self._corrected(guess, fixed, last.tangent)
-        if landed is None:
+        noted = None if landed is None else self._noted(last, landed)
+        if noted is None:
             return False
-        self.points.append(self._noted(last, landed))
+        self.points.append(noted)
         self.ending = f"{self.parameter} reached {end:g}"
         return True
 
@@ -183,6 +275,15 @@ class _Branch:
         moved = np.linalg.norm(found.unknowns / self._scale - last.unknowns / self._scale)
         goes_on = abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE or length < _CORNER * self._step
         return bool(moved <= 4 * length and goes_on)
+
+    def _cosine(self, point: Point) -> float:
+        """Of the angle at which an orbit that nothing drives crosses the plane where it begins; 1 with a drive."""
+        if self.equations.driven:
+            return 1.0
+        size = len(self.equations.names)
+        rates = point.found.matrix[:size, size] / self._scale[:size]
+        normal = point.found.matrix[size, :size] * self._scale[:size]
+        return float(np.dot(rates, normal) / (np.linalg.norm(rates) * np.linalg.norm(normal)))
 
     def _corrected(self, guess: np.ndarray, along: np.ndarray, before: np.ndarray) -> Point | None:
         """The point of the branch in the plane through `guess` (scaled) across `along`; None where Newton's method
@@ -196,7 +297,9 @@ class _Branch:
             rows = found.matrix * self._scale / self._rows[:, None]
             sides = np.append(found.value / self._rows, np.dot(along, scaled - guess))
             error = np.max(np.abs(sides))
-            if error <= smallest:
+            # Round-off of the unknowns: near the end of a branch its multiplier may be a million.
+            noise = _ROUND_OFF * self._eps * np.max(np.abs(rows) @ np.abs(scaled))
+            if error <= (smallest if best else max(smallest, noise)):
                 tangent = np.linalg.svd(rows)[2][-1]
                 tangent *= 1 if np.dot(tangent, before) >= 0 else -1
                 best = Point(scaled * self._scale, found, tangent, best.iterations if best else iteration)
@@ -232,12 +335,15 @@ class _Branch:
         slips = [mode for mode in found.modes if any(mode.signs)]
         longest = max(slips or found.modes, key=lambda mode: mode.end - mode.start)
         state, rates = self.equations.state_after(unknowns, (longest.start + longest.end) / 2)
-        self._plane = self.equations.plane(state, rates / np.max(np.abs(rates) / self._scale[:size]))
+        across = rates / self._scale[:size]
+        self._plane = self.equations.plane(state, across / np.max(np.abs(across)) / self._scale[:size])
         return np.append(state, unknowns[size:]) / self._scale
 
     def _rebased(self, point: Point) -> Point:
-        """The same point where its begin has come near an event: from the middle of its longest slip on."""
-        if self.equations.driven or point.is_far_from_events:
+        """The same point from the middle of its longest slip on, where its begin has come near an event, or the motion
+        there along the plane.
+        """
+        if self._cosine(point) >= _CROSSES and (self.equations.driven or point.is_far_from_events):
             return point
         plane = self._plane
         guess = self._moved(point.unknowns)
@@ -250,16 +356,23 @@ class _Branch:
         self._plane = plane
         return point
 
-    def _noted(self, last: Point, found: Point) -> Point:
+    def _noted(self, last: Point, found: Point) -> Point | None:
         """Note what happened between two points, each event located, the first one first. Returns `found`, its tangent
-        away from `last`: where the sequence of modes changes, the branch may turn round in a corner.
+        away from `last`: where the sequence of modes changes, the branch may turn round in a corner. None, with nothing
+        noted, where a change is not located, since orbits do not lead over to `found`, or where all sticks: a mass may
+        rest anywhere, and no orbit is alone.
         """
         begun, number = last, len(self.events)
+        if found.is_at_rest and not begun.is_at_rest:
+            return None
         for _ in range(_MOST_CHANGES):
             change = change_of_modes(last, found)
             if change is None:
                 break
             corner, text = self._located(last, found, change.is_before)
+            if text:
+                del self.events[number:]
+                return None
             self._add(change_of_modes(last, corner) or change, corner, text)
             last = corner
         if len(self.events) > number or begun.order != found.order:
@@ -306,8 +419,7 @@ class _Branch:
                 (0.0, None),
             )
             if point is None:
-                values = before.unknowns[-1], after.unknowns[-1]
-                return after, f" (between {min(values):.9g} and {max(values):.9g})"
+                return after, self._width(before.unknowns, after.unknowns)
             if is_before(point):
                 low, before = middle, point
             else:

@@ -1,5 +1,6 @@
 """The sequence of modes of a trajectory: which contacts stick, and which slip in which direction."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,10 +61,16 @@ def sequence(modes: tuple[Mode, ...]) -> tuple[tuple[int, ...], ...]:
 
 def stick_count(modes: tuple[Mode, ...]) -> int:
     """The number of sticks of all contacts on a closed orbit; one that lasts for all of it counts."""
+    return _count(modes, lambda sign: sign == 0)
+
+
+def slip_count(modes: tuple[Mode, ...]) -> int:
+    """The number of slips in one direction of all contacts on a closed orbit; one that lasts for all of it counts."""
+    return _count(modes, lambda sign: sign > 0) + _count(modes, lambda sign: sign < 0)
+
+
+def _count(modes: tuple[Mode, ...], is_one: Callable[[int], bool]) -> int:
     order = sequence(modes)
-    contacts = range(len(order[0]))
-    if len(order) == 1:
-        return sum(sign == 0 for sign in order[0])
-    pairs = list(zip(order[-1:] + order[:-1], order, strict=True))
-    always = sum(all(signs[contact] == 0 for signs in order) for contact in contacts)
-    return always + sum(before[contact] != 0 and after[contact] == 0 for before, after in pairs for contact in contacts)
+    found = np.array([[is_one(sign) for sign in signs] for signs in order])
+    begun = found & ~np.roll(found, 1, axis=0)
+    return int(np.sum(begun) + np.sum(np.all(found, axis=0)))
