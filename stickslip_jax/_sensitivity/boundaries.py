@@ -110,7 +110,7 @@ def cross_with_distances(
     memory, motion, totals, cut_velocity = lane
     duration, velocity, memory = law.next_interval(memory, drawn, motion.t.dtype)
     duration = jnp.where(duration >= scales.t1, scales.t1, duration)  # no infinity enters the arithmetic
-    moved, totals, stick = cross_interval(scales, motion, totals, duration, velocity)
+    moved, totals, stick, _ = cross_interval(scales, motion, totals, duration, velocity)
     distances = _distances(scales, motion, cut_velocity, stick, duration, velocity)
     cut = jnp.where(stick.ending == Ending.BASE_SWITCHED, velocity, 0)
     return IntervalLane(memory, moved, totals, cut), stick, distances, duration
@@ -133,7 +133,7 @@ def _distances(
     more = 2 * np.pi * scales.spring.inverse_omega
     more = jnp.where(scales.spring.omega * scales.t1 > 2 * np.pi, more, lax.stop_gradient(scales.t1))
     span = jnp.minimum(motion.t + duration, scales.t1) - motion.t + more
-    longer = carry_across(motion.x, motion.v, velocity, scales, span)
+    longer = carry_across(motion.x, motion.v, velocity, scales, span, motion.t)
     arrival = jnp.where(stuck, stick.start - motion.t, longer.entered)
     end, to_switch, to_horizon = motion.t + duration, duration - arrival, scales.t1 - (motion.t + arrival)
     # An arc from below ends in a stick that lasts, or grazes. Only one from above, or from a crossing, may arrive at
@@ -142,8 +142,9 @@ def _distances(
     to_edge = scales.deceleration - scales.spring.squared * jnp.sign(velocity) * stick.position
     # A missed arrival counts for the end that came first; if both came before it, a small change brings no stick.
     misses = longer.stuck & ~stuck & (motion.t < scales.t1)
-    after_switch = misses & (to_switch <= 0) & (to_horizon > 0)
-    after_horizon = misses & (to_horizon <= 0) & (to_switch > 0)
+    # (A stick of no length is missed too, with the distance 0 but for round-off.)
+    after_switch = misses & (to_switch < to_horizon) & (to_horizon > 0)
+    after_horizon = misses & (to_horizon < to_switch) & (to_switch > 0)
     missed = jnp.where(after_switch, end, jnp.where(after_horizon, scales.t1, motion.t + arc.top))
     return BoundaryDistances(
         time=jnp.where(stuck, stick.start, missed),

@@ -55,12 +55,14 @@ def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> Boo
 
 def cross_interval(
     scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
-) -> tuple[Motion, Totals, StickRecord]:
-    """Cross one interval, cut at the horizon; returns the next state, the totals with its stick, and its record."""
+) -> tuple[Motion, Totals, StickRecord, BoolArray]:
+    """Cross one interval, cut at the horizon; returns the next state, the totals with its stick, its record, and
+    whether the mass met the base for no time.
+    """
     t1 = scales.t1
     uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: the time becomes NaN (`NOT_FINITE`)
     span = jnp.where(uncut, duration, t1 - motion.t)
-    passage = carry_across(motion.x, motion.v, velocity, scales, span)
+    passage = carry_across(motion.x, motion.v, velocity, scales, span, motion.t)
     t_end = jnp.where(uncut, motion.t + duration, t1)
     stuck, released = passage.stuck, passage.released
     start = motion.t + passage.entered
@@ -71,34 +73,35 @@ def cross_interval(
     record = StickRecord(start, end, passage.position, quantities, ending_of(stuck, released, ~uncut))
     # Not end - start, whose round-off grows with the time since t = 0.
     totals = with_stick(totals, stuck, ~released & ~uncut, passage.left - passage.entered)
-    return Motion(t_end, passage.x, passage.v, remembered), totals, record
+    return Motion(t_end, passage.x, passage.v, remembered), totals, record, passage.tie
 
 
 def cross_live_interval(
     scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
-) -> tuple[Motion, Totals, StickRecord]:
+) -> tuple[Motion, Totals, StickRecord, BoolArray]:
     """`cross_interval`, which after the horizon leaves everything as it is, to the last bit."""
     live = ~(motion.t >= scales.t1)
-    following, totals, record = cross_interval(scales, motion, totals, duration, velocity)
-    return jax.tree.map(lambda new, old: jnp.where(live, new, old), following, motion), totals, record
+    following, totals, record, tie = cross_interval(scales, motion, totals, duration, velocity)
+    return jax.tree.map(lambda new, old: jnp.where(live, new, old), following, motion), totals, record, tie & live
 
 
 def run_intervals(
     scales: Scales, motion: Motion, durations: Array, velocities: Array
-) -> tuple[Motion, Totals, StickRecord, Motion]:
+) -> tuple[Motion, Totals, StickRecord, Motion, BoolArray]:
     """Simulate all intervals of one realisation.
 
-    Returns the final state, the totals, a `StickRecord` for each interval, and the state at the beginning of each.
+    Returns the final state, the totals, and of each interval a `StickRecord`, the state at its beginning, and whether
+    the mass met the base for no time.
     """
 
     @partial(jax.checkpoint, prevent_cse=False)  # computing an interval again takes less time than storing its values
     def step(carry, interval):
-        *following, record = cross_live_interval(scales, *carry, *interval)
-        return tuple(following), (record, carry[0])
+        *following, record, tie = cross_live_interval(scales, *carry, *interval)
+        return tuple(following), (record, carry[0], tie)
 
     start = (motion, start_totals(motion.x.dtype))
-    (motion, totals), (records, beginnings) = lax.scan(step, start, (durations, velocities))
-    return motion, totals, records, beginnings
+    (motion, totals), of_each = lax.scan(step, start, (durations, velocities))
+    return motion, totals, *of_each
 
 
 def status_of(motion: Motion, t1: FloatArray) -> IntArray:

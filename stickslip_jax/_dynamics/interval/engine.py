@@ -9,7 +9,7 @@ from ..._compiler import computed_once
 from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
 from ..._excitation.piecewise_constant import PiecewiseConstantLaw
 from ..._systems.mass_spring import MassSpring
-from ..._types import Array, BoolArray, Number, Scalar
+from ..._types import Array, BoolArray, IntArray, Number, Scalar
 from ..common.engine import Engine, SampleTotals
 from .arcs import Scales
 from .crossing import Motion, cross_interval, scales_of, start_motion, status_of, sticks_at_start
@@ -17,19 +17,21 @@ from .ties import starts_at_edge
 
 
 class _Sample(NamedTuple):
-    """Constants of a sample: its key data, whether it begins with a stick, and whether at an edge of the band."""
+    """Constants of a sample: its key data, and whether it begins with a stick."""
 
     key_data: tuple[Array, Array]
     at_start: BoolArray
-    at_edge: BoolArray
 
 
 class _Lane(NamedTuple):
-    """The motion of one lane; `memory`: the state of the random law, which the next interval depends on."""
+    """The motion of one lane; `memory`: the state of the random law, which the next interval depends on; `ties`: the
+    number of intervals in which round-off decided.
+    """
 
     memory: Any
     motion: Motion
     totals: Totals
+    ties: IntArray
 
 
 class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
@@ -51,9 +53,8 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
         memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
         _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
         at_start = sticks_at_start(scales, motion, base)
-        return _Sample(key_data, at_start, starts_at_edge(scales, motion, base)), _Lane(
-            memory, motion, start_totals(dtype)
-        )
+        at_edge = starts_at_edge(scales, motion, base).astype(jnp.int32)
+        return _Sample(key_data, at_start), _Lane(memory, motion, start_totals(dtype), at_edge)
 
     def shared(self, dtype) -> Scales:
         return scales_of(self.system, self.t1, dtype)
@@ -64,8 +65,8 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
     def step(self, shared: Scales, sample: _Sample, motion: _Lane, drawn: Any) -> tuple[_Lane, StickRecord]:
         duration, velocity, memory = self.law.next_interval(motion.memory, drawn, shared.t1.dtype)
         duration = jnp.where(duration >= shared.t1, shared.t1, duration)  # no infinity enters the arithmetic
-        moved, totals, stick = cross_interval(shared, motion.motion, motion.totals, duration, velocity)
-        return _Lane(memory, moved, totals), stick
+        moved, totals, stick, tie = cross_interval(shared, motion.motion, motion.totals, duration, velocity)
+        return _Lane(memory, moved, totals, motion.ties + tie), stick
 
     def ended(self, motion: _Lane, before: _Lane) -> BoolArray:
         return is_over(motion.motion, before.motion, self.t1)
@@ -76,8 +77,8 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
             slips=count_slips(motion.totals, sample.at_start),
             stick_time=motion.totals.stick_time,
             status=status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype)),
-            # Only the start is looked at: to look at every interval (`is_tie`) would cost a third of the time.
-            near_grazing_count=sample.at_edge.astype(jnp.int32),
+            # Ties of other kinds (`is_tie`) are not looked for: it would cost a third of the time.
+            near_grazing_count=motion.ties,
         )
 
 

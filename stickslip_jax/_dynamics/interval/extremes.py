@@ -39,7 +39,7 @@ def largest_in_interval(
     left = scales.t1 - motion.t
     span = jnp.clip(jnp.where(duration < left, duration, left), 0)
     mirror, x, v, q, turned, span = mirrored(motion.x, motion.v, velocity, scales, span)
-    passage = carry_across(x, v, q, scales, span)
+    passage = carry_across(x, v, q, scales, span, motion.t)
     upwards = sign * mirror
     start, stick = (v, q) if of_velocity else (x, passage.position)
     # A stick moves at the base's velocity, from where it begins.

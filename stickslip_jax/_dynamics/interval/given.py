@@ -85,13 +85,13 @@ def _follow(what: _What, given: Given) -> Any:
 def _plain(what: _What, given: Given) -> Any:
     """One scan over all intervals, which every transformation of JAX supports."""
     start = start_motion(given.scales, given.y0, _ASKED[what])
-    motion, totals, records, began = run_intervals(given.scales, start, given.durations, given.velocities)
+    motion, totals, records, began, brief = run_intervals(given.scales, start, given.durations, given.velocities)
     if what == "final":
         return motion, totals
     if what == "sticks":
         return closed_up(records)
     ties = jax.vmap(is_tie, (None, 0, 0, 0))(given.scales, began, given.durations, given.velocities)
-    return Beginnings(began, jnp.sum(ties, dtype=jnp.int32))
+    return Beginnings(began, jnp.sum(ties | brief, dtype=jnp.int32))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -242,7 +242,7 @@ def _cross_all(scales: Scales, durations: Array, velocities: Array, block: _Bloc
     def cross(block):
         number = block.crossed
         base = _column(durations, number), _column(velocities, number)
-        motion, totals, record = jax.vmap(cross_live_interval)(scales, block.motion, block.totals, *base)
+        motion, totals, record, brief = jax.vmap(cross_live_interval)(scales, block.motion, block.totals, *base)
         kept = block.kept
         if isinstance(kept, StickRecord):
             kept = jax.tree.map(lambda old, row: lax.dynamic_update_index_in_dim(old, row, number, 0), kept, record)
@@ -251,7 +251,7 @@ def _cross_all(scales: Scales, durations: Array, velocities: Array, block: _Bloc
                 lambda old, new: lax.dynamic_update_index_in_dim(old, new, number, 1), kept.motion, block.motion
             )
             ties = jax.vmap(is_tie)(scales, block.motion, *base)
-            kept = Beginnings(began, kept.near_grazing_count + ties)
+            kept = Beginnings(began, kept.near_grazing_count + (ties | brief))
         return _Block(number + 1, motion, totals, kept)
 
     def goes_on(block):

@@ -36,7 +36,7 @@ class IntervalPath(Path):
         began, velocity = jax.tree.map(
             lambda values: values[self._index(time)], (self.beginnings, self.base.velocities)
         )
-        motion, _, _ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
+        motion, *_ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
         return motion.x, motion.v
 
     def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:

@@ -5,7 +5,8 @@ arc meets the base velocity, the last digits decide
 
 - on an arc that is nearly tangent to the base velocity, whether it meets it;
 - at ``H = 2 alpha``, whether friction holds the mass, and at ``H = 0`` whether it does so for more than an instant;
-- where an arrival or a release falls on the end of the interval, whether there is one;
+- where an arrival or a release falls on the end of the interval, whether there is one. A stick between the two would
+  have no length: it is none (`Passage.tie`, which ensembles count too);
 - where an arrival falls on its beginning, whether there was a slip before.
 """
 
@@ -16,15 +17,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._types import BoolArray, FloatArray
-from .arcs import Scales, first_arc, mirrored, time_of_arc, touch
+from .arcs import CLOCK_ULPS, Scales, few, first_arc, mirrored, time_of_arc, touch
 from .crossing import Motion
 
-# How close is near, in units in the last place of the numbers involved: three times the error of the state after 10^4
-# intervals, which grows with the square root of their number (`_TOUCH_ULPS` of `arcs.py`). By chance,
-# 4 of 10^12 intervals of the default study come so close (float32: 4 of 10^4).
-_NEAR_ULPS = {8: 256, 4: 64}
 LAST_LEFT = "slip_displacement"  # the quantity of a stick that remembers where the last one ended
-_CLOCK_ULPS = 4  # the round-off of the time at which an interval begins, in units in the last place
 
 
 class _Arc(NamedTuple):
@@ -64,7 +60,7 @@ def starts_at_edge(scales: Scales, start: Motion, velocity: FloatArray) -> BoolA
     which alone costs nearly nothing.
     """
     pull, alpha = scales.spring.squared * jnp.abs(start.x), scales.deceleration
-    return (jnp.abs(pull - alpha) <= _few(pull) * (pull + alpha)) & (start.v == velocity)
+    return (jnp.abs(pull - alpha) <= few(pull) * (pull + alpha)) & (start.v == velocity)
 
 
 def _arc(scales, began, duration, velocity) -> _Arc:
@@ -74,10 +70,10 @@ def _arc(scales, began, duration, velocity) -> _Arc:
     side, A, v, excess, H, time, _, _, _ = first_arc(x, v, speed, q, scales, span)
     meets = excess > jnp.where(v < speed, touch(A, q, scales), 0)
     A, begins = jnp.abs(A), v == speed
-    of_v = _few(x) * (jnp.abs(v) + speed + (A + alpha) * scales.clock)
+    of_v = few(x) * (jnp.abs(v) + speed + (A + alpha) * scales.clock)
     v = omega * v
     size = A + jnp.abs(v) + q + alpha
-    of_x, of_state = _few(x) * (A + 2 * alpha), _few(x) * size
+    of_x, of_state = few(x) * (A + 2 * alpha), few(x) * size
     # H^2 = A^2 + v^2 - q^2 has the error of its terms; a mass that has the base's velocity exactly meets it at H = A.
     of_H = jnp.where(begins, of_x, of_state * size / jnp.where(meets, H, 1))
     return _Arc(A, v, q, speed, begins, span, excess, side, H, time, meets, of_x, of_v, of_H)
@@ -88,7 +84,7 @@ def _ties_at_first(scales, began, arc) -> BoolArray:
     alpha, threshold = scales.deceleration, touch(arc.A, arc.q, scales)
     # After a release at this velocity the arc is tangent to it in exact numbers, which the threshold knows.
     left_at = scales.spring.squared * jnp.abs(began.remembered[LAST_LEFT])
-    released = (jnp.abs(left_at - alpha) <= _few(alpha) * alpha) & (began.t > 0)
+    released = (jnp.abs(left_at - alpha) <= few(alpha) * alpha) & (began.t > 0)
     returns = released & (jnp.abs(arc.excess) <= threshold)
     tangent = (arc.v < arc.q) & (jnp.abs(arc.excess) <= 2 * threshold) & ~returns
     at_edge = arc.meets & (jnp.abs(arc.H - 2 * alpha) <= arc.of_H)
@@ -103,7 +99,7 @@ def _ties_later(scales, began, arc) -> BoolArray:
     holds = crossed & ((arrived & (jnp.abs(H - 2 * alpha) <= arc.of_H)) | (arc.of_H >= H))
     # The relative velocity changes at the rate H where it passes zero: times H, times are velocities.
     eps, rate = float(jnp.finfo(H.dtype).eps), scales.spring.squared * arc.speed
-    when = arc.of_v + H * (_few(H) * span + _CLOCK_ULPS * eps * began.t)
+    when = arc.of_v + H * (few(H) * span + CLOCK_ULPS * eps * began.t)
     at_end = arc.meets & (2 * alpha + arc.of_H >= H) & (jnp.abs(arrival - span) * H <= when)
     at_start = arrived & ~crossed & ~arc.begins & (arrival * H <= arc.of_v)
     beyond = side * (alpha - H) + rate * (span - arrival) - alpha
@@ -128,7 +124,3 @@ def _last_meeting(H, side, arrival, q, scales, span):
     state = side, H, arrival
     state = jax.tree.map(lambda new, old: jnp.where(crosses(state), new, old), cross(state), state)
     return lax.while_loop(crosses, cross, state)
-
-
-def _few(like: FloatArray) -> float:
-    return _NEAR_ULPS[like.dtype.itemsize] * float(jnp.finfo(like.dtype).eps)
