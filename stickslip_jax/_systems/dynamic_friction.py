@@ -52,6 +52,13 @@ class DynamicFriction(FrictionLaw):
     def inner_state(self) -> str:
         return "inner state"
 
+    @property
+    def elastic_slip(self) -> Scalar:
+        """How far bristles bend from one limit to the other, m: between two times of rest, a contact that slips by less
+        has been stuck. Zero for laws that tell no deflection.
+        """
+        return 0.0
+
     def check_relations(self) -> None:
         """Nothing, unless a law has something to check."""
 
@@ -159,6 +166,10 @@ class _Bristles(DynamicFriction):
     @property
     def static(self) -> Scalar:
         return self.mu
+
+    @property
+    def elastic_slip(self) -> Scalar:
+        return 2 * self.mu / self.stiffness
 
     @property
     def state_scale(self) -> Scalar:
@@ -277,6 +288,10 @@ class LuGre(DynamicFriction):
     @property
     def static(self) -> Scalar:
         return self.mu_static
+
+    @property
+    def elastic_slip(self) -> Scalar:
+        return 2 * self.mu_static / self.stiffness
 
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         return velocity - self.stiffness * jnp.abs(velocity) * z / self.limit(velocity)

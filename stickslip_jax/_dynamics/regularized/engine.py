@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ..._events.stick_quantities import ALL
-from ..._events.sticks import StickRecord, count_slips, no_stick
+from ..._events.sticks import StickRecord, Totals, count_slips, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
@@ -25,9 +25,9 @@ from ..common.varying import with_leaves
 from .contacts_field import ContactsField
 from .field import Field
 from .inner_field import InnerField
-from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of
+from .solve import CLOSING, Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of
 from .stepping import FixedLane, advance_fixed, start_fixed
-from .stick_detector import Criterion, StickDetector
+from .stick_detector import Criterion
 from .switch import Switch
 
 
@@ -88,7 +88,8 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
         return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
 
     def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
-        return _results(motion.detector, self.system, status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype)))
+        status = status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))
+        return _results(motion.detector.totals, motion.detector.at_start, self.system, status)
 
 
 class AdaptiveBatch(NamedTuple):
@@ -147,8 +148,8 @@ def solve_batch(
         detector, records = stopping_scan(
             one_step,
             start,
-            most,
-            lambda _, index: index >= solution.steps,
+            most + CLOSING,
+            lambda _, index: index >= solution.seen_steps,
             lambda _: no_stick(dtype, quantities, () if tracks is None else (tracks,)) if keep else None,
         )
         return detector, status_of(solution, detector), records
@@ -156,7 +157,7 @@ def solve_batch(
     detectors, statuses, records = jax.vmap(one)(
         jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), varying
     )
-    return _results(detectors, batch.system, statuses), records
+    return _results(detectors.totals, detectors.at_start, batch.system, statuses), records
 
 
 def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field | ContactsField | InnerField:
@@ -185,8 +186,8 @@ def _realized(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
     return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realized(key_data, dtype))
 
 
-def _results(detector: StickDetector, system: System, status: IntArray) -> SampleTotals:
-    totals, at_start = of_track((detector.totals, detector.at_start), system)
+def _results(totals: Totals, at_start: BoolArray, system: System, status: IntArray) -> SampleTotals:
+    totals, at_start = of_track((totals, at_start), system)
     return SampleTotals(
         sticks=totals.sticks,
         slips=count_slips(totals, at_start),
