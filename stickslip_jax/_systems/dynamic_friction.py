@@ -95,7 +95,7 @@ class DynamicFriction(FrictionLaw):
             rtol: Relative tolerance of the integration, by diffrax' ``Kvaerno5``, implicit and of fifth order. The
                 absolute one is as small a part of the inner state at which the law slips steadily. `DieterichRuina`
                 behind a spring takes no less than 8 units of round-off times ``mu / direct``.
-            max_steps: The largest number of steps; by default 16384 and 64 for each time.
+            max_steps: The largest number of steps; by default 1048576 and 64 for each time.
             adjoint: How diffrax differentiates: by default ``RecursiveCheckpointAdjoint()``, for ``grad``;
                 ``ForwardMode()`` for ``jvp`` and ``jacfwd``.
 
@@ -205,9 +205,9 @@ class Dahl(_Bristles):
         left = 1 - self.stiffness * z * jnp.sign(velocity) / self.mu
         if not _checks.is_traced(self.exponent) and self.exponent == 1:
             return velocity * left
-        size = jnp.abs(left)
-        power = jnp.where(size > 0, jnp.where(size > 0, size, 1) ** self.exponent, 0)
-        return velocity * jnp.sign(left) * power
+        # Below exponent 1 the spring yields wholly at a finite deflection, with an infinite slope: round-off limits it.
+        least = jnp.sqrt(jnp.finfo(jnp.result_type(left)).eps)
+        return velocity * left * jnp.maximum(jnp.abs(left), least) ** (self.exponent - 1)
 
 
 class BoucWen(_Bristles):

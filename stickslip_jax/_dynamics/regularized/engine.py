@@ -117,13 +117,14 @@ def solve_batch(
     samples: int,
     leaf_numbers: tuple[int, ...],
     sizes: tuple[int, ...],
+    most: int,
     keep: bool,
     dtype: DType,
 ) -> tuple[SampleTotals, StickRecord | None]:
     """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
 
     `realization` (samples,): the number that each draws its excitation by. `used`: number of samples that are needed;
-    the others end at once. `varying`, `leaf_numbers`: the leaves of the batch that
+    the others end at once. `most`: the largest number of steps of each. `varying`, `leaf_numbers`: the leaves of the batch that
     differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
     t1, quantities, tracks = jnp.asarray(batch.t1, dtype), ALL if keep else (), batch.system.track_count
@@ -132,8 +133,6 @@ def solve_batch(
         words = random_words(key_data, number)
         here = with_leaves(batch, leaf_numbers, varying)
         method = here.method
-        assert method.max_steps is not None
-        most = method.max_steps
         smooth = _realized(here.excitation, words, dtype)
         tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
         field, criterion = field_of(here.system, smooth, method), criterion_of(method)
