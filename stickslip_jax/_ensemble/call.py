@@ -19,7 +19,7 @@ from .._dynamics.common.lanes import BLOCK
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.compiled import compiled_for, solve_chunk
 from .._dynamics.regularized.engine import AdaptiveBatch
-from .._dynamics.regularized.settings import numbers_as_arrays
+from .._dynamics.regularized.settings import ADAPTIVE_STEPS, MORE, numbers_as_arrays
 from .._events.stick_stream import StickCollector
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
@@ -266,14 +266,22 @@ def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator
     def simulate(first: int, number: int) -> tuple[Part]:
         varying = tuple(jnp.asarray(column) for column in setup.varying_leaves(first, plan.lanes))
         numbers = jnp.asarray(setup.inputs.realization_numbers(first, plan.lanes))
-        results, records = solve_chunk(arrays, varying, setup.key_data, numbers, jnp.uint32(number), **how)
-        results = SampleTotals(*(np.asarray(leaf)[:number] for leaf in results))
+        given, lanes = (varying, setup.key_data, numbers, jnp.uint32(number)), np.arange(plan.lanes)
+        results, records = solve_chunk(arrays, *given, **how, most=batch.method.max_steps or ADAPTIVE_STEPS)
+        results, kept = SampleTotals(*map(np.asarray, results)), [(records, lanes >= 0)]
+        short = (results.status == Status.OUT_OF_STEPS) & (lanes < number)
+        if batch.method.max_steps is None and np.any(short):  # the others stay as they are
+            more, records = solve_chunk(arrays, *given, **how, most=MORE * ADAPTIVE_STEPS)
+            results = SampleTotals(*(np.where(short, new, old) for new, old in zip(more, results, strict=True)))
+            kept = [(kept[0][0], ~short), (records, short)]
+        results = SampleTotals(*(leaf[:number] for leaf in results))
         if records is None:
             return (Part(results),)
-        values = np.stack([np.asarray(column).T for column in records.columns.values()], axis=1)
         sticks = StickCollector()
         sticks.restart(number)
-        sticks.add(values, np.asarray(records.ending).T, np.arange(plan.lanes)[None, :])
+        for records, of_lanes in kept:
+            values = np.stack([np.asarray(column).T for column in records.columns.values()], axis=1)
+            sticks.add(values, np.where(of_lanes, np.asarray(records.ending).T, np.int8(-1)), lanes[None, :])
         part = Part.of(results, sticks.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
         return (part,)
 

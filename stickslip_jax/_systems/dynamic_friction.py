@@ -52,6 +52,13 @@ class DynamicFriction(FrictionLaw):
     def inner_state(self) -> str:
         return "inner state"
 
+    @property
+    def elastic_slip(self) -> Scalar:
+        """How far bristles bend from one limit to the other, m: between two times of rest, a contact that slips by less
+        has been stuck. Zero for laws that tell no deflection.
+        """
+        return 0.0
+
     def check_relations(self) -> None:
         """Nothing, unless a law has something to check."""
 
@@ -88,7 +95,7 @@ class DynamicFriction(FrictionLaw):
             rtol: Relative tolerance of the integration, by diffrax' ``Kvaerno5``, implicit and of fifth order. The
                 absolute one is as small a part of the inner state at which the law slips steadily. `DieterichRuina`
                 behind a spring takes no less than 8 units of round-off times ``mu / direct``.
-            max_steps: The largest number of steps; by default 16384 and 64 for each time.
+            max_steps: The largest number of steps; by default 1048576 and 64 for each time.
             adjoint: How diffrax differentiates: by default ``RecursiveCheckpointAdjoint()``, for ``grad``;
                 ``ForwardMode()`` for ``jvp`` and ``jacfwd``.
 
@@ -161,6 +168,10 @@ class _Bristles(DynamicFriction):
         return self.mu
 
     @property
+    def elastic_slip(self) -> Scalar:
+        return 2 * self.mu / self.stiffness
+
+    @property
     def state_scale(self) -> Scalar:
         return self.mu / self.stiffness
 
@@ -194,9 +205,9 @@ class Dahl(_Bristles):
         left = 1 - self.stiffness * z * jnp.sign(velocity) / self.mu
         if not _checks.is_traced(self.exponent) and self.exponent == 1:
             return velocity * left
-        size = jnp.abs(left)
-        power = jnp.where(size > 0, jnp.where(size > 0, size, 1) ** self.exponent, 0)
-        return velocity * jnp.sign(left) * power
+        # Below exponent 1 the spring yields wholly at a finite deflection, with an infinite slope: round-off limits it.
+        least = jnp.sqrt(jnp.finfo(jnp.result_type(left)).eps)
+        return velocity * left * jnp.maximum(jnp.abs(left), least) ** (self.exponent - 1)
 
 
 class BoucWen(_Bristles):
@@ -277,6 +288,10 @@ class LuGre(DynamicFriction):
     @property
     def static(self) -> Scalar:
         return self.mu_static
+
+    @property
+    def elastic_slip(self) -> Scalar:
+        return 2 * self.mu_static / self.stiffness
 
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         return velocity - self.stiffness * jnp.abs(velocity) * z / self.limit(velocity)

@@ -68,6 +68,12 @@ class InnerStates(eqx.Module):
         """The relative velocity of each contact, m/s."""
         return self.inner.relative_velocity(forcing, tau, y[:-1])
 
+    def slip_of_law(self, y: State) -> FloatArray:
+        """The slip of the law over that of the one contact; not zero."""
+        assert isinstance(self.inner, OneContactModel)
+        share = jnp.abs(jnp.asarray(self.inner.to_inner_law(y[:-1])[0], y[0].dtype))
+        return jnp.maximum(share, jnp.finfo(share.dtype).eps)
+
     def varying_normal_forces(self, forcing: Any, tau: FloatScalar, y: State) -> FloatArray:
         """The normal forces that vary, N."""
         assert isinstance(self.inner, ContactsModel)

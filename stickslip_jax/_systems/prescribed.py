@@ -16,7 +16,8 @@ from .._fields import require_single
 from .._types import Array, FloatArray, Number
 from .series_spring import BehindSpring, SpeedBehindSpring
 
-_FEW, _EACH = 16384, 64  # steps that are allowed, and those for each time
+_FEW, _EACH = 2**20, 64  # steps that are allowed, and those for each time
+_LEAST = 1e-19  # of the time: steps so short lead nowhere
 _MOST = 2**31 - 1  # steps that 32 bits count
 _HALVES = 40  # of the time between two instants, until the turn between them is known
 
@@ -76,7 +77,9 @@ def _states(
     tolerance = rtol.astype(times.dtype)
     if isinstance(law, SpeedBehindSpring):
         tolerance = jnp.maximum(tolerance, law.least_tolerance)
-    control = diffrax.PIDController(rtol=tolerance, atol=tolerance * law.state_scale)
+    control = diffrax.PIDController(
+        rtol=tolerance, atol=tolerance * law.state_scale, dtmin=_LEAST * (times[-1] - times[0]), force_dtmin=False
+    )
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rates), diffrax.Kvaerno5(), times[0], times[-1], None, start,
         saveat=diffrax.SaveAt(ts=times), max_steps=most, adjoint=adjoint, throw=False,

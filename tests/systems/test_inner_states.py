@@ -29,12 +29,19 @@ def bristles(v, z):
     return 1e5 * z + math.sqrt(1e5) * rate + 0.4 * v, rate
 
 
-def below(solution, velocity, threshold, shortest):
-    """The times in which the relative velocity is below the threshold for long enough, by scipy's dense output."""
+def below(solution, velocity, threshold, shortest, bend=2 * 1.5 / 1e5, of_law=None):
+    """The times in which the relative velocity is below the threshold for long enough, by scipy's dense output.
+
+    Joined where the contact slips by less than `bend` in between. `of_law`: the speed of its slip, if another one.
+    """
     times = np.linspace(0, solution.t[-1], 2_000_001)
-    slow = np.concatenate([[False], np.abs(velocity(solution.sol(times))) <= threshold, [False]])
-    edges = np.flatnonzero(slow[1:] != slow[:-1]).reshape(-1, 2)
-    spans = times[np.minimum(edges, len(times) - 1)]
+    states = solution.sol(times)
+    speed = velocity(states)
+    slow = np.concatenate([[False], np.abs(speed) <= threshold, [False]])
+    edges = np.minimum(np.flatnonzero(slow[1:] != slow[:-1]), len(times) - 1)
+    path = np.cumsum(np.abs(speed) if of_law is None else of_law(states)) * times[1]
+    slips = path[edges[2::2]] - path[edges[1:-1:2]] >= bend
+    spans = times[np.stack([edges[::2][np.append(True, slips)], edges[1::2][np.append(slips, True)]], axis=1)]
     return spans[spans[:, 1] - spans[:, 0] >= shortest]
 
 
@@ -218,7 +225,10 @@ def test_a_motor_and_its_cart_against_scipy():
     run = solve_ivp(rates, (0, 0.6), [2.0, 5.0, 0, 0], method="Radau", rtol=1e-10, atol=1e-13, dense_output=True)
     assert np.ptp(run.y[0]) > math.pi
     np.testing.assert_allclose(one.final_state, run.y[:, -1], rtol=0, atol=1e-5)
-    spans = below(run, lambda y: cart.ARM * y[1], float(one.method.threshold), float(one.method.minimum_duration))
+    least = float(one.method.threshold), float(one.method.minimum_duration)
+    spans = below(
+        run, lambda y: cart.ARM * y[1], *least, 2 * 0.4 / 2e4, lambda y: np.abs(cart.ARM * np.sin(y[0]) * y[1])
+    )
     assert len(spans)
     np.testing.assert_allclose(np.stack(listed(one.sticks), axis=1), spans, rtol=0, atol=1e-4)
     times = np.array([0.05, 0.2, 0.3])

@@ -1,10 +1,12 @@
 """Whether a trajectory in time steps has ended, and why."""
 
+from contextlib import suppress
 from typing import Any
 
 import jax.numpy as jnp
 
 from ..._excitation.segments import is_invalid
+from ..._numerics.known import NotKnown, largest
 from ..._status import Status
 from ..._types import BoolArray, FloatArray, IntArray
 
@@ -27,6 +29,13 @@ def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
     for value in lane.y:
         finite = finite & _all(jnp.isfinite(value))
     return ~(lane.t < t1) | is_spent(lane) | (lane.steps >= most_steps) | ~finite
+
+
+def is_short(status: Any) -> bool:
+    """Whether a trajectory, or one of a batch, ran out of steps; False where the status is traced."""
+    with suppress(NotKnown):
+        return largest(status == Status.OUT_OF_STEPS) > 0
+    return False
 
 
 def is_spent(lane: Any) -> BoolArray:

@@ -70,8 +70,9 @@ class Regularized(eqx.Module, metaclass=Constructor):
       the scale of each state. The instants of sticks are interpolated inside a step: where they matter, take an `rtol`
       far below the width over the system's velocities (for "linear", whose corners a long step misses, at most 1e-8).
     - `max_steps`: the largest number of steps of one trajectory, rejected ones included; by default 16384 adaptive
-      steps, or as many fixed steps as fit into ``t1``, twice as many where steps may be shortened. Needed with a fixed
-      step under ``jit`` or ``grad`` where `t1` is traced.
+      steps, 8 and 64 times as many where these are too few (in ensembles 8 times; under ``jit``, where it is not known
+      whether they are, 16384), or as many fixed steps as fit into ``t1``, twice as many where steps may be shortened.
+      Needed with a fixed step under ``jit`` or ``grad`` where `t1` is traced.
     - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep velocity at which a
       mass is released: one width where static friction exceeds kinetic friction, else that or a little more
       (`Switch.creep`). Of laws with an inner state, a thousandth of what friction changes of the velocity in the time

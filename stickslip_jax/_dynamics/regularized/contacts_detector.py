@@ -1,4 +1,4 @@
-"""Detection of sticks of several contacts in regularised dynamics, and of the times in which all closed ones stick.
+"""Detection of sticks of several contacts in fixed steps, and of the times in which all closed ones stick.
 
 Each contact sticks while it is closed and its relative velocity is below the threshold. All at once stick while every
 closed contact does, and one is closed. The arrays of a detector and of positions have an entry for each contact and a
@@ -44,26 +44,29 @@ def detect_contacts(
     jumped: BoolArray,
     after: tuple[FloatArray, BoolArray],
     last: BoolArray,
-    resolved: bool,
 ) -> tuple[StickDetector, StickRecord]:
     """Update the detector by one step; see `stick_detector.detect`.
 
     `after`: the relative velocities where the step ends, after a jump there, and whether contacts are closed.
     """
     threshold = jnp.asarray(criterion.threshold, step.t.dtype)
-    time, closed = _time_inside(threshold, detector, step, jumped, resolved=resolved)
-    # A jump of the base is none for a contact between two masses.
+    time, closed = _time_inside(threshold, detector, step, jumped)
     velocity, closed_after = after
-    size = jnp.maximum(jnp.maximum(jnp.abs(velocity), jnp.abs(step.r1)), threshold)
-    turned = jumped & (jnp.abs(velocity - step.r1) > _ULPS * jnp.finfo(size.dtype).eps * size)
+    turned = turned_by_jump(threshold, step, velocity, jumped)
     over = turned | (closed_after != closed)
     goes_on = jnp.where(over, (jnp.abs(velocity) <= threshold) & closed_after, time.inside[:-1])
     goes_on = _with_all(goes_on, closed_after)
     all_over = jnp.any(turned & time.inside[:-1]) | (goes_on[-1] != time.inside[-1])
     over = jnp.append(over, all_over)
-    least = jnp.broadcast_to(jnp.asarray(criterion.minimum_duration, size.dtype), size.shape)
+    least = jnp.broadcast_to(jnp.asarray(criterion.minimum_duration, step.r1.dtype), step.r1.shape)
     at_end = AtEnd(over, goes_on, last, time.leaves | (over & ~jumped))
     return recorded(jnp.append(least, jnp.max(least)), detector, step, time, at_end)
+
+
+def turned_by_jump(threshold: FloatArray, step: Step, velocity: FloatArray, jumped: BoolArray) -> BoolArray:
+    """Whether the relative velocity jumps to `velocity` where the step ends: between two masses a base does nothing."""
+    size = jnp.maximum(jnp.maximum(jnp.abs(velocity), jnp.abs(step.r1)), threshold)
+    return jumped & (jnp.abs(velocity - step.r1) > _ULPS * jnp.finfo(size.dtype).eps * size)
 
 
 def _with_all(inside: BoolArray, closed: BoolArray) -> BoolArray:
@@ -72,24 +75,22 @@ def _with_all(inside: BoolArray, closed: BoolArray) -> BoolArray:
 
 
 def _time_inside(
-    threshold: FloatArray, detector: StickDetector, step: Step, jumped: BoolArray, *, resolved: bool
+    threshold: FloatArray, detector: StickDetector, step: Step, jumped: BoolArray
 ) -> tuple[TimeInside, BoolArray]:
     """How the step changes the times below the threshold, and which contacts are closed at its end."""
     was = detector.inside[:-1]
-    closed_before, closed, opening, closing = _closed(step.normal, step.h, was)
+    closed_before, closed, opening, closing = closed_in(step.normal, step.h, was)
     slow = (jnp.abs(step.r1) <= threshold) & closed
     enters, leaves = ~was & slow, was & ~slow
-    entry, leave = passages(threshold, step, resolved=resolved)
+    entry, leave = passages(threshold, step)
     falls = jnp.abs(step.r0) > threshold
     entry = jnp.maximum(jnp.where(falls, entry, 0), jnp.where(closed_before, 0, closing))
     leave = jnp.where(closed, leave, jnp.where(jnp.abs(step.r1) > threshold, jnp.minimum(leave, opening), opening))
     start = jnp.where(enters, step.t + entry, detector.start[:-1])
-    crossed = jnp.full_like(start, jnp.inf)
-    if not resolved:
-        # A long step in which a contact comes to rest may end a little beyond rest; the next step corrects this.
-        start = jnp.where(enters & jnp.isfinite(detector.crossed[:-1]), detector.crossed[:-1], start)
-        passes = ~was & ~slow & (step.r0 * step.r1 < 0) & ~jumped & closed_before & closed
-        crossed = jnp.where(passes, step.t + entry, crossed)
+    # A long step in which a contact comes to rest may end a little beyond rest; the next step corrects this.
+    start = jnp.where(enters & jnp.isfinite(detector.crossed[:-1]), detector.crossed[:-1], start)
+    passes = ~was & ~slow & (step.r0 * step.r1 < 0) & ~jumped & closed_before & closed
+    crossed = jnp.where(passes, step.t + entry, jnp.inf)
 
     inside = _with_all(slow, closed)
     # All at once begin with the last that comes to rest, or with the opening of the last that slips; they end with the
@@ -114,7 +115,7 @@ def _time_inside(
     return TimeInside(inside, leaves, start, position, leave, crossed, crossed_at), closed
 
 
-def _closed(
+def closed_in(
     normal: NormalForces | None, h: FloatArray, like: BoolArray
 ) -> tuple[BoolArray, BoolArray, FloatArray, FloatArray]:
     """Which contacts are closed at the two ends of a step, and when they open and close in it, s after it began.

@@ -17,6 +17,7 @@ from ..._types import AnyArray, BoolArray, FloatArray, Scalar
 from .contacts_detector import detect_contacts, start_contacts
 from .contacts_seen import normal_forces, velocities_and_closed, with_slope
 from .contacts_step import FrictionAt, contacts_step
+from .joined_sticks import AtContact
 from .stick_detector import Criterion, Step, StickDetector
 from .switch import Switch
 
@@ -76,6 +77,11 @@ class ContactsField(eqx.Module):
         """
         return velocities_and_closed(self.model, forcing, jnp.zeros_like(t), y)
 
+    def at_contact(self, forcing: object, t: FloatArray, y: State) -> AtContact:
+        """What sticks are found by in adaptive steps, at the time `t` of the `forcing`."""
+        velocity, closed = self.contact(forcing, t, y)
+        return AtContact(velocity, closed, jnp.zeros_like(velocity))
+
     def start_detector(
         self, criterion: Criterion, forcing: object, y: State, quantities: tuple[str, ...]
     ) -> StickDetector:
@@ -92,10 +98,9 @@ class ContactsField(eqx.Module):
         jumped: BoolArray,
         after: Any,
         last: BoolArray,
-        resolved: bool,
     ) -> tuple[StickDetector, StickRecord]:
         """See `detect_contacts`; `after`: what `contact` returned where the step ends."""
-        return detect_contacts(criterion, detector, seen, jumped=jumped, after=after, last=last, resolved=resolved)
+        return detect_contacts(criterion, detector, seen, jumped=jumped, after=after, last=last)
 
     def _friction(self, forcing: object, tau: FloatArray, y: State) -> FrictionAt:
         return FrictionAt(self.model, self.switch, self.static_exceeds_kinetic, forcing, tau, y)

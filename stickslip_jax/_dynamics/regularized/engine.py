@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ..._events.stick_quantities import ALL
-from ..._events.sticks import StickRecord, count_slips, no_stick
+from ..._events.sticks import StickRecord, Totals, count_slips, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
@@ -25,9 +25,9 @@ from ..common.varying import with_leaves
 from .contacts_field import ContactsField
 from .field import Field
 from .inner_field import InnerField
-from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of
+from .solve import CLOSING, Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of
 from .stepping import FixedLane, advance_fixed, start_fixed
-from .stick_detector import Criterion, StickDetector
+from .stick_detector import Criterion
 from .switch import Switch
 
 
@@ -88,7 +88,8 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
         return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
 
     def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
-        return _results(motion.detector, self.system, status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype)))
+        status = status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))
+        return _results(motion.detector.totals, motion.detector.at_start, self.system, status)
 
 
 class AdaptiveBatch(NamedTuple):
@@ -116,13 +117,14 @@ def solve_batch(
     samples: int,
     leaf_numbers: tuple[int, ...],
     sizes: tuple[int, ...],
+    most: int,
     keep: bool,
     dtype: DType,
 ) -> tuple[SampleTotals, StickRecord | None]:
     """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
 
     `realization` (samples,): the number that each draws its excitation by. `used`: number of samples that are needed;
-    the others end at once. `varying`, `leaf_numbers`: the leaves of the batch that
+    the others end at once. `most`: the largest number of steps of each. `varying`, `leaf_numbers`: the leaves of the batch that
     differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
     t1, quantities, tracks = jnp.asarray(batch.t1, dtype), ALL if keep else (), batch.system.track_count
@@ -131,8 +133,6 @@ def solve_batch(
         words = random_words(key_data, number)
         here = with_leaves(batch, leaf_numbers, varying)
         method = here.method
-        assert method.max_steps is not None
-        most = method.max_steps
         smooth = _realized(here.excitation, words, dtype)
         tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
         field, criterion = field_of(here.system, smooth, method), criterion_of(method)
@@ -147,8 +147,8 @@ def solve_batch(
         detector, records = stopping_scan(
             one_step,
             start,
-            most,
-            lambda _, index: index >= solution.steps,
+            most + CLOSING,
+            lambda _, index: index >= solution.seen_steps,
             lambda _: no_stick(dtype, quantities, () if tracks is None else (tracks,)) if keep else None,
         )
         return detector, status_of(solution, detector), records
@@ -156,7 +156,7 @@ def solve_batch(
     detectors, statuses, records = jax.vmap(one)(
         jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), varying
     )
-    return _results(detectors, batch.system, statuses), records
+    return _results(detectors.totals, detectors.at_start, batch.system, statuses), records
 
 
 def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field | ContactsField | InnerField:
@@ -185,8 +185,8 @@ def _realized(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
     return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realized(key_data, dtype))
 
 
-def _results(detector: StickDetector, system: System, status: IntArray) -> SampleTotals:
-    totals, at_start = of_track((detector.totals, detector.at_start), system)
+def _results(totals: Totals, at_start: BoolArray, system: System, status: IntArray) -> SampleTotals:
+    totals, at_start = of_track((totals, at_start), system)
     return SampleTotals(
         sticks=totals.sticks,
         slips=count_slips(totals, at_start),

@@ -13,6 +13,7 @@ from ..._systems.one_contact import OneContactModel
 from ..._systems.switched_model import NOISE_ULPS, State
 from ..._types import BoolArray, FloatArray
 from .implicit_step import implicit_step
+from .joined_sticks import AtContact
 from .stick_detector import Criterion, Step, StickDetector, detect, start_detector
 from .switch import Switch
 
@@ -83,6 +84,11 @@ class Field(NamedTuple):
         """What the stick detector asks about the contact at the time `t` of the `forcing`: the relative velocity."""
         return self.model.relative_velocity(forcing, jnp.zeros_like(t), y)
 
+    def at_contact(self, forcing: object, t: FloatArray, y: State) -> AtContact:
+        """What sticks are found by in adaptive steps, at the time `t` of the `forcing`."""
+        velocity = self.contact(forcing, t, y)
+        return AtContact(velocity, jnp.ones_like(velocity, bool), jnp.zeros_like(velocity))
+
     def start_detector(
         self, criterion: Criterion, forcing: object, y: State, quantities: tuple[str, ...]
     ) -> StickDetector:
@@ -98,7 +104,6 @@ class Field(NamedTuple):
         jumped: BoolArray,
         after: Any,
         last: BoolArray,
-        resolved: bool,
     ) -> tuple[StickDetector, StickRecord]:
         """See `detect`; `after`: what `contact` returned where the step ends."""
-        return detect(criterion, detector, seen, jumped=jumped, after=after, last=last, resolved=resolved)
+        return detect(criterion, detector, seen, jumped=jumped, after=after, last=last)

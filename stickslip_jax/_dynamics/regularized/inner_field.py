@@ -1,17 +1,16 @@
 """A system whose friction has inner states, as the adaptive engine asks it."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from ..._events.sticks import StickRecord
 from ..._systems.inner_states import InnerStates
 from ..._systems.switched_model import State
-from ..._types import BoolArray, FloatArray
-from .contacts_detector import detect_contacts, start_contacts
+from ..._types import FloatArray
 from .contacts_seen import normal_forces, velocities_and_closed, with_slope
-from .stick_detector import Criterion, Step, StickDetector, detect, start_detector
+from .joined_sticks import AtContact
+from .stick_detector import Step
 
 
 class InnerField(NamedTuple):
@@ -38,34 +37,8 @@ class InnerField(NamedTuple):
         step = Step(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, jnp.zeros_like(r0), jnp.zeros_like(r1), normal)
         return step, rates, end_rates
 
-    def contact(self, forcing: object, t: FloatArray, y: State) -> Any:
-        """What the stick detector asks about the contacts at the time `t` of the `forcing`."""
-        zero = jnp.zeros_like(t)
-        if self.model.contacts is None:
-            return self.model.relative_velocity(forcing, zero, y)
-        return velocities_and_closed(self.model, forcing, zero, y)
-
-    def start_detector(
-        self, criterion: Criterion, forcing: object, y: State, quantities: tuple[str, ...]
-    ) -> StickDetector:
-        """The stick detector at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
-        seen, position = self.contact(forcing, jnp.zeros((), y[0].dtype), y), self.model.stick_position(y)
-        if self.model.contacts is None:
-            return start_detector(criterion, seen, position, quantities)
-        velocity, closed = seen
-        return start_contacts(criterion, velocity, closed, position, quantities)
-
-    def detect(
-        self,
-        criterion: Criterion,
-        detector: StickDetector,
-        seen: Step,
-        *,
-        jumped: BoolArray,
-        after: Any,
-        last: BoolArray,
-        resolved: bool,
-    ) -> tuple[StickDetector, StickRecord]:
-        """See `detect` and `detect_contacts`; `after`: what `contact` returned where the step ends."""
-        update: Any = detect if self.model.contacts is None else detect_contacts
-        return update(criterion, detector, seen, jumped=jumped, after=after, last=last, resolved=resolved)
+    def at_contact(self, forcing: object, t: FloatArray, y: State) -> AtContact:
+        """What sticks are found by at the time `t` of the `forcing`."""
+        slips = jnp.stack([jnp.asarray(law.elastic_slip, t.dtype) for law in self.model.laws])
+        slips = slips if self.model.contacts else slips[0] / self.model.slip_of_law(y)
+        return AtContact(*velocities_and_closed(self.model, forcing, jnp.zeros_like(t), y), slips)

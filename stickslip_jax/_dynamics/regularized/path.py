@@ -11,7 +11,7 @@ from jax import lax
 
 from ... import _checks
 from ..._events.stick_quantities import ALL
-from ..._events.sticks import StickRecord
+from ..._events.sticks import StickRecord, Totals
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.segments import first_segment
 from ..._excitation.smooth import Signal
@@ -20,7 +20,7 @@ from ..._numerics.slopes import with_slopes
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..._types import Array, FloatArray, IntArray, Number, Scalar
-from ..common.ending import has_ended, status_of_lane
+from ..common.ending import has_ended, is_short, status_of_lane
 from ..common.extremes import largest_in_steps
 from ..common.method import Regularized
 from ..common.path import Path, Run
@@ -29,10 +29,10 @@ from ..common.stopping_scan import padded_length, stopping_scan
 from ..common.time_scales import max_steps_advice, step_for
 from ..common.tracks import sticks_and_totals
 from .engine import criterion_of, field_of, switched_field
-from .settings import fixed_steps, numbers_as_arrays, resolved
-from .solve import Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of, table_sizes
+from .settings import ADAPTIVE_STEPS, MORE, fixed_steps, numbers_as_arrays, resolved
+from .solve import CLOSING, Solver, Tables, detect_in_step, solve_adaptive, start_detection, status_of, table_sizes
 from .stepping import FixedLane, Passage, advance_fixed, nothing_seen, start_fixed
-from .stick_detector import StickDetector, hermite
+from .stick_detector import hermite
 
 _MOST_SLOPES = 8  # by more numbers, going back over the steps takes less time
 _NO_KEY_DATA = np.zeros(2, np.uint32)  # a realisation draws nothing
@@ -114,11 +114,18 @@ def follow_regularized(
         step = step_for(system, excitation, given)  # raises for a step that is too long; shortens it where traced
         if _checks.is_traced(step):
             method = dataclasses.replace(method, step=lax.stop_gradient(jnp.asarray(step, dtype)))
-    steps = method.max_steps or _fixed_steps(system, excitation, given, t1)
+    adaptive = method.step is None
+    steps = method.max_steps or (ADAPTIVE_STEPS if adaptive else _fixed_steps(system, excitation, given, t1))
     sizes = table_sizes(system, excitation, t1)
     system, excitation, t1, y0 = numbers_as_arrays((system, excitation, t1, y0), dtype)
-    follow = _follow_adaptive if method.step is None else _follow_fixed
-    return method, follow(_Setting(system, excitation, method, jnp.asarray(t1), y0), steps, sizes)
+    setting = _Setting(system, excitation, method, jnp.asarray(t1), y0)
+    if not adaptive:
+        return method, _follow_fixed(setting, steps, sizes)
+    run: Run = _follow_adaptive(setting, steps, sizes)
+    while given.max_steps is None and steps < ADAPTIVE_STEPS * MORE**2 and is_short(run.status):
+        steps *= MORE
+        run = _follow_adaptive(setting, steps, sizes)
+    return dataclasses.replace(method, max_steps=steps), run
 
 
 def _fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
@@ -168,7 +175,7 @@ def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
     final = system.switched_model(excitation.signal, None).numbers(lane.y)
     path = CubicPath.of(excitation, tables, passages, lane.steps, lane.t, final)
-    return _run(records, lane.detector, system, status_of_lane(lane, t1), lane.t, final, path)
+    return _run(records, lane.detector.totals, system, status_of_lane(lane, t1), lane.t, final, path)
 
 
 @eqx.filter_jit
@@ -187,18 +194,18 @@ def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> R
     detector, (records, passages) = stopping_scan(
         one_step,
         start,
-        steps,
-        lambda _, index: index >= solution.steps,
+        steps + CLOSING,
+        lambda _, index: index >= solution.seen_steps,
         lambda _: nothing_seen(tuple(solution.y[0]), field.model.contacts),
     )
     final = tuple(solution.y[solution.steps])
     path = CubicPath.of(excitation, tables, passages, solution.steps, solution.time_reached, final)
-    return _run(records, detector, system, status_of(solution, detector), solution.time_reached, final, path)
+    return _run(records, detector.totals, system, status_of(solution, detector), solution.time_reached, final, path)
 
 
 def _run(
     records: Any,
-    detector: StickDetector,
+    totals: Totals,
     system: System,
     status: IntArray,
     time_reached: FloatArray,
@@ -206,5 +213,5 @@ def _run(
     path: Path,
 ) -> Run:
     none = jnp.zeros((), jnp.int32)
-    sticks, totals, of_all = sticks_and_totals(records, detector.totals, system)
+    sticks, totals, of_all = sticks_and_totals(records, totals, system)
     return Run(sticks, totals, status, time_reached, final, none, path, of_all)

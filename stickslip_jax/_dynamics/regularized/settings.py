@@ -18,7 +18,8 @@ from ..common.time_scales import accurate_step, step_for
 from .solve import table_sizes
 from .switch import Switch
 
-_MOST_ADAPTIVE_STEPS = 16384
+ADAPTIVE_STEPS, MORE = 2**14, 8
+"""Adaptive steps of a trajectory, and how many times as many where they are too few; twice."""
 _TRIES, _FEW = 2, 256  # of shortened steps
 _SLOW = 1e-3  # of the velocity that friction changes: the threshold of laws with an inner state
 
@@ -78,7 +79,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         solver=diffrax.Kvaerno3() if adaptive and method.solver is None else method.solver,
         rtol=jnp.asarray(method.rtol, dtype),
         atol=jnp.asarray(atol, dtype),
-        max_steps=_MOST_ADAPTIVE_STEPS if adaptive and method.max_steps is None else method.max_steps,
+        max_steps=method.max_steps,
         threshold=jnp.asarray(threshold, dtype),
         minimum_duration=jnp.asarray(duration, dtype),
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,

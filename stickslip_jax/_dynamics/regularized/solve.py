@@ -22,8 +22,12 @@ from .contacts_field import ContactsField
 from .controller import step_control
 from .field import Field
 from .inner_field import InnerField
+from .joined_sticks import JoiningDetector, detect_joined, start_joining
 from .stepping import Passage
-from .stick_detector import Criterion, StickDetector
+from .stick_detector import Criterion
+
+CLOSING = 2
+"""Steps of no length after the last, at most: see `detect_joined`."""
 
 
 class Tables(eqx.Module):
@@ -113,6 +117,11 @@ class Solution(NamedTuple):
         """Where the last step ended, s."""
         return self.t[self.steps]
 
+    @property
+    def seen_steps(self) -> IntArray:
+        """How many steps `detect_in_step` has to see: one of no length follows the last."""
+        return jnp.maximum(self.steps, 1) + 1
+
 
 def solve_adaptive(
     field: Field | ContactsField | InnerField,
@@ -154,11 +163,13 @@ def start_detection(
     criterion: Criterion,
     y: Array,
     quantities: tuple[str, ...],
-) -> StickDetector:
+) -> JoiningDetector:
     """The stick detector at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
     zero = jnp.zeros((), y.dtype)
     forcing = field.model.forcing(zero, tables.at(zero))
-    return field.start_detector(criterion, forcing, field.model.start(tuple(y), y.dtype), quantities)
+    state = field.model.start(tuple(y), y.dtype)
+    tracks = field.model.stick_position(state)
+    return start_joining(criterion, field.at_contact(forcing, zero, state), tracks, quantities)
 
 
 def detect_in_step(
@@ -167,16 +178,16 @@ def detect_in_step(
     criterion: Criterion,
     t1: FloatArray,
     solution: Solution,
-    detector: StickDetector,
+    detector: JoiningDetector,
     index: IntArray,
-) -> tuple[StickDetector, StickRecord, Passage]:
-    """Run the stick detector over step number `index` of a solution; beyond its last step nothing changes."""
-    live = index < solution.steps
-    index = jnp.where(live, index, 0)
+) -> tuple[JoiningDetector, StickRecord, Passage]:
+    """Run the stick detector over step number `index` of a solution; beyond its `seen_steps` nothing changes."""
+    live = index < solution.seen_steps
+    index = jnp.minimum(index, solution.steps)
     model, dtype = field.model, solution.y.dtype
     t, y = solution.t[index], model.start(tuple(solution.y[index]), dtype)
-    # A solution without steps is read as one step of no length.
-    following = jnp.where(solution.steps > 0, index + 1, 0)
+    # A solution without steps is read as steps of no length.
+    following = jnp.minimum(index + 1, solution.steps)
     now, reached = solution.t[following], model.start(tuple(solution.y[following]), dtype)
     h = now - t
     segments, next_segments = tables.at(t + h / 2), tables.at(now)
@@ -184,10 +195,8 @@ def detect_in_step(
     jumped = jnp.zeros((), bool)
     for table, old, new in zip(tables.base, segments.base, next_segments.base, strict=True):
         jumped = jumped | ((old.begin != new.begin) & table.jumps)
-    after = field.contact(model.forcing(now, next_segments), now, reached)
-    moved, record = field.detect(
-        criterion, detector, seen, jumped=jumped & (now < t1), after=after, last=now >= t1, resolved=True
-    )
+    after = field.at_contact(model.forcing(now, next_segments), now, reached)
+    moved, record = detect_joined(criterion, detector, seen, jumped=jumped & (now < t1), after=after, last=now >= t1)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, detector)
     # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `status_of`.
     hidden = live & any_of(~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)))
@@ -197,6 +206,6 @@ def detect_in_step(
     return moved, record, Passage(t, *map(model.numbers, (y, rates, end_rates)))
 
 
-def status_of(solution: Solution, detector: StickDetector) -> IntArray:
+def status_of(solution: Solution, detector: JoiningDetector) -> IntArray:
     """How a solution ended whose steps the `detector` has seen."""
     return jnp.where(any_of(jnp.isnan(detector.totals.stick_time)), jnp.int8(Status.NOT_FINITE), solution.status)

@@ -110,9 +110,7 @@ def advance_fixed(
     t = jnp.where(to_stop, stop, lane.t + h)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
     after = field.contact(field.model.forcing(t, segment_laws.segments(segment_states)), t, y)
-    detector, record = field.detect(
-        criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1, resolved=False
-    )
+    detector, record = field.detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1)
     moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
     accepted = live
     if lane.limit is not None:

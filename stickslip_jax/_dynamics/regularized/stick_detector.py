@@ -1,4 +1,4 @@
-"""Detection of sticks in regularised dynamics: the relative velocity stays below a threshold for long enough."""
+"""Detection of sticks in fixed steps: the relative velocity stays below a threshold for long enough."""
 
 from typing import NamedTuple
 
@@ -97,29 +97,25 @@ def detect(
     jumped: BoolArray,
     after: FloatArray,
     last: BoolArray,
-    resolved: bool,
 ) -> tuple[StickDetector, StickRecord]:
     """Update the detector by one step; returns it and the record of the stick that ended in the step, if any.
 
-    The step may end in a jump of the base (`jumped`), to the relative velocity `after`, or be the `last`. `resolved`:
-    whether it resolves the width, so that the cubic through its ends shows where the relative velocity passes the
-    threshold. If not, the relative velocity is taken to fall linearly to zero inside the step in which a stick begins,
-    and to leave zero inside the step in which the needed friction exceeds the largest.
+    The step may end in a jump of the base (`jumped`), to the relative velocity `after`, or be the `last`. It
+    need not resolve the width: the relative velocity is taken to fall linearly to zero inside the step in which a stick
+    begins, and to leave zero inside the step in which the needed friction exceeds the largest.
     """
     threshold = jnp.asarray(criterion.threshold, step.t.dtype)
     inside = jnp.abs(step.r1) <= threshold
     enters, leaves = ~detector.inside & inside, detector.inside & ~inside
-    entry, leave = passages(threshold, step, resolved=resolved)
+    entry, leave = passages(threshold, step)
     at = position_in(step, entry)
     start = jnp.where(enters, step.t + entry, detector.start)
     position = jnp.where(enters, at, detector.position)
-    crossed, crossed_at = detector.crossed, detector.crossed_at
-    if not resolved:
-        # A long step in which the mass comes to rest may end a little beyond rest; the next step corrects this.
-        late = enters & jnp.isfinite(detector.crossed)
-        start, position = jnp.where(late, detector.crossed, start), jnp.where(late, detector.crossed_at, position)
-        passes = ~detector.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
-        crossed, crossed_at = jnp.where(passes, step.t + entry, jnp.inf), jnp.where(passes, at, step.x1)
+    # A long step in which the mass comes to rest may end a little beyond rest; the next step corrects this.
+    late = enters & jnp.isfinite(detector.crossed)
+    start, position = jnp.where(late, detector.crossed, start), jnp.where(late, detector.crossed_at, position)
+    passes = ~detector.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
+    crossed, crossed_at = jnp.where(passes, step.t + entry, jnp.inf), jnp.where(passes, at, step.x1)
     time = TimeInside(inside, leaves, start, position, leave, crossed, crossed_at)
     goes_on = jnp.where(jumped, jnp.abs(after) <= threshold, inside)
     end = AtEnd(jumped, goes_on, last, leaves)
@@ -182,17 +178,15 @@ def recorded(
     return detector, record
 
 
-def passages(threshold: FloatArray, step: Step, *, resolved: bool) -> tuple[FloatArray, FloatArray]:
+def passages(threshold: FloatArray, step: Step) -> tuple[FloatArray, FloatArray]:
     """When ``|v_rel|`` falls to the `threshold` in a step and when it rises to it, s after the step began.
 
     Each is meaningless where it does not.
     """
-    entry = _crossing(threshold, step, entering=True) if resolved else _straight_entry(threshold, step)
-    leave = _crossing(threshold, step, entering=False)
-    return entry, leave if resolved else _late_exit(threshold, step, leave)
+    return _straight_entry(threshold, step), _late_exit(threshold, step, crossing(threshold, step, entering=False))
 
 
-def _crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArray:
+def crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArray:
     """When ``|v_rel|`` passes the threshold, s after the step began; meaningless where it does not."""
     sign = _sign(step.r0 if entering else step.r1)
     # Positive before the crossing and negative after it.

@@ -1,6 +1,5 @@
 """One trajectory in time steps with located events, and the state along it."""
 
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -10,12 +9,12 @@ from jaxtyping import Array
 
 from ..._excitation.excitation import Excitation
 from ..._excitation.smooth import Signal
-from ..._numerics.known import NotKnown, largest
+from ..._numerics.known import NotKnown
 from ..._numerics.slopes import with_slopes
-from ..._status import Status
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..._types import FloatArray, Number, Scalar
+from ..common.ending import is_short
 from ..common.extremes import largest_in_steps
 from ..common.method import Exact
 from ..common.path import Path, Run
@@ -87,18 +86,11 @@ def follow_steps(system: System, base: Any, method: Exact, t1: Scalar, y0: tuple
         )
     run: Run = _follow_steps(system, excitation, method.solver, t1, y0, step, steps=steps, dtype=dtype)
     for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
-        if not _is_short(run):
+        if not is_short(run.status):
             break
         steps *= 2
         run = _follow_steps(system, excitation, method.solver, t1, y0, step, steps=steps, dtype=dtype)
     return run
-
-
-def _is_short(run: Run) -> bool:
-    """Whether a trajectory, or one of a batch, ran out of steps; False where the status is traced."""
-    with suppress(NotKnown):
-        return largest(run.status == Status.OUT_OF_STEPS) > 0
-    return False
 
 
 @partial(jax.jit, static_argnames=("steps", "dtype"))
