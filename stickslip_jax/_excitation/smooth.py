@@ -36,8 +36,9 @@ class Signal(Checked, Motion):
     those of its parent.
 
     Attributes:
-        shortest_period: The period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
-            not known, and the step of a simulation must then be given.
+        shortest_period: The period (s) of its fastest oscillation, of a pulse about twice its duration, infinity if it
+            does not oscillate; None where it is not known: the step of a simulation must then be given, and adaptive
+            steps are refused.
     """
 
     is_harmonic: ClassVar[bool] = False  # a sum of `tones` and a `mean`, as `_Tones` has them
@@ -238,7 +239,7 @@ class SumOfHarmonics(_Tones):
 class UserMotion(Signal):
     """A user-defined base motion: any object with ``velocity(t)`` (m/s) and ``acceleration(t)`` (m/s^2).
 
-    It may have ``shortest_period`` (s) too; without it, the step of the simulation must be given. To differentiate with
+    It may have ``shortest_period`` (s) too, as a `Signal`; without it, the step must be given. To differentiate with
     respect to its parameters, make it a pytree (an ``equinox.Module``, say); any other object is a constant.
     """
 

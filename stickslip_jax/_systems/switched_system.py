@@ -183,8 +183,9 @@ class SwitchedSystem(WithContacts):
     def shortest_time(self) -> Scalar | None:
         """The shortest time scale, s: the shortest natural period, or 2 pi times a shorter time constant.
 
-        The default time step is 1/48 of it, and no step may be longer than 1/12 of it. None where it is not known; the
-        step must be given then, ``method=Exact(step=...)``.
+        The default time step is 1/48 of it, and no step may be longer than 1/12 of it; adaptive steps of a system that
+        uses the time, or whose contacts open, 1/4 of it. None where it is not known; the step must be given then,
+        ``method=Exact(step=...)``.
         """
         return None
 
