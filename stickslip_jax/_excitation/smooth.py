@@ -26,6 +26,9 @@ Tones: TypeAlias = tuple[Scalar | AnyArray, Scalar | AnyArray, Scalar | AnyArray
 
 PerHarmonic: TypeAlias = Float[AnyArray, " harmonics"]
 
+SEEN_IN_STEPS = 4
+"""Adaptive steps in the shortest period of what drives a system, at least: the stages of a step see every change."""
+
 SIGNAL_UNIT = "m/s for a base velocity, N for a force"
 
 

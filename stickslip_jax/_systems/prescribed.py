@@ -13,14 +13,13 @@ from jax import lax
 from .. import _checks
 from .. import _diffrax as diffrax
 from .._excitation.recorded import Recorded
-from .._excitation.smooth import Signal
+from .._excitation.smooth import SEEN_IN_STEPS, Signal
 from .._numerics.known import NotKnown, largest, primal_of, smallest
 from .._numerics.primal import without_derivatives
 from .._types import Array, DType, FloatArray, Number, Scalar
 from .series_spring import BehindSpring, SpeedBehindSpring
 
 _FEW, _EACH = 16384, 64  # steps that are allowed, and those for each time and point of a record
-_SEEN = 4  # adaptive steps in the shortest period of a signal: the stages of a step see it
 _PIECES, _FEWEST = 16, 10  # of a period, in which its velocity has one extreme at most; and where their number is given
 _MOST_PIECES = 2**22
 _MOST = 2**31 - 1  # steps that 32 bits count
@@ -43,7 +42,7 @@ def force_of_dynamic(
     _checks.positive("rtol", rtol)
     # Steps end at every time, for states between steps are less accurate, and where the velocity has a kink.
     ends = jnp.append(times[1:], _knots(motion, times.dtype))
-    longest = primal_of(_shortest_period(motion)) / _SEEN if isinstance(motion, Signal) else math.inf
+    longest = primal_of(_shortest_period(motion)) / SEEN_IN_STEPS if isinstance(motion, Signal) else math.inf
     most = (
         _FEW + _EACH * len(ends) if max_steps is None else _checks.whole_number("max_steps", max_steps, maximum=_MOST)
     )

@@ -184,8 +184,8 @@ class SwitchedSystem(WithContacts):
         """The shortest time scale, s: the shortest natural period, or 2 pi times a shorter time constant.
 
         The default time step is 1/48 of it, and no step may be longer than 1/12 of it; adaptive steps of a system that
-        uses the time, or whose contacts open, 1/4 of it. None where it is not known; the step must be given then,
-        ``method=Exact(step=...)``.
+        uses the time, or whose contacts open, 1/4 of it. The shortest periods of signals in its fields count too. None
+        where it is not known; the step must be given then, ``method=Exact(step=...)``.
         """
         return None
 

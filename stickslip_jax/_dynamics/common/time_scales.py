@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from ... import _checks
 from ..._excitation.excitation import BaseMotion, Excitation, excitation_of
+from ..._excitation.smooth import SEEN_IN_STEPS
 from ..._numerics.known import NotKnown, largest, primal_of, smallest
 from ..._systems.system import SHORTEST_TIME, StepCount, System
 from ..._types import Scalar
@@ -15,7 +16,6 @@ from .method import Exact, Regularized
 from .stopping_scan import padded_length
 
 _USUAL = StepCount(1.0, 1.0)
-_SEEN = 4  # adaptive steps in the shortest period of what drives a system: the stages of a step see it
 _ACCURATE = 6  # times as many steps as a time scale needs at least: fixed steps are then hardly ever shortened
 
 
@@ -68,7 +68,7 @@ def longest_step(system: System, excitation: Excitation) -> Scalar:
             f"Argument method must not leave the steps to the motion while the {unknown[0]} is not known, for they "
             f"could pass over a short pulse: give what you wrote a property {_property_of(unknown[0])} (s){fixed}."
         )
-    return _shortest([time / _SEEN for time in times.values() if time is not None])
+    return _shortest([time / SEEN_IN_STEPS for time in times.values() if time is not None])
 
 
 def _property_of(name: str) -> str:

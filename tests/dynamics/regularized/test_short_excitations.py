@@ -1,5 +1,6 @@
 """Adaptive steps see every short excitation: against scipy's Radau, which begins where the excitation does."""
 
+import dataclasses
 import math
 from functools import partial
 
@@ -12,7 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.common.time_scales import longest_step
+from stickslip_jax._dynamics.common.time_scales import longest_step, step_for
 from stickslip_jax._excitation.excitation import excitation_of
 
 T1, OMEGA2, MU, NORMAL = 20.0, 4.0, 0.3, 1.2
@@ -204,6 +205,7 @@ class Pressed(ss.SwitchedSystem):
         return (y[2],)
 
 
+OSCILLATOR = ss.MassSpring(1.0, OMEGA2, NORMAL, ss.Coulomb(MU))
 PULSE, TONE, RECORD = Pulse(5.0, 0.02, 1.0), ss.Harmonic(1.0, 5.0), ss.Recorded([0.0, 1.0, 50.0], [0.0, 1.0, 0.0])
 STILL, OF_PULSE, OF_TONE = ss.Constant(0.0), 2.5 * 0.02, 2 * math.pi / 5
 TWO = ss.block_row(2, mass=1.0, between=1.0, to_ground=1.0, normal_force=1.0, friction=ss.Coulomb(0.3))
@@ -212,13 +214,17 @@ TWO = ss.block_row(2, mass=1.0, between=1.0, to_ground=1.0, normal_force=1.0, fr
 @pytest.mark.parametrize(
     ("system", "base", "period"),
     [
-        (ss.MassSpring(), PULSE, OF_PULSE),
-        (ss.MassSpring(), ss.WithJumps(PULSE, ss.PoissonSwitching(1.0, 1.0)), OF_PULSE),
-        (ss.MassSpring(), ss.RandomPhase(TONE), OF_TONE),
-        (ss.MassSpring(force=PULSE), TONE, OF_PULSE),
-        (ss.MassSpring(1e-6, 1e6, force=RECORD), RECORD, math.inf),  # steps end at points; its own motion it sees
-        (ss.MassSpring(normal_force=ss.Harmonic(0.2, 5.0, offset=1.0)), STILL, OF_TONE),
-        (ss.MassSpring(friction=LAWS["LuGre"], force=TONE), PULSE, OF_PULSE),
+        (OSCILLATOR, PULSE, OF_PULSE),
+        (OSCILLATOR, ss.WithJumps(PULSE, ss.PoissonSwitching(1.0, 1.0)), OF_PULSE),
+        (OSCILLATOR, ss.RandomPhase(TONE), OF_TONE),
+        (dataclasses.replace(OSCILLATOR, force=PULSE), TONE, OF_PULSE),
+        (
+            dataclasses.replace(OSCILLATOR, mass=1e-9, force=RECORD),
+            RECORD,
+            math.inf,
+        ),  # steps end at points; its own motion it sees
+        (dataclasses.replace(OSCILLATOR, normal_force=ss.Harmonic(0.2, 5.0, offset=1.0)), STILL, OF_TONE),
+        (dataclasses.replace(OSCILLATOR, friction=LAWS["LuGre"], force=TONE), PULSE, OF_PULSE),
         (TWO, PULSE, OF_PULSE),
         (ss.LinearStructure(TWO.mass, TWO.stiffness, None, TWO.contacts, force=(PULSE, None)), TONE, OF_PULSE),
         (ss.MotorCart(mu=0.2), ss.SourceVoltage(8.0, 4.0, 10.0), 2 * math.pi / 10),
@@ -235,12 +241,21 @@ def test_what_bounds_adaptive_steps(system, base, period):
     assert float(longest_step(system, excitation_of(base))) == pytest.approx(period / 4, rel=1e-12)
 
 
+def test_signals_in_fields_bound_exact_steps_too():
+    assert step_for(Driven(force=PULSE), excitation_of(STILL), ss.Exact()) == pytest.approx(OF_PULSE / 48, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("system", "base", "what", "how"),
     [
-        (ss.MassSpring(), Unknown(), "base motion", ", or choose a fixed step, Regularized(width, step=...)."),
-        (ss.MassSpring(force=Unknown()), STILL, "force", ", or choose a fixed step, Regularized(width, step=...)."),
-        (ss.MassSpring(friction=LAWS["Dahl"]), Unknown(), "base motion", "."),
+        (OSCILLATOR, Unknown(), "base motion", ", or choose a fixed step, Regularized(width, step=...)."),
+        (
+            dataclasses.replace(OSCILLATOR, force=Unknown()),
+            STILL,
+            "force",
+            ", or choose a fixed step, Regularized(width, step=...).",
+        ),
+        (dataclasses.replace(OSCILLATOR, friction=LAWS["Dahl"]), Unknown(), "base motion", "."),
         (Nameless(pushed=True), STILL, "system", ", or choose a fixed step, Regularized(width, step=...)."),
     ],
 )
