@@ -16,6 +16,7 @@ from .._uncertainty.inputs import Inputs
 from .common.engine import Engine
 from .common.method import Exact, Regularized
 from .common.path import Run
+from .common.time_scales import longest_step
 from .common.validation import Arguments
 from .common.varying import Engines, engines_of, widest
 from .interval.engine import IntervalEngine
@@ -99,7 +100,8 @@ class Smoothed(NamedTuple):
                     "of many samples; with adaptive steps take system.of_contact(number) or system.of_all_contacts()."
                 )
             sizes = table_sizes(system, excitation, largest(t1))
-            return AdaptiveBatch(system, excitation, method, t1, y0, tuple(np.int32(size) for size in sizes))
+            longest = longest_step(system, excitation)
+            return AdaptiveBatch(system, excitation, method, t1, y0, longest, tuple(np.int32(size) for size in sizes))
         # Twice the expected number, for samples with many jumps. `fixed_steps` also rejects a step that is too long.
         expected = 2 * fixed_steps(system, excitation, method, t1)
         return FixedEngine(

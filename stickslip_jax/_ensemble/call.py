@@ -258,8 +258,7 @@ def _simulator(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[Ensembl
 def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
     """The same as `_simulator`, for adaptive steps."""
     dtype, sizes = setup.dtype, tuple(int(size) for size in batch.sizes)
-    system, excitation, _, t1, y0, _ = numbers_as_arrays(batch._replace(sizes=()), dtype)
-    arrays = AdaptiveBatch(system, excitation, batch.method, t1, y0, ())
+    arrays = numbers_as_arrays(batch._replace(sizes=()), dtype)._replace(method=batch.method)
     how = {"samples": plan.lanes, "leaf_numbers": setup.leaf_numbers, "sizes": sizes,
            "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip
 

@@ -26,6 +26,9 @@ Tones: TypeAlias = tuple[Scalar | AnyArray, Scalar | AnyArray, Scalar | AnyArray
 
 PerHarmonic: TypeAlias = Float[AnyArray, " harmonics"]
 
+SEEN_IN_STEPS = 4
+"""Adaptive steps in the shortest period of what drives a system, at least: the stages of a step see every change."""
+
 SIGNAL_UNIT = "m/s for a base velocity, N for a force"
 
 
@@ -36,8 +39,9 @@ class Signal(Checked, Motion):
     those of its parent.
 
     Attributes:
-        shortest_period: The period (s) of its fastest oscillation, infinity if it does not oscillate; None where it is
-            not known, and the step of a simulation must then be given.
+        shortest_period: The period (s) of its fastest oscillation, of a pulse about twice its duration, infinity if it
+            does not oscillate; None where it is not known: the step of a simulation must then be given, and adaptive
+            steps are refused.
     """
 
     is_harmonic: ClassVar[bool] = False  # a sum of `tones` and a `mean`, as `_Tones` has them
@@ -238,7 +242,7 @@ class SumOfHarmonics(_Tones):
 class UserMotion(Signal):
     """A user-defined base motion: any object with ``velocity(t)`` (m/s) and ``acceleration(t)`` (m/s^2).
 
-    It may have ``shortest_period`` (s) too; without it, the step of the simulation must be given. To differentiate with
+    It may have ``shortest_period`` (s) too, as a `Signal`; without it, the step must be given. To differentiate with
     respect to its parameters, make it a pytree (an ``equinox.Module``, say); any other object is a constant.
     """
 

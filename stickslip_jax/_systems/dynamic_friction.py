@@ -85,7 +85,8 @@ class DynamicFriction(FrictionLaw):
         Args:
             times: s, increasing, (times,), at least 2.
             velocity: The relative velocity at these times, m/s, (times,), joined by straight lines; or a `Recorded` or
-                `Signal` such as `Harmonic`, of the same times. With a spring, that of the end of the spring.
+                `Signal` such as `Harmonic`, whose points and turns between the times count too. With a spring, that of
+                the end of the spring.
             normal_force: N, zero or positive; one number, or without a spring one for each time.
             series_stiffness: N/m, of a spring in front of the contact, for `Dahl`, `BoucWen` and `DieterichRuina`.
                 With this last one the contact begins to slip as fast as the spring's end moves: by default steadily
@@ -95,7 +96,7 @@ class DynamicFriction(FrictionLaw):
             rtol: Relative tolerance of the integration, by diffrax' ``Kvaerno5``, implicit and of fifth order. The
                 absolute one is as small a part of the inner state at which the law slips steadily. `DieterichRuina`
                 behind a spring takes no less than 8 units of round-off times ``mu / direct``.
-            max_steps: The largest number of steps; by default 1048576 and 64 for each time.
+            max_steps: The largest number of steps; by default 1048576 and 64 for each time and point of a record.
             adjoint: How diffrax differentiates: by default ``RecursiveCheckpointAdjoint()``, for ``grad``;
                 ``ForwardMode()`` for ``jvp`` and ``jacfwd``.
 
@@ -105,8 +106,8 @@ class DynamicFriction(FrictionLaw):
 
         Raises:
             ValueError: For times that do not increase, velocities of another length, and numbers out of range; for a
-                spring in front of a law whose speed may jump there; and where the steps were used up, unless JAX
-                traces the numbers.
+                spring in front of a law whose speed may jump there, and a signal whose shortest period is not known;
+                and where the steps were used up, unless JAX traces the numbers.
         """
         start = self.initial_state if initial_state is None else initial_state
         _checks.bounded("initial_state", start)

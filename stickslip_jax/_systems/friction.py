@@ -151,7 +151,8 @@ class FrictionLaw(Checked):
         Args:
             times: s, increasing, (times,), at least 2.
             velocity: At these times, m/s, (times,), joined by straight lines; or a `Recorded` or `Signal` such as
-                `Harmonic`. The relative velocity; with a spring, that of the end of the spring.
+                `Harmonic`, whose points and turns between the times count too. The relative velocity; with a spring,
+                that of the end of the spring.
             normal_force: N, zero or positive; one number, or without a spring one for each time.
             series_stiffness: N/m, of a spring in front of the contact, for laws with one constant coefficient in either
                 direction. Its deflection is zero at the first time.
@@ -160,11 +161,13 @@ class FrictionLaw(Checked):
 
         Returns:
             The force at these times, N, (times,), positive against a positive velocity. Without a spring that of a
-            slip; NaN where the velocity is zero, since a stick has any force up to its limit.
+            slip; NaN where the velocity is zero, since a stick has any force up to its limit. With a spring and a
+            signal under ``jit``, NaN where the times are fewer than its shortest periods.
 
         Raises:
-            ValueError: For times that do not increase, velocities of another length, numbers out of range, and a spring
-                in front of a law whose coefficient depends on the speed or on the stick.
+            ValueError: For times that do not increase, velocities of another length, numbers out of range, a spring in
+                front of a law whose coefficient depends on the speed or on the stick, and a spring under a signal whose
+                shortest period is not known.
 
         >>> times, velocity = [0.0, 1.0, 2.0, 3.0], [0.1, 0.1, -0.1, -0.1]
         >>> print(ss.Coulomb(0.3).force(times, velocity, 10.0, series_stiffness=40.0))

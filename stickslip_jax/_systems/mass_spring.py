@@ -33,19 +33,7 @@ from .normal_force import NormalForceQuantity, is_function, recorded_in
 from .oscillator_model import OscillatorModel, SolverOscillatorModel
 from .steady_response import check_no_resonance
 from .structure import LinearStructure, StructureModel
-from .system import (
-    AGE,
-    DECAYED,
-    PASSED,
-    PERIOD,
-    SOFT,
-    SOLVED,
-    Coordinate,
-    StepCount,
-    System,
-    TimeScale,
-    shortest_period,
-)
+from .system import AGE, DECAYED, PASSED, PERIOD, SOFT, SOLVED, Coordinate, StepCount, System, TimeScale
 
 # The error of each step without a closed form is controlled, so that fewer steps do than in `SOLVED`.
 _CONTROLLED = StepCount(40.0, 12.0)
@@ -231,7 +219,6 @@ class MassSpring(System):
             return structure.time_scales(excitation, solver)
         steps = PERIOD if self.has_closed_form and solver is None else _CONTROLLED if solver is None else SOLVED
         natural = 2 * math.pi * _over(self.mass, self.stiffness) ** 0.5
-        force = self.force.shortest_period if isinstance(self.force, Signal) else math.inf
         passing, decay = times_of_slips(self.friction, self.mass, self.normal_force, self.damping)
         return {
             "natural period": TimeScale(natural, steps),
@@ -239,9 +226,15 @@ class MassSpring(System):
             "decay time of the slip speed by damping and viscous friction": TimeScale(
                 math.inf if steps is PERIOD else decay, DECAYED
             ),
-            "shortest period of the force": TimeScale(force, steps),
-            "shortest period of the base motion": TimeScale(shortest_period(excitation), steps),
+            **{name: TimeScale(time, steps) for name, time in self.driving_times(excitation).items()},
         }
+
+    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
+        structure = self._as_structure
+        if structure is not None:
+            return structure.driving_times(excitation)
+        force = {"shortest period of the force": self.force.shortest_period} if isinstance(self.force, Signal) else {}
+        return force | super().driving_times(excitation)
 
     @property
     def contact_scales(self) -> tuple[Scalar | FloatArray | None, Scalar | FloatArray | None]:

@@ -230,7 +230,7 @@ class MotorCart(System):
         scales = {
             "mechanical time constant": TimeScale(self.shortest_time, _CONSTANT),
             "electrical time constant": TimeScale(self.inductance / self.resistance, _DECAY),
-            "period of the voltage": TimeScale(shortest_period(excitation), SOLVED),
+            **{name: TimeScale(time, SOLVED) for name, time in self.driving_times(excitation).items()},
         }
         if self.friction is None or self.friction.constant:
             return scales
@@ -241,6 +241,9 @@ class MotorCart(System):
             "time in which the slip speed passes the scale of the friction law": TimeScale(passing, PASSED),
             "decay time of the slip speed by viscous friction": TimeScale(decay, DECAYED),
         }
+
+    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
+        return {"period of the voltage": shortest_period(excitation)}
 
     def usual_step(self, excitation: Excitation) -> Scalar:
         voltage = voltage_of(excitation)

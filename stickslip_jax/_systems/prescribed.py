@@ -1,5 +1,7 @@
 """The force of a friction law by itself, under a motion that is prescribed."""
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -11,13 +13,17 @@ from jax import lax
 from .. import _checks
 from .. import _diffrax as diffrax
 from .._excitation.recorded import Recorded
-from .._excitation.smooth import Signal
+from .._excitation.smooth import SEEN_IN_STEPS, Signal
 from .._fields import require_single
-from .._types import Array, FloatArray, Number
+from .._numerics.known import NotKnown, largest, primal_of, smallest
+from .._numerics.primal import without_derivatives
+from .._types import Array, DType, FloatArray, Number, Scalar
 from .series_spring import BehindSpring, SpeedBehindSpring
 
-_FEW, _EACH = 2**20, 64  # steps that are allowed, and those for each time
+_FEW, _EACH = 2**20, 64  # steps that are allowed, and those for each time and point of a record
 _LEAST = 1e-19  # of the time: steps so short lead nowhere
+_PIECES, _FEWEST = 16, 10  # of a period, in which its velocity has one extreme at most; and where their number is given
+_MOST_PIECES = 2**22
 _MOST = 2**31 - 1  # steps that 32 bits count
 _HALVES = 40  # of the time between two instants, until the turn between them is known
 
@@ -37,8 +43,11 @@ def force_of_dynamic(
     times, motion = _checked(times, velocity)
     normal = _normal(normal_force, times)
     _checks.positive("rtol", rtol)
+    # Steps end at every time, for states between steps are less accurate, and where the velocity has a kink.
+    ends = jnp.append(times[1:], _knots(motion, times.dtype))
+    longest = primal_of(_shortest_period(motion)) / SEEN_IN_STEPS if isinstance(motion, Signal) else math.inf
     most = (
-        _FEW + _EACH * len(times) if max_steps is None else _checks.whole_number("max_steps", max_steps, maximum=_MOST)
+        _FEW + _EACH * len(ends) if max_steps is None else _checks.whole_number("max_steps", max_steps, maximum=_MOST)
     )
     if adjoint is not None and not isinstance(adjoint, diffrax.AbstractAdjoint):
         raise _checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", adjoint)
@@ -46,7 +55,8 @@ def force_of_dynamic(
     state, velocities = jnp.asarray(start, times.dtype), _velocities(motion, times)
     if isinstance(law, BehindSpring | SpeedBehindSpring):
         state = law.start(state, velocities[0])
-    states, done = _states(law, times, motion, state, jnp.asarray(rtol), most, adjoint)
+    longest = jnp.asarray(longest, times.dtype)
+    states, done = _states(law, times, motion, state, (ends, longest), jnp.asarray(rtol), most, adjoint)
     if not _checks.is_traced(done) and not bool(done):
         raise ValueError(
             f"Argument max_steps must be larger, or rtol: {most} steps do not follow the motion to its end at "
@@ -67,9 +77,20 @@ def _velocity_at(motion: Any, t: FloatArray) -> FloatArray:
 
 @jax.jit(static_argnames=("most", "adjoint"))
 def _states(
-    law: Any, times: Array, motion: Any, start: FloatArray, rtol: FloatArray, most: int, adjoint: Any
+    law: Any,
+    times: Array,
+    motion: Any,
+    start: FloatArray,
+    steps: tuple[Array, FloatArray],
+    rtol: FloatArray,
+    most: int,
+    adjoint: Any,
 ) -> tuple[FloatArray, Array]:
-    """The inner states at `times`, and whether the integration reached the last of them; NaN beyond."""
+    """The inner states at `times`, and whether the integration reached the last of them; NaN beyond.
+
+    `steps`: the times at which steps end in any case, and the longest one (s).
+    """
+    ends, longest = steps
 
     def rates(t, z, _):
         return law.rate(z, jnp.asarray(_velocity_at(motion, t), times.dtype))
@@ -78,13 +99,13 @@ def _states(
     if isinstance(law, SpeedBehindSpring):
         tolerance = jnp.maximum(tolerance, law.least_tolerance)
     control = diffrax.PIDController(
-        rtol=tolerance, atol=tolerance * law.state_scale, dtmin=_LEAST * (times[-1] - times[0]), force_dtmin=False
-    )
+        rtol=tolerance, atol=tolerance * law.state_scale, dtmin=_LEAST * (times[-1] - times[0]), force_dtmin=False,
+        dtmax=longest,
+    )  # fmt: skip
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rates), diffrax.Kvaerno5(), times[0], times[-1], None, start,
         saveat=diffrax.SaveAt(ts=times), max_steps=most, adjoint=adjoint, throw=False,
-        # Steps end at every time: velocities have kinks there, and states between steps are less accurate.
-        stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=times[1:]),
+        stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=ends),
     )  # fmt: skip
     done = solution.result == diffrax.RESULTS.successful
     states = jnp.asarray(solution.ys)
@@ -102,9 +123,9 @@ def force_of_law(
     """See `FrictionLaw.force`."""
     require_single(law=law)
     times, motion = _checked(times, velocity)
-    velocities = _velocities(motion, times)
     if series_stiffness is None:
         _checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
+        velocities = _velocities(motion, times)
         coefficients = jax.vmap(law.slip_coefficient)(velocities)
         return _normal(normal_force, times) * jnp.where(velocities == 0, jnp.nan, jnp.sign(velocities) * coefficients)
     _checks.positive("series_stiffness", series_stiffness, "N/m")
@@ -116,14 +137,54 @@ def force_of_law(
             f"larger in a stick, but {_checks.show(series_stiffness)} was given: such a slider jumps. Give it a mass: "
             "write mass, spring and backlash as a SwitchedSystem."
         )
-    moves = _moves_of_signal(motion, times) if isinstance(motion, Signal) else _moves(times, velocities)
     most, least = (jnp.asarray(law.slip_coefficient(jnp.full((), sign))) * normal_force for sign in (1.0, -1.0))
-    return _behind_a_spring(moves, most, least, jnp.asarray(series_stiffness), jnp.asarray(backlash) / 2)
+    within = _pieces(motion, times) if isinstance(motion, Signal) else _knots(motion, times.dtype)
+    points = jnp.sort(jnp.append(times, jnp.clip(within, times[0], times[-1])))
+    moves = _moves_of_signal(motion, points) if isinstance(motion, Signal) else _moves(motion, points)
+    forces = _behind_a_spring(moves, most, least, jnp.asarray(series_stiffness), jnp.asarray(backlash) / 2)
+    found = forces[jnp.searchsorted(points, times, side="right") - 1]
+    return jnp.where(jnp.isnan(points[-1]), jnp.nan, found)
 
 
-def _moves(times: Array, velocities: Array) -> Array:
-    """The displacements between two times before and after the instant where a velocity passes zero, (times - 1, 2)."""
-    first, last, h = velocities[:-1], velocities[1:], jnp.diff(times)
+def _knots(motion: Any, dtype: DType) -> Array:
+    """The times between which the velocity is a straight line, s, besides those at which it is given."""
+    return jnp.asarray(motion.times if isinstance(motion, Recorded) else [], dtype)
+
+
+def _shortest_period(motion: Signal) -> Scalar:
+    """That of the signal. Raises ValueError where it is not known."""
+    if motion.shortest_period is None:
+        raise ValueError(
+            f"Argument velocity must have a property shortest_period (s), but a {type(motion).__name__} without one "
+            "was given: between the times it could move to and fro unseen."
+        )
+    return motion.shortest_period
+
+
+def _pieces(motion: Signal, times: Array) -> Array:
+    """Times so dense that the velocity has one extreme at most between two; NaN where too few may be, under jit."""
+    period, first, last = primal_of(_shortest_period(motion)), times[0], times[-1]
+    try:
+        pieces = _PIECES * (largest(last) - smallest(first)) / smallest(period)
+        if pieces > _MOST_PIECES:
+            raise ValueError(
+                f"Argument times must span at most {_MOST_PIECES // _PIECES} shortest periods of the velocity, but "
+                f"{pieces / _PIECES:.4g} were given: take a part of them, or a longer shortest_period."
+            )
+        number = 1 << math.ceil(math.log2(max(pieces, 1)))  # few lengths, each of which is compiled
+    except NotKnown:  # taken to be one period from time to time
+        number = _PIECES * len(times)
+    within = first + (last - first) * jnp.linspace(0, 1, number + 1, dtype=times.dtype)
+    return jnp.where(_FEWEST * (last - first) <= number * period, within, jnp.nan)
+
+
+@jax.jit
+def _moves(motion: Any, points: Array) -> Array:
+    """The displacements between two points before and after the instant where a velocity passes zero,
+    (points - 1, 2).
+    """
+    velocities = _velocities(motion, points)
+    first, last, h = velocities[:-1], velocities[1:], jnp.diff(points)
     turns = first * last < 0
     share = jnp.where(turns, first / jnp.where(turns, first - last, 1), 1)
     before = jnp.where(turns, first / 2, (first + last) / 2) * share * h
@@ -131,26 +192,32 @@ def _moves(times: Array, velocities: Array) -> Array:
 
 
 @jax.jit
-def _moves_of_signal(motion: Signal, times: Array) -> Array:
-    """The same of a signal; times must be dense enough that it turns at most once between two."""
+def _moves_of_signal(motion: Signal, points: Array) -> Array:
+    """The same of a signal, (points - 1, 4): before and after its velocity is extreme, it passes zero once at most."""
+    still = without_derivatives(motion)
 
-    def of_one(t: FloatArray, h: FloatArray) -> FloatArray:
-        first = jnp.asarray(motion.value(t))
+    def until_change(function: Callable[[FloatArray], Any], t: FloatArray, h: FloatArray) -> FloatArray:
+        """How long after `t` the function has another sign; `h` if it has none until then."""
+        first = jnp.asarray(function(t))
 
         def halved(ends: tuple[FloatArray, FloatArray], _: None) -> tuple[tuple[FloatArray, FloatArray], None]:
             low, high = ends
             middle = (low + high) / 2
-            before = jnp.asarray(motion.value(t + middle)) * first > 0
+            before = jnp.asarray(function(t + middle)) * first > 0
             return (jnp.where(before, middle, low), jnp.where(before, high, middle)), None
 
-        # Where it does not turn, this ends at h. Near a turn the displacement is flat: its instant need not be exact.
-        (turn, _), _ = lax.scan(halved, (jnp.zeros_like(h), h), None, length=_HALVES)
-        turn = lax.stop_gradient(turn)
-        return jnp.stack(
-            [jnp.asarray(part) for part in (motion.integral(t, turn), motion.integral(t + turn, h - turn))]
-        )
+        # Where it has none, this ends at h. Near a turn the displacement is flat: its instant need not be exact.
+        return lax.scan(halved, (jnp.zeros_like(h), h), None, length=_HALVES)[0][0]
 
-    return jax.vmap(of_one)(times[:-1], jnp.diff(times))
+    def of_one(t: FloatArray, h: FloatArray) -> FloatArray:
+        start, length = lax.stop_gradient((t, h))
+        extreme = until_change(still.rate, start, length)
+        turn = until_change(still.value, start, extreme)
+        other = extreme + until_change(still.value, start + extreme, length - extreme)
+        begins, ends = jnp.stack([jnp.zeros_like(h), turn, extreme, other]), jnp.stack([turn, extreme, other, h])
+        return jax.vmap(lambda begin, end: jnp.asarray(motion.integral(t + begin, end - begin)))(begins, ends)
+
+    return jax.vmap(of_one)(points[:-1], jnp.diff(points))
 
 
 @jax.jit

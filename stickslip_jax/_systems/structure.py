@@ -188,15 +188,17 @@ class LinearStructure(WithContacts):
         return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), lowest)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
+        times = {"shortest natural period or decay time": 2 * np.pi / self.fastest, **self.driving_times(excitation)}
+        steps = PERIOD if solver is None and self._has_arcs(excitation.smooth) else SOLVED
+        return {name: TimeScale(time, steps) for name, time in times.items()}
+
+    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
         signals = [force for force in self.force or () if isinstance(force, Signal)]
-        times = {
-            "shortest natural period or decay time": 2 * np.pi / self.fastest,
+        return {
             "shortest period of the base motion": shortest_period(excitation),
             **{f"shortest period of force {number}": signal.shortest_period for number, signal in enumerate(signals)},
             **periods_of(self.normal_forces),
         }
-        steps = PERIOD if solver is None and self._has_arcs(excitation.smooth) else SOLVED
-        return {name: TimeScale(time, steps) for name, time in times.items()}
 
     @property
     def has_fixed_time_scales(self) -> bool:

@@ -32,11 +32,11 @@ from .general_contacts import GeneralContactsModel
 from .inner_states import InnerStates
 from .one_contact import OneContactModel
 from .switched_model import FloatPair, Segments, with_change
-from .system import AGE, SHORTEST_TIME, SOLVED, Coordinate, TimeScale, ages_of, shortest_period
+from .system import AGE, SHORTEST_TIME, SOLVED, Coordinate, TimeScale, ages_of
 from .user_contacts_checks import check_contacts
 from .user_system_checks import check_fields, check_ground, check_motion
 from .users_forcing import GeneralForcing, UsersBase, records_in
-from .users_time import differs_between
+from .users_time import depends_on_time, differs_between
 from .with_contacts import WithContacts
 
 _SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
@@ -183,8 +183,9 @@ class SwitchedSystem(WithContacts):
     def shortest_time(self) -> Scalar | None:
         """The shortest time scale, s: the shortest natural period, or 2 pi times a shorter time constant.
 
-        The default time step is 1/48 of it, and no step may be longer than 1/12 of it. None where it is not known; the
-        step must be given then, ``method=Exact(step=...)``.
+        The default time step is 1/48 of it, and no step may be longer than 1/12 of it; adaptive steps of a system that
+        uses the time, or whose contacts open, 1/4 of it. The shortest periods of signals in its fields count too. None
+        where it is not known; the step must be given then, ``method=Exact(step=...)``.
         """
         return None
 
@@ -262,10 +263,16 @@ class SwitchedSystem(WithContacts):
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         with _checks.traceable(f"The property shortest_time of {type(self).__name__}"):
             shortest = self.shortest_time
-        return {
-            SHORTEST_TIME: TimeScale(shortest, SOLVED),
-            "shortest period of the base motion": TimeScale(shortest_period(excitation), SOLVED),
-        }
+        times = {SHORTEST_TIME: shortest} | self.driving_times(excitation)
+        return {name: TimeScale(time, SOLVED) for name, time in times.items()}
+
+    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
+        signals = jax.tree.leaves(self, is_leaf=lambda leaf: isinstance(leaf, Signal))
+        signals = [leaf for leaf in signals if isinstance(leaf, Signal) and leaf.shortest_period is not None]
+        periods = {f"shortest period of signal {i}": signal.shortest_period for i, signal in enumerate(signals)}
+        # What its methods do with time themselves, and contacts that its motion closes, are as short as it says.
+        by_itself = self.has_normal_forces or depends_on_time(self)
+        return super().driving_times(excitation) | periods | ({SHORTEST_TIME: self.shortest_time} if by_itself else {})
 
     @property
     def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:

@@ -181,6 +181,13 @@ class System(Checked):
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         """The time scales of the system and of its excitation, by name."""
 
+    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
+        """The shortest times (s) in which what drives the system may change, by name; None where one is not known.
+
+        A step that adapts to the motion sees no change of it before it sees that of these: it may pass over a pulse.
+        """
+        return {"shortest period of the base motion": shortest_period(excitation)}
+
     @property
     def contact_count(self) -> int | None:
         """The length of its list of contacts, each with sticks of its own; None for a system with one contact."""

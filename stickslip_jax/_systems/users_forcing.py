@@ -1,5 +1,6 @@
 """What drives a user's `SwitchedSystem` from one instant on: its base, the ground, and the records in its fields."""
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -53,9 +54,13 @@ class GeneralForcing(NamedTuple):
         """The `system` whose records have their value at `t` on their present segments, without a search in them."""
         if not self.records:
             return system
-        now = iter(value + (t - self.t) * slope for value, slope in self.records)
-        leaves, tree = jax.tree.flatten(system, is_leaf=is_record)
-        return jax.tree.unflatten(tree, [_SeenAt(leaf, t, next(now)) if is_record(leaf) else leaf for leaf in leaves])
+        return with_records_at(system, t, [value + (t - self.t) * slope for value, slope in self.records])
+
+
+def with_records_at(system: S, t: FloatScalar, values: Iterable[FloatScalar]) -> S:
+    """The `system` whose records have these `values` at `t`."""
+    now, (leaves, tree) = iter(values), jax.tree.flatten(system, is_leaf=is_record)
+    return jax.tree.unflatten(tree, [_SeenAt(leaf, t, next(now)) if is_record(leaf) else leaf for leaf in leaves])
 
 
 def is_record(value: object) -> bool:

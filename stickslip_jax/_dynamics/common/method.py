@@ -63,7 +63,8 @@ class Regularized(eqx.Module, metaclass=Constructor):
       system of your own, and where a time scale is not known, shortened where its estimated error without friction
       exceeds 1e-4 of what the terms of the equations change in it, about what 45 steps in a period have; of all, where
       static friction above kinetic friction takes hold of the mass or lets it go. Without `step`, diffrax chooses the
-      steps.
+      steps, at most a quarter of the shortest period of what drives the system, so that none passes over a pulse; the
+      period of a signal of your own must be known then (`shortest_period`).
     - `solver`: diffrax solver for adaptive steps; by default ``Kvaerno3()``, which is implicit and works for any width.
       ``Tsit5()`` is explicit: cheaper while ``width`` is at least a hundredth of the system's velocities.
     - `rtol`, `atol`: tolerances of adaptive steps. `atol`: a number, or one for each state; by default `rtol` times

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from ... import _checks
 from ..._excitation.excitation import BaseMotion, Excitation, excitation_of
+from ..._excitation.smooth import SEEN_IN_STEPS
 from ..._numerics.known import NotKnown, largest, primal_of, smallest
 from ..._systems.system import SHORTEST_TIME, StepCount, System
 from ..._types import Scalar
@@ -34,13 +35,10 @@ def step_for(system: System, excitation: Excitation, method: Exact | Regularized
     if method.step is None and unknown:
         raise ValueError(
             f"Argument method must give the step, Exact(step=...), but the {unknown[0]} is not known; or give what "
-            f"you wrote a property {'shortest_time' if unknown[0] == SHORTEST_TIME else 'shortest_period'} (s)."
+            f"you wrote a property {_property_of(unknown[0])} (s)."
         )
     if method.step is None:
-        steps = [time / count.default for time, count in known.values()]
-        if any(_checks.is_traced(step) for step in steps):
-            return jnp.min(jnp.stack([jnp.asarray(step, float) for step in steps]))
-        return min(float(step) for step in steps)
+        return _shortest([time / count.default for time, count in known.values()])
     step = primal_of(method.step)
     limits = [time / count.least for time, count in known.values() if _checks.is_traced(time)]
     if limits:  # numbers that are not known before the call: steps that are too long cannot be refused, so shorten them
@@ -55,6 +53,32 @@ def step_for(system: System, excitation: Excitation, method: Exact | Regularized
                     f"s, but {given} was given; between longer steps sticks could be missed."
                 )
     return step
+
+
+def longest_step(system: System, excitation: Excitation) -> Scalar:
+    """The longest adaptive step (s): one that no change of what drives the system can be hidden in; infinity if any.
+
+    Steps end at the points of records and at jumps in any case. Raises ValueError where a shortest period is not known.
+    """
+    times = {name: primal_of(time) for name, time in system.driving_times(excitation).items()}
+    unknown = [name for name, time in times.items() if time is None]
+    if unknown:
+        fixed = "" if system.inner_laws else ", or choose a fixed step, Regularized(width, step=...)"
+        raise ValueError(
+            f"Argument method must not leave the steps to the motion while the {unknown[0]} is not known, for they "
+            f"could pass over a short pulse: give what you wrote a property {_property_of(unknown[0])} (s){fixed}."
+        )
+    return _shortest([time / SEEN_IN_STEPS for time in times.values() if time is not None])
+
+
+def _property_of(name: str) -> str:
+    return "shortest_time" if name == SHORTEST_TIME else "shortest_period"
+
+
+def _shortest(times: list[Any]) -> Scalar:
+    if any(_checks.is_traced(time) for time in times):
+        return jnp.min(jnp.stack([jnp.asarray(time, float) for time in times]))
+    return min(map(float, times))
 
 
 def accurate_step(system: System, excitation: Excitation, step: float) -> float:

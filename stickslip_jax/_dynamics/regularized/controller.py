@@ -4,12 +4,12 @@ from functools import cache
 from typing import Any
 
 from ... import _diffrax as diffrax
-from ..._types import Array
+from ..._types import Array, FloatArray
 
 
-def step_control(rtol: Any, atol: Any, jumps: Array | None) -> Any:
-    """Control by the tolerances, with steps that end at the instants `jumps` (s), if any."""
-    return _class()(diffrax.PIDController(rtol=rtol, atol=atol), jump_ts=jumps)
+def step_control(rtol: Any, atol: Any, longest: FloatArray, jumps: Array | None) -> Any:
+    """Control by the tolerances, with steps of at most `longest` (s) that end at the instants `jumps` (s), if any."""
+    return _class()(diffrax.PIDController(rtol=rtol, atol=atol, dtmax=longest), jump_ts=jumps)
 
 
 @cache

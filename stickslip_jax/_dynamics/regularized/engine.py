@@ -95,8 +95,9 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
 class AdaptiveBatch(NamedTuple):
     """Samples of any system under any excitation that diffrax solves together, each in its own steps.
 
-    `method`: with every option filled in. `sizes`: number of segments to draw for each part of the excitation
-    (`table_sizes`). The slowest sample determines the time of the batch.
+    `method`: with every option filled in. `longest_step`: of any sample, s (`time_scales.py`). `sizes`: number
+    of segments to draw for each part of the excitation (`table_sizes`). The slowest sample determines the time of the
+    batch.
     """
 
     system: System
@@ -104,6 +105,7 @@ class AdaptiveBatch(NamedTuple):
     method: Regularized
     t1: Scalar
     y0: tuple[Number, ...]
+    longest_step: Scalar
     sizes: tuple[AnyInteger, ...]
 
 
@@ -137,7 +139,7 @@ def solve_batch(
         tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
         field, criterion = field_of(here.system, smooth, method), criterion_of(method)
         y0, until = tuple(jnp.asarray(value, dtype) for value in here.y0), jnp.where(place < used, t1, 0)
-        solution = solve_adaptive(field, tables, until, y0, Solver.of(method), most)
+        solution = solve_adaptive(field, tables, until, y0, Solver.of(method, here.longest_step), most)
 
         def one_step(detector, index):
             detector, record, _ = detect_in_step(field, tables, criterion, until, solution, detector, index)

@@ -1,6 +1,7 @@
 """One trajectory of regularised dynamics, in fixed or adaptive steps, and the state along it."""
 
 import dataclasses
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,7 +27,7 @@ from ..common.method import Regularized
 from ..common.path import Path, Run
 from ..common.segments import SegmentLaws
 from ..common.stopping_scan import padded_length, stopping_scan
-from ..common.time_scales import max_steps_advice, step_for
+from ..common.time_scales import longest_step, max_steps_advice, step_for
 from ..common.tracks import sticks_and_totals
 from .engine import criterion_of, field_of, switched_field
 from .settings import ADAPTIVE_STEPS, MORE, fixed_steps, numbers_as_arrays, resolved
@@ -101,6 +102,7 @@ class _Setting(NamedTuple):
     method: Regularized
     t1: Array
     y0: tuple[Number, ...]
+    longest_step: Scalar  # of adaptive steps, s
 
 
 def follow_regularized(
@@ -117,8 +119,9 @@ def follow_regularized(
     adaptive = method.step is None
     steps = method.max_steps or (ADAPTIVE_STEPS if adaptive else _fixed_steps(system, excitation, given, t1))
     sizes = table_sizes(system, excitation, t1)
-    system, excitation, t1, y0 = numbers_as_arrays((system, excitation, t1, y0), dtype)
-    setting = _Setting(system, excitation, method, jnp.asarray(t1), y0)
+    longest = longest_step(system, excitation) if adaptive else math.inf
+    system, excitation, t1, y0, longest = numbers_as_arrays((system, excitation, t1, y0, longest), dtype)
+    setting = _Setting(system, excitation, method, jnp.asarray(t1), y0, longest)
     if not adaptive:
         return method, _follow_fixed(setting, steps, sizes)
     run: Run = _follow_adaptive(setting, steps, sizes)
@@ -140,7 +143,7 @@ def _fixed_steps(system: System, excitation: Excitation, method: Regularized, t1
 
 
 def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRecord, Passage]]:
-    system, excitation, method, t1, y0 = setting
+    system, excitation, method, t1, y0, _ = setting
     dtype = t1.dtype
     field, segment_laws, criterion = (
         switched_field(system, excitation.signal, method),
@@ -167,7 +170,7 @@ def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRe
 
 @eqx.filter_jit
 def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
-    system, excitation, method, t1, _ = setting
+    system, excitation, method, t1, *_ = setting
     # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.
     method = dataclasses.replace(method, atol=None, minimum_duration=lax.stop_gradient(method.minimum_duration))
     setting = setting._replace(method=method)
@@ -180,11 +183,11 @@ def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
 
 @eqx.filter_jit
 def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
-    system, excitation, method, t1, y0 = setting
+    system, excitation, method, t1, y0, longest = setting
     field, criterion = field_of(system, excitation.signal, method), criterion_of(method)
     dtype = t1.dtype
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, dtype)
-    solution = solve_adaptive(field, tables, t1, y0, Solver.of(method), steps)
+    solution = solve_adaptive(field, tables, t1, y0, Solver.of(method, longest), steps)
 
     def one_step(detector, index):
         detector, record, passage = detect_in_step(field, tables, criterion, t1, solution, detector, index)

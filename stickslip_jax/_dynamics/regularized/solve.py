@@ -15,7 +15,7 @@ from ..._numerics.over_contacts import any_of
 from ..._status import Status
 from ..._systems.switched_model import Segments
 from ..._systems.system import System
-from ..._types import Array, BoolArray, FloatArray, IntArray, Number
+from ..._types import Array, BoolArray, FloatArray, IntArray, Number, Scalar
 from ..common.method import Regularized
 from ..common.segments import SegmentLaws
 from .contacts_field import ContactsField
@@ -88,17 +88,18 @@ def table_sizes(system: System, excitation: Excitation, t1: Any) -> tuple[int, .
 
 
 class Solver(NamedTuple):
-    """Options of diffrax: solver, adjoint, and tolerances (absolute: one for each state)."""
+    """Options of diffrax: solver, adjoint, tolerances (absolute: one for each state), and the longest step (s)."""
 
     solver: Any
     adjoint: Any
     rtol: Any
     atol: Any
+    longest_step: Any
 
     @classmethod
-    def of(cls, method: Regularized) -> "Solver":
+    def of(cls, method: Regularized, longest_step: Scalar) -> "Solver":
         """The options of `method`, which has every option filled in."""
-        return cls(method.solver, method.adjoint, method.rtol, method.atol)
+        return cls(method.solver, method.adjoint, method.rtol, method.atol, longest_step)
 
 
 class Solution(NamedTuple):
@@ -139,7 +140,7 @@ def solve_adaptive(
         forcing = field.model.forcing(t, tables.at(t))
         return jnp.stack(field.model.numbers(field.rates(forcing, zero, field.model.start(tuple(y), dtype))))
 
-    control = step_control(how.rtol, how.atol, tables.times)
+    control = step_control(how.rtol, how.atol, jnp.asarray(how.longest_step, dtype), tables.times)
     end = jnp.minimum(t1, tables.end)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rates), how.solver, zero, end, None, jnp.stack([jnp.asarray(v, dtype) for v in y0]),

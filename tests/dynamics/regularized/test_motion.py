@@ -280,6 +280,7 @@ class Own(ss.SwitchedSystem):
     mu: float = 0.6
     traces: ClassVar[list] = []
     state_names = ("position in m", "velocity in m/s")
+    shortest_time = 2 * math.pi / 2.5**0.5
 
     def rates(self, t, y, base, friction):
         if isinstance(t, jax.core.Tracer):
