@@ -73,7 +73,8 @@ class Constructor(type(eqx.Module)):
             if not is_by_name and place >= len(args):
                 continue
             value = kwargs[name] if is_by_name else args[place]
-            plain = value.item() if isinstance(value, np.generic) else value
+            is_number = isinstance(value, (np.generic, np.ndarray, jax.Array)) and not value.ndim
+            plain = value.item() if is_number and value.dtype.kind in "biuf" and not _checks.is_traced(value) else value
             if not isinstance(plain, np.generic) and plain is not value:  # Equinox would warn of a number of NumPy
                 if is_by_name:
                     kwargs[name] = plain
