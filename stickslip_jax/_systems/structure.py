@@ -174,7 +174,8 @@ class LinearStructure(WithContacts):
     def redundant(self) -> BoolScalar | None:
         if self.uncoupled or not any(_checks.is_traced(contact.direction) for contact in self.contacts):
             return None
-        gain = dense(self.matrices.gain)
+        matrices = self.matrices
+        gain = dense(matrices.directions) @ dense(matrices.by_force)
         size = jnp.sqrt(jnp.abs(jnp.diagonal(gain)))
         inverse = linear_solve(gain / (size[:, None] * size[None, :]), jnp.eye(len(self.contacts)))
         is_unique = jnp.max(jnp.abs(inverse)) < 1 / (64 * jnp.finfo(gain.dtype).eps)

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 
 from .. import _checks
 from .._excitation.force_steps import ForceSteps
@@ -329,7 +330,7 @@ class Near:
         self.places, self.columns = places, columns
 
     @classmethod
-    def of(cls, y: tuple[Array, ...], velocities: AnyArray = (), gradients: AnyArray = ()) -> "Near":
+    def of(cls, y: tuple[Array, ...], velocities: npt.ArrayLike = (), gradients: npt.ArrayLike = ()) -> "Near":
         """Those of the initial state `y`: four at each place, two on either side.
 
         `velocities`, `gradients`: of the contacts (contacts,), and their derivatives by the state (contacts, states).
