@@ -58,22 +58,24 @@ class _Function:
         return self.function if instance is None else Method(self.function, instance)
 
 
-class Constructor(type(eqx.Module)):
+class _Constructor(type(eqx.Module)):
     """The class of classes whose constructors refuse in words what Equinox would stumble over before they see it."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
-        names = _parameters(cls)
+        kind: Any = cls
+        names = _parameters(kind)
         for place, value in enumerate(args):
             _checks.tree(names[min(place, len(names) - 1)], value)
         for name, value in kwargs.items():
             _checks.tree(name, value)
-        for place, name in _options(cls):
+        for place, name in _options(kind):
             is_by_name = name in kwargs
             if not is_by_name and place >= len(args):
                 continue
             value = kwargs[name] if is_by_name else args[place]
-            plain = value.item() if isinstance(value, np.generic) else value
+            is_number = isinstance(value, (np.generic, np.ndarray, jax.Array)) and not value.ndim
+            plain = value.item() if is_number and value.dtype.kind in "biuf" and not _checks.is_traced(value) else value
             if not isinstance(plain, np.generic) and plain is not value:  # Equinox would warn of a number of NumPy
                 if is_by_name:
                     kwargs[name] = plain
@@ -84,13 +86,21 @@ class Constructor(type(eqx.Module)):
         return super().__call__(*args, **kwargs)
 
 
+if TYPE_CHECKING:  # for which constructors keep their signatures
+    Module = eqx.Module
+else:
+
+    class Module(eqx.Module, metaclass=_Constructor):
+        """A module whose constructor takes no arguments that JAX cannot go through."""
+
+
 @cache
-def _parameters(kind: type) -> list[str]:
+def _parameters(kind: Any) -> list[str]:
     return list(inspect.signature(kind).parameters)
 
 
 @cache
-def _options(kind: type) -> tuple[tuple[int, str], ...]:
+def _options(kind: Any) -> tuple[tuple[int, str], ...]:
     """Place and name of the arguments of a class of the package that hold no numbers, and are not converted."""
     if not kind.__module__.startswith(f"{__name__.partition('.')[0]}."):
         return ()
@@ -99,7 +109,7 @@ def _options(kind: type) -> tuple[tuple[int, str], ...]:
     return tuple((place, name) for place, name in enumerate(_parameters(kind)) if name in names)
 
 
-class WithMethods(eqx.Module, metaclass=Constructor):
+class WithMethods(Module):
     """A module with such methods."""
 
     if not TYPE_CHECKING:

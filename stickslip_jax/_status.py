@@ -30,6 +30,10 @@ class Status(IntEnum):
     BASE_INVALID = 5
     """An interval of the base motion (or of a ground motion or force) had a negative duration or a number that is not
     finite: nothing after it was simulated."""
+    REDUNDANT_CONTACTS = 6
+    """The relative velocity of one contact of a structure is implied by those of others, so that no motion is the only
+    one: where JAX traces the masses or directions, this is found when they are known. What was simulated means nothing.
+    """
 
     @property
     def meaning(self) -> str:
@@ -46,5 +50,8 @@ _MEANINGS = {
     Status.BASE_INVALID: (
         "an interval of the base motion had a negative duration or a number that is not finite (the law must give "
         "durations above 0, 0 after the last interval only, and finite velocities; times must increase from 0)"
+    ),
+    Status.REDUNDANT_CONTACTS: (
+        "the relative velocity of one contact is implied by those of others (join contacts of the same direction)"
     ),
 }

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import jax
 import matplotlib as mpl
@@ -57,8 +58,8 @@ def figures() -> dict[str, Callable[[], object]]:
     print(many)
     print(ss.independent(many, "duration"), ss.bootstrap_interval(ss.stick_fraction, many, resamples=100), sep="\n")
     assert ss.Sweep(SYSTEM, LAW, over={"mu": [0.5, 1.0]}, **MANY).ensemble_at(mu=0.5).samples == 2000
-    derivatives = ss.sensitivity(ss.mean_stick_duration, SYSTEM, LAW, wrt=("mu", "stiffness"), **MANY)
-    derivative = ss.sensitivity(ss.mean_stick_duration, SYSTEM, LAW, wrt="mu", **MANY)
+    derivatives: Any = ss.sensitivity(ss.mean_stick_duration, SYSTEM, LAW, wrt=("mu", "stiffness"), **MANY)
+    derivative: Any = ss.sensitivity(ss.mean_stick_duration, SYSTEM, LAW, wrt="mu", **MANY)
     clean = np.asarray(soft.evaluate(TIMES)[0])
     seen = {"position": clean + 0.02 * np.random.default_rng(0).normal(size=TIMES.size)}
     fitted = ss.calibrate(SYSTEM, ss.Harmonic(1.0, 1.4), TIMES, seen, wrt="mu", y0=(0.0, 1.0))

@@ -231,7 +231,8 @@ def _check_memory(kept: list[Part], samples: int) -> None:
     todo = f"keeping the sticks of {samples:,} samples takes about {expected / 1e9:.1f} GB of memory"
     if expected > there:
         raise ValueError(
-            f'Argument keep must be "statistics" for so many samples: {todo}, and {there / 1e9:.1f} GB are free.'
+            f'Argument keep must be "statistics" for so many samples: {todo}, and this machine has '
+            f"{there / 1e9:.1f} GB free."
         )
     if len(kept) == 1 and expected > _MUCH:
         warnings.warn(

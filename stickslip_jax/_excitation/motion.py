@@ -3,9 +3,7 @@
 import math
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
 
-import equinox as eqx
-
-from .._methods import Constructor
+from .._methods import Module
 from .._types import Number, Scalar
 
 if TYPE_CHECKING:
@@ -25,7 +23,7 @@ class Parts(NamedTuple):
     has_key_per_part: bool = False
 
 
-class Motion(eqx.Module, metaclass=Constructor):
+class Motion(Module):
     """Base class of base motions, ground motions and voltages.
 
     Attributes:

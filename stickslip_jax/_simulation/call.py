@@ -2,12 +2,14 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.common.validation import Arguments, working_dtype
 from .._dynamics.engine_choice import engine_for
 from .._excitation.excitation import BaseMotion
 from .._forks import require_threads_of_jax
+from .._status import Status
 from .._systems.system import System
 from .._types import InitialState, Scalar
 from .result import Simulation
@@ -56,6 +58,9 @@ def simulate(
     except (TypeError, jax.errors.UnexpectedTracerError) as error:
         _explain_enclosed(error)
         raise
+    redundant = arguments.system.redundant
+    if redundant is not None:
+        run = run._replace(status=jnp.where(redundant, jnp.int8(Status.REDUNDANT_CONTACTS), run.status))
     return Simulation(system, arguments.base, t1, method, *run)
 
 

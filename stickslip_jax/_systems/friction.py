@@ -278,7 +278,7 @@ class Stribeck(FrictionLaw):
     mu_static: Annotated[Number, Quantity(meaning=_STATIC_ABOVE_MU, at_least=0)]
     stribeck_speed: Annotated[Number, Quantity("m/s", above=0)]
     exponent: Annotated[float, Quantity(meaning="of the speed in the exponential", at_least=1)] = eqx.field(
-        static=True, default=1.0, converter=lambda v: v.item() if isinstance(v, np.number) else v
+        static=True, default=1.0
     )
     viscous: Annotated[Number, Quantity("s/m", "times the speed", at_least=0)] = 0.0
 

@@ -16,7 +16,7 @@ from .._excitation.smooth import Signal
 from .._fields import with_fields
 from .._numerics.primal import without_derivatives
 from .._numerics.small_matrices import WRITTEN_OUT, dense, largest_eigenvalue, linear_solve
-from .._types import ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
+from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
 from .ageing_model import AgeingContacts, with_ages
 from .composed_friction import least
 from .contact import Contact, entries_of, numbers_of
@@ -169,6 +169,17 @@ class LinearStructure(WithContacts):
         if type(self) is not LinearStructure:  # a user's subclass may have methods of its own
             return self
         return with_fields(self, ReadyStructure, known=self.matrices.by_bands())
+
+    @property
+    def redundant(self) -> BoolScalar | None:
+        if self.uncoupled or not any(_checks.is_traced(contact.direction) for contact in self.contacts):
+            return None
+        matrices = self.matrices
+        gain = dense(matrices.directions) @ dense(matrices.by_force)
+        size = jnp.sqrt(jnp.abs(jnp.diagonal(gain)))
+        inverse = linear_solve(gain / (size[:, None] * size[None, :]), jnp.eye(len(self.contacts)))
+        is_unique = jnp.max(jnp.abs(inverse)) < 1 / (64 * jnp.finfo(gain.dtype).eps)
+        return jnp.all(jnp.isfinite(gain)) & ~is_unique
 
     @property
     def compiles_natively(self) -> bool:

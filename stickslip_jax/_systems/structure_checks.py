@@ -124,9 +124,10 @@ def _check_contacts(mass: Any, contacts: Any, size: int) -> None:
             raise ValueError(
                 f"Argument direction of contact {number} must not be zero: such a contact moves with no mass."
             )
-    if not _is_known(mass, contacts):
-        return
-    eigenvalues = np.linalg.eigvalsh(_gain(mass, contacts))
+    if any(_checks.is_traced(contact.direction) for contact in contacts):
+        return  # `LinearStructure.redundant` tells the status
+    # Contacts are independent if their directions are, whatever the masses.
+    eigenvalues = np.linalg.eigvalsh(_gain(np.ones(size) if _checks.is_traced(mass) else mass, contacts))
     if is_singular(eigenvalues):
         raise ValueError(
             "Argument contacts must be independent of each other, but the relative velocity of one is implied by "

@@ -15,7 +15,7 @@ from .._excitation.segments import SegmentLaw
 from .._excitation.smooth import Signal
 from .._excitation.voltage import SourceVoltage
 from .._fields import Checked
-from .._types import AnyArray, Array, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
+from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
 from .dynamic_friction import DynamicFriction
 from .inner_states import InnerStates
 from .mechanism import Mechanism, bars
@@ -229,6 +229,11 @@ class System(Checked):
         """The coordinate recorded as the position of a stick: the first number of the state."""
         first = self.coordinates[0]
         return first._replace(name=f"{first.name} when the stick starts")
+
+    @property
+    def redundant(self) -> BoolScalar | None:
+        """Whether contacts imply each other, where this was not known when the system was made; else None."""
+        return None
 
     @property
     def static_exceeds_kinetic(self) -> bool:

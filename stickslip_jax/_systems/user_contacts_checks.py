@@ -7,12 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
-from .._types import Number
+from .._types import Array, Number
 from .structure_checks import is_singular
 from .switched_model import Segments
 from .user_system_checks import AFFINE, Near, check_belt, check_rates, check_traceable, rates_near
 from .users_forcing import UsersBase
 
+_BY_DIRECTION = (
+    "where friction differs with the direction of sliding, leave the normal force as it is and give the contact a "
+    "Directional friction law, or smooth the step, jax.numpy.tanh(v / width)."
+)
 _NOTHING = Segments((), (), ())
 
 
@@ -49,10 +53,24 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
     gain = model.instant(model.forcing(zero, _NOTHING), zero, y).gain
     if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((found, gain))):
         return
-    near = Near.of(y)
+    near = Near.of(y, *_velocities(system, y, base))
     near.check(kind, np.asarray(rates_near(system, near.columns, base, jnp.ones(contacts))))
+    if system.has_normal_forces:
+        forces = jax.vmap(lambda *state: jnp.stack([*map(jnp.asarray, system.normal_forces(zero, state, base))]))
+        near.check(kind, np.asarray(forces(*near.columns)), "normal_forces", _BY_DIRECTION)
     _check_affine(kind, np.array([[float(rate) for rate in row] for row in found]), contacts)
     _check_unique(kind, np.asarray(gain))
+
+
+def _velocities(system: Any, y: tuple[Array, ...], base: UsersBase) -> tuple[Array, Array]:
+    """The relative velocities of the contacts (contacts,), and their derivatives by the state (contacts, states)."""
+
+    def of(state: Array) -> Array:
+        velocities = system.relative_velocity(jnp.zeros(()), tuple(state), base)
+        return jnp.stack([jnp.asarray(velocity, float) for velocity in velocities])
+
+    state = jnp.stack(y)
+    return of(state), jax.jacfwd(of)(state)
 
 
 def _check_number(kind: str, name: str, values: Any, contacts: int) -> None:

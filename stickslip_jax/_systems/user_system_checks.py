@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 
 from .. import _checks
 from .._excitation.force_steps import ForceSteps
@@ -319,27 +320,35 @@ def _takes_two(system: Any, t: Array, y: tuple[Array, ...], base: UsersBase) -> 
 
 
 class Near:
-    """States close to those where a number of the state passes zero, its initial value, or another number.
+    """States close to those where a number of the state passes zero, its initial value, another number, or the value
+    with which a contact does not slide.
 
-    There the sign of a velocity changes that somebody writes for a second contact: rates must not jump there.
+    There the sign of a velocity changes that somebody writes for a contact: nothing must jump there.
     """
 
     def __init__(self, places: list[tuple[int, float]], columns: tuple[AnyArray, ...]):
         self.places, self.columns = places, columns
 
     @classmethod
-    def of(cls, y: tuple[Array, ...]) -> "Near":
-        """Those of the initial state `y`: four at each place, two on either side."""
+    def of(cls, y: tuple[Array, ...], velocities: npt.ArrayLike = (), gradients: npt.ArrayLike = ()) -> "Near":
+        """Those of the initial state `y`: four at each place, two on either side.
+
+        `velocities`, `gradients`: of the contacts (contacts,), and their derivatives by the state (contacts, states).
+        """
         values = [float(value) for value in y]
-        places = [(i, centre) for i in range(len(y)) for centre in sorted({0.0, *values})]
+        centres = [{0.0, *values} for _ in y]
+        for velocity, gradient in zip(np.asarray(velocities), np.asarray(gradients), strict=True):
+            for i in np.flatnonzero(gradient):
+                centres[i].add(float(values[i] - velocity / gradient[i]))
+        places = [(i, centre) for i, found in enumerate(centres) for centre in sorted(found) if np.isfinite(centre)]
         step = float(np.sqrt(np.finfo(y[0].dtype).eps)) * max(1.0, *map(abs, values))
         near = np.array(values) * np.ones((len(places), 4, 1))
         for row, (i, centre) in zip(near, places, strict=True):
             row[:, i] = centre + step * np.array([-1.0, 1.0, -_NEARER, _NEARER])
         return cls(places, tuple(near.reshape(-1, len(y)).T.astype(y[0].dtype)))
 
-    def check(self, kind: str, found: np.ndarray) -> None:
-        """Check the rates (places, states) `found` there: that they do not jump."""
+    def check(self, kind: str, found: np.ndarray, name: str = "rates", hint: str = _ONE_CONTACT) -> None:
+        """Check the numbers (places, numbers) `found` there by the method `name`: that they do not jump."""
         rates = found.reshape(len(self.places), 4, -1)
         far, close = np.abs(rates[:, 1] - rates[:, 0]), np.abs(rates[:, 3] - rates[:, 2])
         most = np.max(np.abs(rates), axis=(0, 1), where=np.isfinite(rates), initial=0.0)
@@ -349,9 +358,9 @@ class Near:
         place, number = (int(index) for index in np.argwhere(jumps)[0])
         state, centre = self.places[place]
         raise ValueError(
-            f"Argument rates of a {kind} must be smooth functions of the state, but rate number {number} jumps from "
-            f"{rates[place, 2, number]:.6g} to {rates[place, 3, number]:.6g} where number {state} of the state passes "
-            f"{centre:g}; {_ONE_CONTACT}"
+            f"Argument {name} of a {kind} must be smooth functions of the state, but {name.replace('_', ' ')[:-1]} "
+            f"number {number} jumps from {rates[place, 2, number]:.6g} to {rates[place, 3, number]:.6g} where number "
+            f"{state} of the state passes {centre:g}; {hint}"
         )
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from jax.scipy.special import ndtr, ndtri
 
 from .. import _checks
-from .._methods import Constructor
+from .._methods import Module
 from .._types import AnyArray, FloatArray
 
 _ROUND_OFF = 1e-6
@@ -33,7 +33,7 @@ def _as_matrix(name: str, matrix: Any) -> AnyArray:
     return np.asarray(matrix, np.float64)
 
 
-class GaussianCopula(eqx.Module, metaclass=Constructor):
+class GaussianCopula(Module):
     """Random numbers that depend on each other: each has its own distribution, their normal scores are correlated.
 
     The normal score of a number x with distribution function F is ``z = ndtri(F(x))``; the scores are jointly normal

@@ -102,9 +102,8 @@ def _parse(path: Path, command: str) -> dict[str, Any]:
     try:
         with path.open("rb") as file:  # a pipe too, but no more than a description can be
             data = file.read(_LONGEST + 1)
-        if len(data) > _LONGEST:
-            raise StudyError(f"{path}: is longer than {_LONGEST // 10**6} MB, and no description of a {command}.")
-        return tomllib.loads(data.decode("utf-8"))
+        if len(data) <= _LONGEST:
+            return tomllib.loads(data.decode("utf-8"))
     except FileNotFoundError:
         raise StudyError(
             f"{path}: no such file; `stickslip {command} --print-config` prints one to start from."
@@ -121,6 +120,7 @@ def _parse(path: Path, command: str) -> dict[str, Any]:
         ) from None
     except RecursionError:
         raise StudyError(f"{path}: has lists or tables within too many others; correct it.") from None
+    raise StudyError(f"{path}: is longer than {_LONGEST // 10**6} MB, and no description of a {command}.")
 
 
 def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, source: str, options: _Options) -> _File:

@@ -75,7 +75,8 @@ def sweep_table(dataset: "xarray.Dataset", names: Sequence[str]) -> str:
         pairs = zip(stacked[name], stacked[f"{name}_error"], strict=True)
         columns.append(["-" if math.isnan(value) else format_with_error(value, error) for value, error in pairs])
     every = f", {counts[0]:,} samples each" if counts.min() == counts.max() else ""
-    ending = {one: int(dataset[f"samples_{one.name.lower()}"].sum()) for one in Status}
+    counted = {one: f"samples_{one.name.lower()}" for one in Status}
+    ending = {one: int(dataset[name].sum()) if name in dataset else 0 for one, name in counted.items()}
     spent = float(np.nansum(dataset["run_seconds"]))
     return "\n".join(
         [

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import jax
 import matplotlib.pyplot as plt
@@ -122,6 +123,12 @@ def test_configuration_that_cannot_be_read(tmp_path, name, content, said):
         read_config(path)
     with pytest.raises(StudyError, match="cannot be read"):
         read_config(tmp_path)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="this system has no such device")
+def test_configuration_without_end():
+    with pytest.raises(StudyError, match=r"/dev/zero: is longer than 16 MB, and no description of a study\."):
+        read_config("/dev/zero")
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,20 @@
 """Folders of sweeps with damage: it is found, and mended or said in one sentence; nothing is lost."""
 
+import io
 import shutil
+import zipfile
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
 from support.faults import assert_same, failing, files_in, log_of, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
+from stickslip_jax._files import unpacked_arrays
 from stickslip_jax._sweep.dataset import read_dataset
 from stickslip_jax._sweep.errors import DamagedBatchError
+from stickslip_jax._sweep.header import id_and_name, with_header, without_header
 from stickslip_jax._sweep.store import Batch, Store
 from stickslip_jax._sweep.work import Work
 
@@ -130,6 +135,54 @@ def test_batch_of_another_sweep(copied, tmp_path, kind):
     assert files_in(folder) == before
     path.unlink()
     assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
+
+
+def test_a_batch_that_unpacks_without_end_is_damaged(copied, monkeypatch):
+    """A few hundred kB of zeros that unpack to more than any batch takes: it is not unpacked, and done again."""
+    folder, dataset = copied
+    path, packed = batch_in(folder, ".zip"), io.BytesIO()
+    identity, name = id_and_name(path.read_bytes())
+    with zipfile.ZipFile(io.BytesIO(without_header(identity, name, path.read_bytes()))) as whole:
+        head = whole.read("head.json")
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as bomb:
+        bomb.writestr("head.json", head)
+        with bomb.open("floats.npy", "w") as entry:
+            np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (2**26,)})
+            for _ in range(32):
+                entry.write(bytes(2**24))
+    assert len(packed.getvalue()) < 2**20
+    path.write_bytes(with_header(identity, name, packed.getvalue()))
+    monkeypatch.setattr(np, "frombuffer", refuse_to_unpack(np.frombuffer))
+    assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
+    assert "it would unpack to 0.537 GB" in log_of(folder)
+
+
+def refuse_to_unpack(usual):
+    def frombuffer(data, *more, **options):
+        assert len(data) < 2**24
+        return usual(data, *more, **options)
+
+    return frombuffer
+
+
+def test_arrays_are_not_longer_than_what_is_there():
+    """Whatever the header of an array says; and other arrays come back as they were."""
+    packed, lying = io.BytesIO(), io.BytesIO()
+    arrays = {
+        "a": np.arange(6.0).reshape(2, 3),
+        "b": np.zeros((0, 2)),
+        "c": np.asfortranarray(np.eye(3, dtype=np.int8)),
+    }
+    np.savez_compressed(packed, **arrays)
+    found = unpacked_arrays(packed.getvalue(), 10_000)
+    assert all(
+        np.array_equal(found[name], array) and found[name].dtype == array.dtype for name, array in arrays.items()
+    )
+    with zipfile.ZipFile(lying, "w") as archive, archive.open("a.npy", "w") as entry:
+        np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (2**50,)})
+        entry.write(bytes(80))
+    with pytest.raises(ValueError, match="reshape"):
+        unpacked_arrays(lying.getvalue(), 10_000)
 
 
 def test_leftovers_are_passed_over(copied, tmp_path):

@@ -98,17 +98,19 @@ EDITED = {
     "numbering": ("deciding", [10**9, False], "orders"),
     "samples": ("asked", -5, "samples"),
     "realizations": ("asked", 1.5, "realizations"),
+    "realizations, as many as fill the memory": ("asked", 10**9, "realizations must be smaller"),
     "statistics": ("asked", "mean_stick_duration", "statistics"),
     "derivatives": ("asked", [["stick_fraction"]], ""),
     "standard_errors": ("asked", {"junk": 0.1}, "standard_error"),
 }
 
 
-@pytest.mark.parametrize("name", EDITED)
-def test_edited_manifest(annotations_unchecked, copied, name):
+@pytest.mark.parametrize("case", EDITED)
+def test_edited_manifest(annotations_unchecked, copied, case):
     """What is loaded passes the checks that `Sweep` makes."""
     folder, _ = copied
-    part, value, said = EDITED[name]
+    part, value, said = EDITED[case]
+    name = case.partition(",")[0]
     rewrite(folder, lambda body: body[part].update({name: value}))
     calls_refused(folder, "its manifest cannot be used (", said)
 

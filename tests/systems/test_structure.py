@@ -21,6 +21,7 @@ def pair(**changed):
     return ss.LinearStructure(**(given | changed))
 
 
+@pytest.mark.usefixtures("annotations_unchecked")
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -33,6 +34,17 @@ def pair(**changed):
         ({"stiffness": [1.0, np.nan]}, "Argument stiffness must hold finite numbers"),
         ({"damping": np.ones((2, 3))}, r"Argument damping must be a symmetric matrix \(2, 2\)"),
         ({"mass": [ss.Uniform(1.0, 2.0), 1.0]}, "Argument mass must hold real numbers, no distributions"),
+        ({"mass": np.eye(2) * (1 + 1j)}, "Argument mass must hold real numbers"),
+        ({"stiffness": jnp.eye(2) * (1 + 1j)}, "Argument stiffness must hold real numbers"),
+        (
+            {"mass": np.ma.array(np.eye(2), mask=[[0, 1], [1, 0]])},
+            "Argument mass must hold real numbers, .*nothing masked",
+        ),
+        ({"mass": [["1.0", 0.0], [0.0, "1.0"]]}, "Argument mass must hold real numbers"),
+        ({"stiffness": [1e308, 1.0]}, "Argument stiffness must hold finite numbers of a size up to"),
+        ({"rotates": "no"}, "Argument rotates must be True or False, but 'no' was given"),
+        ({"uncoupled": 0}, "Argument uncoupled must be True or False"),
+        ({"counted_contact": "both"}, "Argument counted_contact must be a whole number"),
         ({"contacts": ()}, "Argument contacts must be a tuple of one Contact or more"),
         ({"contacts": contact(1.0, 0.0)}, "Argument contacts must be a tuple of one Contact or more"),
         ({"contacts": (contact(1.0, 0.0, 0.0),)}, "Argument direction of contact 0 must hold 2 numbers"),
@@ -48,11 +60,35 @@ def test_what_a_structure_refuses(changed, message):
         pair(**changed)
 
 
+def test_redundant_contacts_are_told_under_transformations():
+    """Of given directions at once, whatever the masses are; of traced ones by a status."""
+
+    def of_mass(mass):
+        contacts = contact(1.0, 0.0), contact(2.0, 0.0)
+        return ss.LinearStructure(mass * np.ones(2), PAIR, None, contacts).redundant
+
+    with pytest.raises(ValueError, match="Argument contacts must be independent of each other"):
+        jax.jit(of_mass)(1.0)
+
+    def status(second):
+        contacts = contact(1.0, 0.0), ss.Contact(jnp.stack([jnp.ones(()), second]), 1.0, DRY)
+        structure = ss.LinearStructure([1.0, 1.0], PAIR, None, contacts)
+        method = ss.Exact(step=0.1, max_steps=64)
+        return ss.simulate(structure, ss.Constant(0.0), t1=1.0, y0=(0.1, 0.2, 0.5, 0.9), method=method).status
+
+    found = jax.jit(jax.vmap(status))(jnp.array([0.0, 1.0, 1e-17]))
+    assert [ss.Status(int(code)).name for code in found] == ["REDUNDANT_CONTACTS", "FINISHED", "REDUNDANT_CONTACTS"]
+
+
+@pytest.mark.usefixtures("annotations_unchecked")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (([1.0], -1.0, DRY), "Argument normal_force must be positive"),
-        ((1.0, 1.0, DRY), "Argument direction must be a sequence of numbers"),
+        ((1.0, 1.0, DRY), "Argument direction must be a one-dimensional sequence of real numbers"),
+        (([1.0, np.nan], 1.0, DRY), "Argument direction must be finite"),
+        (([1.0, None], 1.0, DRY), "Argument direction must be a one-dimensional sequence of real numbers"),
+        (([1.0, 1e308], 1.0, DRY), "Argument direction must be between"),
     ],
 )
 def test_what_a_contact_refuses(arguments, message):

@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
+from stickslip_jax._systems.user_contacts_checks import check_contacts
 
 COUPLING = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 
@@ -41,6 +43,60 @@ class Blocks(ss.SwitchedSystem):
     @property
     def shortest_time(self):
         return 2 * math.pi / 1.8
+
+
+class Pressed(Blocks):
+    """The normal force of each block; `law` makes it of the velocities of the blocks."""
+
+    law: object = eqx.field(static=True, default=None)
+
+    def normal_forces(self, t, y, base):
+        return self.law(jnp.stack(y[3:]) - base.velocity)
+
+    def rates(self, t, y, base, friction):
+        return (*y[3:], *(-COUPLING @ jnp.stack(y[:3]) - self.mu * friction))
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda v: 1 + 0.2 * jnp.sign(v),
+        lambda v: jnp.where(v > 0, 1.2, 0.8),
+        lambda v: 1 + 0.2 * (v[0] > v[1]) * jnp.ones(3),
+    ],
+)
+def test_normal_forces_that_jump_with_the_direction_are_refused(law):
+    """At once, as rates are: they would chatter there without an end."""
+    with pytest.raises(
+        ValueError, match=r"normal_forces of a Pressed must be smooth .* normal force number 0 jumps .* Directional"
+    ):
+        ss.simulate(Pressed(law=law), ss.Constant(0.0), t1=1.0, y0=START)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [lambda v: 1 + 0.2 * jnp.tanh(v), lambda v: 1 + 0.2 * jnp.abs(v), lambda v: jnp.maximum(0.5 + v, 0.0)],
+)
+def test_normal_forces_with_kinks_are_not_refused(law):
+    check_contacts(Pressed(law=law), START)
+
+
+def test_normal_forces_that_jump_where_a_contact_between_blocks_stops_are_refused():
+    """At a velocity that is no number of the state: that of the other block, times the ratio of a gear."""
+
+    class Geared(Pressed):
+        def relative_velocity(self, t, y, base):
+            return y[3] - 0.7 * y[4], y[4] - base.velocity, y[5] - base.velocity
+
+        def normal_forces(self, t, y, base):
+            return jnp.stack([1 + 0.2 * jnp.sign(y[3] - 0.7 * y[4]), 1.0, 1.0])
+
+        def rates(self, t, y, base, friction):
+            push = self.mu * jnp.stack([friction[0], friction[1] - 0.7 * friction[0], friction[2]])
+            return (*y[3:], *(-COUPLING @ jnp.stack(y[:3]) - push))
+
+    with pytest.raises(ValueError, match="normal_forces of a Geared must be smooth"):
+        check_contacts(Geared(), START)
 
 
 START = (-1.0, 1.0, -1.0, -1.0, 1.0, 1.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import _checks
 from ... import _diffrax as diffrax
-from ..._methods import Constructor
+from ..._methods import Module
 from ..._types import AnyArray, Scalar
 
 SHAPES = ("tanh", "linear", "arctan", "rational")
@@ -20,7 +20,7 @@ def _as_max_steps(number: Any) -> int | None:
     return None if number is None else _checks.whole_number("max_steps", number)
 
 
-class Exact(eqx.Module, metaclass=Constructor):
+class Exact(Module):
     """Exact switched dynamics. Without a step, closed forms over whole base intervals are used where they apply
     (constant velocities, no damping, no force, one friction coefficient), and time steps elsewhere.
 
@@ -47,7 +47,7 @@ class Exact(eqx.Module, metaclass=Constructor):
             )
 
 
-class Regularized(eqx.Module, metaclass=Constructor):
+class Regularized(Module):
     """Regularised dynamics: the sign of the relative velocity ``v_rel`` in the friction force becomes a smooth switch.
 
     The mass then creeps where it would stick, and a stick is a time in which it creeps slowly. The exact method is
