@@ -257,7 +257,7 @@ for (name, value), unit, error, naive in zip(vars(band).items(), UNITS, robust, 
 # largest speed and its path are outside the range of those in the fit, as the logarithm of a factor, 0 inside.
 #
 # The band of 95 % around a prediction holds the error of the numbers, what the fit leaves, and, at speeds beyond those
-# of the fit, how much the law changes from the fastest of these on: it may change as it is said to, or not, or the other
+# of the fit, how much the law changes from the fastest of these on: it may change as it says, or not, or the other
 # way. All this is multiplied by a factor that grows with the distance. Predictions of left-out records say how large it
 # is inside, and how fast it grows outside; at least so that a factor of e outside doubles the band, where they say less
 # or nothing.

@@ -158,7 +158,7 @@ PRINTED = {
         r"stiffness_forward: [34]\.\d+e\+11 \+- \d\S*e\+0?9 N/m\^3 .* \(made with 4e\+11\)",
         r"growth_length: 0\.00[23]\d* \+- \S+ m .* \(made with 0\.003\)",
         r"2 Hz, 12 mm: error 0\.0[34]\d* of the force, predicted with the fitted numbers",
-        r"@@NB@@",
+        r"the band of 95 % holds (9[5-9]|100)% of it \(unwidened [4-6]\d%\)",
     ),
     "nonlinear": (
         r"period 12\.001031295 s, multipliers \[1\. 0\.\]",  # Leine and others 1998
