@@ -227,19 +227,15 @@ def slopes(values, records):
     return jax.jacfwd(residuals)(values, records)
 
 
-def robust_and_white(values, listed):
-    """The covariance of the fitted numbers by half cycles, and for white residuals."""
-    matrix, left = np.asarray(slopes(values, listed)), np.asarray(residuals(values, listed))
-    parts = [half_cycles(one) for one in listed]
-    offsets = np.cumsum([0] + [part[-1] + 1 for part in parts[:-1]])
-    halves = np.concatenate([part + offset for part, offset in zip(parts, offsets, strict=True)])
-    scores = np.stack([matrix[halves == half].T @ left[halves == half] for half in np.unique(halves)])
-    inverse = np.linalg.inv(matrix.T @ matrix)
-    return inverse @ scores.T @ scores @ inverse, inverse * (left @ left) / (len(left) - len(values))
-
-
 listed = list(records.values())
-robust, white = (np.sqrt(np.diag(one)) for one in robust_and_white(values, listed))
+matrix, left = np.asarray(slopes(values, listed)), np.asarray(residuals(values, listed))
+parts = [half_cycles(one) for one in listed]
+offsets = np.cumsum([0] + [part[-1] + 1 for part in parts[:-1]])
+halves = np.concatenate([part + offset for part, offset in zip(parts, offsets, strict=True)])
+scores = np.stack([matrix[halves == half].T @ left[halves == half] for half in np.unique(halves)])
+inverse = np.linalg.inv(matrix.T @ matrix)
+robust = np.sqrt(np.diag(inverse @ scores.T @ scores @ inverse))
+white = np.sqrt(np.diag(inverse) * (left @ left) / (len(left) - len(values)))
 band = band_of(values)
 UNITS = ("N/m^3", "N/m^3", "N", "N", "m", "s/m", "", "m", "kg")
 for (name, value), unit, error, naive in zip(vars(band).items(), UNITS, robust, white, strict=True):
@@ -256,11 +252,11 @@ for (name, value), unit, error, naive in zip(vars(band).items(), UNITS, robust, 
 # the fit did not see: standard errors of its numbers are those of a right law. So each half cycle is asked how far its
 # largest speed and its path are outside the range of those in the fit, as the logarithm of a factor, 0 inside.
 #
-# The band of 95 % around a prediction holds the error of the numbers, what the fit leaves, and, at speeds beyond those
-# of the fit, how much the law changes from the fastest of these on: it may change as it is said to, or not, or the other
-# way. All this is multiplied by a factor that grows with the distance. Predictions of left-out records say how large it
-# is inside, and how fast it grows outside; at least so that a factor of e outside doubles the band, where they say less
-# or nothing.
+# The band of 95 % around a prediction holds what the fit leaves; how much the numbers differ if one record is left out
+# of the fit (the jackknife: with few records it says more than their standard errors); and, at speeds beyond those of
+# the fit, how much the law changes from the fastest of these on, for it may change as it says, or not, or otherwise.
+# A half cycle that is outside by a factor of e has twice the band. What is left is a factor for all: the largest that a
+# left-out record needs for its own predicted force, since the next record may be like the worst of those known.
 
 # %%
 LEVEL, NORMAL = 0.95, 1.96
@@ -281,47 +277,40 @@ def outside(record, seen):
     return np.maximum(0, np.maximum(sizes(record) - high, low - sizes(record)))
 
 
+force = jax.jit(lambda values, record: band_of(values).force(record))
+without = [fitted([other for other in listed if other is not one]) for one in listed] if len(listed) > 1 else []
+
+
 def prediction(values, seen, record):
-    """The force along a record by a fit to the records `seen`, and its standard error, (points,)."""
-    force = lambda values: band_of(values).force(record)  # noqa: E731
-    slope, level = np.asarray(jax.jacfwd(force)(values)), np.asarray(force(values))
-    left = np.sqrt(np.mean(np.square(errors(values, seen)))) * np.sqrt(np.mean(level**2))
-    covariance = robust_and_white(values, seen)[0]
+    """The force along a record by a fit to the records `seen`, and its error in like records, and here, (points,)."""
+    level = np.asarray(force(values, record))
+    rest = np.mean(np.square(errors(values, seen))) * np.mean(level**2)
+    others = np.stack([force(one, record) for one in without]) if without else level[None]
     fastest = max(np.max(one.speeds) for one in seen)
-    held = np.asarray(band_of(values).force(record._replace(speeds=np.minimum(record.speeds, fastest))))
-    return level, np.sqrt(np.einsum("ij,jk,ik->i", slope, covariance, slope) + left**2 + (level - held) ** 2)
+    change = level - np.asarray(force(values, record._replace(speeds=np.minimum(record.speeds, fastest))))
+    wide = np.sqrt(rest + (len(others) - 1) * np.var(others, axis=0) + change**2)
+    return level, np.sqrt(rest), wide * (1 + outside(record, seen).max(axis=1))
 
 
-missed, distance = [], []
-for name, one in records.items():
-    others = [other for other in listed if other is not one]
-    found = fitted(others)
-    level, error = prediction(found, others, one)
-    missed.append(np.abs(one.force - level) / error)
-    distance.append(outside(one, others).max(axis=1))
-    print(f"{name}: error {errors(found, [one])[0]:.3f} when predicted from the others")
-missed, distance = np.concatenate(missed), np.concatenate(distance)
-inside = distance == 0
-factor = max(NORMAL, np.quantile(missed[inside], LEVEL) if np.any(inside) else 0)
-needed = (missed[~inside] / factor - 1) / distance[~inside]
-growth = max(1.0, np.quantile(needed, LEVEL) if len(needed) else 0)
-print(f"band: {factor:.2f} standard errors inside, {growth:.2f} times more for a factor of e outside")
+factor = NORMAL
+for name, one, found in zip(records, listed, without, strict=False):  # none without a second record
+    level, _, error = prediction(found, [other for other in listed if other is not one], one)
+    needed = np.quantile(np.abs(one.force - level) / error, LEVEL)
+    factor = max(factor, needed)
+    print(f"{name}: error {errors(found, [one])[0]:.3f} when predicted from the others, band of {needed:.2f} errors")
+print(f"the band has {factor:.2f} errors")
 
 
 def about(name, one):
-    """How far a record is outside, and how much of it the band holds, with and without its growth."""
-    level, error = prediction(values, listed, one)
-    far = outside(one, listed)
-    wide = factor * (1 + growth * far.max(axis=1)) * error
-    inner = np.sqrt(np.mean(np.square(errors(values, listed))) * np.mean(level**2))  # of a record like those of the fit
-    off = np.abs(one.force - level)
-    print(f"{name}: error {errors(values, [one])[0]:.3f} of the force, predicted with the fitted numbers")
+    """How far a record is outside, and how much of it the band holds, with and without what makes it wider there."""
+    level, inner, error = prediction(values, listed, one)
+    off, far = np.abs(one.force - level), outside(one, listed)
     share, (speed, path) = np.mean(far.max(axis=1) > 0), np.exp(far.max(axis=0))
-    print(
-        f"  {share:.0%} of it outside the range of the fit, up to {speed:.1f} times in speed, {path:.1f} in slip path"
-    )
-    print(f"  the band of 95 % holds {np.mean(off < wide):.0%} of it (unwidened {np.mean(off < factor * inner):.0%})")
-    return wide
+    print(f"{name}: error {errors(values, [one])[0]:.3f} of the force, predicted with the fitted numbers")
+    print(f"  {share:.0%} of it outside the range of the fit, by {speed:.1f} times in speed, {path:.1f} in slip path")
+    held, plain = np.mean(off < factor * error), np.mean(off < NORMAL * inner)
+    print(f"  the band of 95 % holds {held:.0%} of it ({plain:.0%} as wide as inside)")
+    return factor * error
 
 
 bands = {name: about(name, one) for name, one in further.items()}

@@ -99,7 +99,7 @@ class Record(NamedTuple):
         """
         parts = np.split(np.arange(len(self.times)), firsts[1:])
         longest = padded_length(max(len(part) for part in parts))  # so that similar records share a compilation
-        starts = np.array([self.begin(part[0]) for part in parts])
+        starts = self.begin(firsts)
         if begin is not None:
             starts[0] = begin
         index = np.stack([np.pad(part, (0, longest - len(part)), mode="edge") for part in parts])

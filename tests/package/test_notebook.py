@@ -158,7 +158,8 @@ PRINTED = {
         r"stiffness_forward: [34]\.\d+e\+11 \+- \d\S*e\+0?9 N/m\^3 .* \(made with 4e\+11\)",
         r"growth_length: 0\.00[23]\d* \+- \S+ m .* \(made with 0\.003\)",
         r"2 Hz, 12 mm: error 0\.0[34]\d* of the force, predicted with the fitted numbers",
-        r"@@NB@@",
+        r"79% of it outside the range of the fit, by 4\.0 times in speed, 1\.0 in slip path",
+        r"the band of 95 % holds (9[5-9]|100)% of it \([4-6]\d% as wide as inside\)",
     ),
     "nonlinear": (
         r"period 12\.001031295 s, multipliers \[1\. 0\.\]",  # Leine and others 1998
