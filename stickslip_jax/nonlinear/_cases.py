@@ -22,7 +22,7 @@ from .._types import DType, Scalar
 from .._uncertainty.numbers import with_numbers
 from ._cycle import Cycle, steps_in
 from ._own_time import changes_by_itself
-from ._period import checked_period, drives, period_of, repetitions
+from ._period import check_signals, checked_period, drives, period_of, repetitions
 
 Over = Mapping[str, Any]
 
@@ -62,6 +62,11 @@ class Cases(NamedTuple):
     def number(self) -> int:
         """How many cases there are."""
         return len(self.starts)
+
+    def of(self, which: np.ndarray, starts: np.ndarray) -> "Cases":
+        """Those cases alone, from other `starts` (cases, coordinates)."""
+        cycle = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, self.cycle)
+        return self._replace(cycle=cycle, starts=starts, shape=(len(which),))
 
     def with_steps(self, factor: int) -> "Cases":
         """The same with room for so many times the steps in a period."""
@@ -168,6 +173,8 @@ def _cycles(
         return changed.system, base, duration, jnp.stack([jnp.asarray(number, dtype) for number in changed.y0])
 
     every, base, durations, begins = eqx.filter_vmap(one)(jnp.asarray(numbers, dtype), durations)
+    if driven:
+        check_signals((every, base), durations)
     if most[-1] is not None:
         method = Exact(method.step, most[-1], method.solver)
     return Cycle(every, base, durations, method), np.asarray(begins), driven
