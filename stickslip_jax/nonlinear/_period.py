@@ -109,8 +109,8 @@ def has_known_period(system: object, base: object, by_itself: bool) -> bool:
 
 
 def check_signals(tree: object, period: Array) -> None:
-    """Raise ValueError where a signal of a user's own in `tree` is another one a `period` (s) later, at many instants of
-    one period; of many cases, arrays have a first axis (cases,), and `period` is (cases,).
+    """Raise ValueError where a signal of a user's own in `tree` is another one a `period` (s) later, at many instants
+    of one period; of many cases, arrays have a first axis (cases,), and `period` is (cases,).
     """
     if any(map(_checks.is_traced, jax.tree.leaves((tree, period)))):
         return

@@ -6,9 +6,10 @@ import numpy as np
 
 _ROUND_OFF = 100  # times the spacing of numbers of the size of the largest number of the state
 _LEAST = 4  # returns by which one sees whether differences fall
-_COMPARED = 8  # differences of several returns: of fewer, chance would make all smaller too often
+_COMPARED = 16  # differences of several returns: of fewer, chance would make all smaller too often
 _SYSTEMATIC = 0.9  # of the differences: smaller than those before, or larger
-_FAST = 0.5  # of the largest in the first half: those of the second half
+_FAST = 0.1  # of the largest in the first half: those of the second half
+_FAR_LESS = 1e-2  # of the differences of all smaller numbers of returns, which change
 _LEFT = 0.5  # tolerances: the way that is left
 UNSETTLED = -1
 
@@ -29,11 +30,16 @@ def recurrence(
     """
     found = np.zeros(len(states), int)
     recurring: list[np.ndarray] = []
-    least, is_changing = np.full(len(states), np.inf), np.zeros(len(states), bool)
+    late, late_size = found.copy(), np.full(len(states), np.inf)
+    least, is_changing = late_size.copy(), np.zeros(len(states), bool)
     for number, error in _differences(states, sizes, tolerance, periods):
         size, left, changes = _tendency(error, number)
         recurs = np.all(error <= 1, axis=1)  # False where a state is NaN
         recurring.append(recurs)
+        if not np.all(np.isfinite(size) | np.isnan(size)):  # too few to see whether they change
+            late_size = np.where((late == 0) & recurs, np.max(error, axis=1), late_size)
+            late = np.where((late == 0) & recurs, number, late)
+            continue
         settled = (found == 0) & recurs & (~changes | (left <= _LEFT))
         # Where it comes nearer from both sides in turn, it is twice the number that tells the way that is left.
         for divisor in [one for one in range(1, number + 1) if number % one == 0]:
@@ -42,6 +48,7 @@ def recurrence(
         found = np.where((found == 0) & changes & (size <= 1) & ~recurs, UNSETTLED, found)
         is_changing = np.where(size < least, changes & (size > 0), is_changing)
         least = np.fmin(size, least)
+    found = np.where((found == 0) & (~is_changing | (late_size < _FAR_LESS * least)), late, found)
     return np.where((found == 0) & is_changing, UNSETTLED, found)
 
 

@@ -34,7 +34,7 @@ def settled(
     stored: Kept, *, stacklevel: int,
 ) -> tuple[Seen, np.ndarray, np.ndarray]:  # fmt: skip
     """What was `seen`; of cases that have not settled, in later periods: twice as many before those that are kept,
-    again and again. Also the `recurrence` of each case, and how many periods more came before those that are kept, (cases,).
+    again and again. Also the `recurrence` of each case, and how many periods more came before those, (cases,).
 
     `lasted`: the numbers of periods before those that are kept, of these, and the largest of those before. Where it has
     not settled then, the multipliers of the orbit that a motion comes nearer to decide. Warns (RuntimeWarning) of the

@@ -96,7 +96,7 @@ def stroboscopic_section(
 
 
 def section_of(cases: Cases, seen: Seen, found: np.ndarray, more: np.ndarray, transient: int) -> "xarray.Dataset":
-    """The data set of what was seen, of the recurrences `found` and the periods `more` that each case took, (cases,)."""
+    """The data set of what was seen, of the recurrences `found` and the periods `more` of each case, (cases,)."""
     numbers = np.arange(transient + 1, transient + np.shape(seen.states)[1] + 1)
     coordinates: Entries = {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})}
     states = np.asarray(seen.states)
