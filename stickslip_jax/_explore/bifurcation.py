@@ -40,10 +40,10 @@ def section_of(scene: Scene, number: MovableNumber) -> Section:
     start = [float(one.icdf(jnp.asarray(0.5))) if isinstance(one, RandomNumber) else float(one) for one in scene.y0]
     period = slowest_time(scene.system, scene.law) if getattr(scene.law, "repeats_after", None) in (0, 0.0) else None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of motions that do not reach the end, which are left out
+        warnings.simplefilter("ignore", RuntimeWarning)  # of motions that do not reach the end, or have not settled
         found = bifurcation_diagram(
             scene.system, scene.law, {number.name: values}, y0=start, transient=_TRANSIENT, kept=_KEPT, period=period,
-            progress=False,
+            longest_transient=_TRANSIENT, progress=False,
         )  # fmt: skip
     states = np.asarray(found[scene.system.coordinates[0].variable]).reshape(_VALUES, -1)
     label, _ = labels_of(scene)

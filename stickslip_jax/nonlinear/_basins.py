@@ -17,10 +17,10 @@ from .._status import Status
 from .._systems.system import System, checked_system
 from .._types import Scalar
 from ._attractors import Attractor, dense, matched
-from ._cases import Cases, cases_of, checked_numbers
+from ._cases import Cases, cases_of
 from ._following import follow
 from ._labeled import START, dataset_of, names_of
-from ._recurrence import recurrence
+from ._settling import checked_periods, settled
 from ._stored import Folder, kept_in
 from ._stroboscopic import RECURS
 from ._warnings import warn_of_none, warn_of_unfinished
@@ -44,6 +44,7 @@ def basins(
     y0: Any,
     transient: int = 200,
     kept: int = 32,
+    longest_transient: int | None = None,
     period: Scalar | None = None,
     tolerance: float = _TOLERANCE,
     most: int = _MOST,
@@ -64,8 +65,9 @@ def basins(
         base: As in `stroboscopic_section`.
         y0: The starts: an array (starts, coordinates); or a grid, a dict from the names of coordinates ("position",
             "velocity") to their values, others being 0.
-        transient: Number of periods before the first that is kept; attractors must be reached in it.
+        transient: Number of periods before the first that is kept, at least; attractors must be reached in it.
         kept: Number of periods kept.
+        longest_transient: As in `stroboscopic_section`: motions that still come nearer to an orbit or to rest go on.
         period: As in `stroboscopic_section`. Where nothing drives the system, a time after which the state is looked
             at; an attractor is then the whole curve of its motion.
         tolerance: How near states of one attractor come to each other, relative to the ranges of the state.
@@ -79,16 +81,16 @@ def basins(
         ``basin``: the number of the attractor that each start ends on, from 1, the largest basin first, 0 if none was
         found; with the dimensions of the grid, or "start". Of each attractor ``share`` with ``share_low`` and
         ``share_high``, an interval of Wilson for starts that are a random sample; ``recurrence`` (periods; 0: none was
-        found, as of cycles that nothing drives), ``is_stuck``, and points of it,
+        found, as of cycles that nothing drives; -1: not settled), ``is_stuck``, and points of it,
         ``attractor_position`` and so on, NaN where it has fewer. Also ``status`` of each start. Warns (RuntimeWarning)
-        of starts that were not followed to the end or that belong to no attractor.
+        of starts that were not followed to the end, have not settled, or belong to no attractor.
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
         SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
-    transient, kept = checked_numbers(transient, kept)
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
     _checks.positive("tolerance", tolerance)
     most = _checks.whole_number("most", most)
     _checks.bounded("level", level, above=0, below=1)
@@ -96,13 +98,13 @@ def basins(
     cases = cases_of(system, base, starts, None, period, method)
     with kept_in(folder, cases, {"function": "basins", "transient": transient, "kept": kept}) as stored:
         seen = follow(cases, transient, kept, progress, stored)
+        seen, found, _ = settled(cases, seen, lasted, RECURS, progress, stored, stacklevel=3)
     warn_of_unfinished(seen.status, stacklevel=3)
     states = np.asarray(seen.states)
     periods = tuple(coordinate.period for coordinate in cases.system.coordinates)
     times = np.asarray(seen.sticks.time).reshape(len(states), kept, -1)
     lasting = np.asarray(cases.cycle.duration)[:, None, None]
     stuck = np.all(times >= lasting * (1 - 1e-9), axis=(1, 2))
-    found = recurrence(states, np.asarray(seen.sizes), RECURS, periods)
 
     def points_of(case: int) -> np.ndarray:
         if not cases.driven:

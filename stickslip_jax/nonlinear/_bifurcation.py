@@ -7,8 +7,9 @@ from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
 from .._systems.system import System
 from .._types import Scalar
-from ._cases import Over, cases_of, checked_numbers
+from ._cases import Over, cases_of
 from ._following import follow, follow_along
+from ._settling import checked_periods, settled
 from ._stored import Folder, kept_in
 from ._stroboscopic import RECURS, section_of
 from ._warnings import warn_of_unfinished
@@ -29,6 +30,7 @@ def bifurcation_diagram(
     y0: Any = None,
     transient: int = 200,
     kept: int = 100,
+    longest_transient: int | None = None,
     period: Scalar | None = None,
     tolerance: float = RECURS,
     method: Exact = EXACT,
@@ -47,6 +49,8 @@ def bifurcation_diagram(
         y0: As in `stroboscopic_section`.
         transient: As in `stroboscopic_section`.
         kept: As in `stroboscopic_section`.
+        longest_transient: As in `stroboscopic_section`; where an attractor is followed, the next value begins from
+            where a motion was before it went on.
         period: As in `stroboscopic_section`.
         tolerance: As in `stroboscopic_section`.
         method: `Exact`.
@@ -62,7 +66,7 @@ def bifurcation_diagram(
         SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
-    transient, kept = checked_numbers(transient, kept)
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
     _checks.positive("tolerance", tolerance)
     _checks.chosen("follow_attractor", follow_attractor, get_args(Follow))
     cases = cases_of(system, base, y0, over, period, method)
@@ -76,9 +80,10 @@ def bifurcation_diagram(
                 one: follow_along(cases, transient, kept, progress, stored, descending=one == "down")
                 for one in directions
             }
-    for one in seen.values():
-        warn_of_unfinished(one.status, stacklevel=3)
-    found = [section_of(cases, one, transient, float(tolerance)) for one in seen.values()]
+        every = [settled(cases, one, lasted, float(tolerance), progress, stored, stacklevel=3) for one in seen.values()]
+    for one in every:
+        warn_of_unfinished(one[0].status, stacklevel=3)
+    found = [section_of(cases, *one, transient) for one in every]
     if len(found) == 1:
         return found[0]
     import xarray as xr  # noqa: PLC0415 - an extra, which was there to make the parts

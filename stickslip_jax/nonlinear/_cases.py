@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -23,9 +24,12 @@ from .._types import DType, Scalar
 from .._uncertainty.numbers import with_numbers
 from ._cycle import Cycle, steps_in
 from ._own_time import changes_by_itself
-from ._period import checked_period, drives, period_of, repetitions
+from ._period import check_signals, checked_period, drives, period_of, repetitions
 
 Over = Mapping[str, Any]
+
+MOST_PERIODS = 2**31 - 1
+"""In all, as many as 32 bits count."""
 
 
 class Cases(NamedTuple):
@@ -64,6 +68,11 @@ class Cases(NamedTuple):
         """How many cases there are."""
         return len(self.starts)
 
+    def of(self, which: np.ndarray, starts: np.ndarray) -> "Cases":
+        """Those cases alone, from other `starts` (cases, coordinates)."""
+        cycle = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, self.cycle)
+        return self._replace(cycle=cycle, starts=starts, shape=(len(which),))
+
     def with_steps(self, factor: int) -> "Cases":
         """The same with room for so many times the steps in a period."""
         method = self.cycle.method
@@ -74,8 +83,8 @@ class Cases(NamedTuple):
         return self._replace(cycle=Cycle(self.cycle.system, self.cycle.base, self.cycle.duration, more))
 
 
-def checked_numbers(transient: object, kept: object, most: int = 2**31 - 1) -> tuple[int, int]:
-    """The numbers of periods, checked; at most as many in all as 32 bits count."""
+def checked_numbers(transient: object, kept: object, most: int = MOST_PERIODS) -> tuple[int, int]:
+    """The numbers of periods, checked; at most so many in all."""
     transient = _checks.whole_number("transient", transient, minimum=0, maximum=most)
     return transient, _checks.whole_number("kept", kept, maximum=most - transient)
 
@@ -177,6 +186,8 @@ def _cycles(
         return changed.system, base, duration, jnp.stack([jnp.asarray(number, dtype) for number in changed.y0])
 
     every, base, durations, begins = eqx.filter_vmap(one)(jnp.asarray(numbers, dtype), durations)
+    if driven:
+        check_signals((every, base), durations)
     if most[-1] is not None:
         method = Exact(method.step, most[-1], method.solver)
     return Cycle(every, base, durations, method), np.asarray(begins), driven

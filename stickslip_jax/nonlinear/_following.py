@@ -182,24 +182,35 @@ def follow(cases: Cases, transient: int, kept: int, progress: bool | None = None
     """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy."""
     numbers = cases.starts.shape[1] + 3 * (cases.system.contact_count or 1)
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the states at the ends of so many periods")
+    return in_blocks(cases, periods_of(transient, kept), SEEN, progress, Kept() if stored is None else stored)
+
+
+def periods_of(transient: int, kept: int) -> Callable[[Cycle, Array], Seen]:
+    """How the cases of a block are followed for `in_blocks`."""
 
     def run(cycle: Cycle, starts: Array) -> Seen:
         return _follow(cycle, starts, jnp.asarray(transient, jnp.int32), kept=kept)
 
-    return in_blocks(cases, run, SEEN, progress, Kept() if stored is None else stored)
+    return run
+
+
+def block_size(number: int, stored: Kept) -> int:
+    """How many cases are followed side by side."""
+    # Blocks that are stored are the same on every machine.
+    return min(_LANES, -(-number // (_STORED_BLOCKS if stored.is_used else cores())))
 
 
 def in_blocks(
-    cases: Cases, run: Callable[[Cycle, Array], Found], like: Found, progress: bool | None, stored: Kept
-) -> Found:
+    cases: Cases, run: Callable[[Cycle, Array], Found], like: Found, progress: bool | None, stored: Kept,
+    size: int | None = None, name: str = "block",
+) -> Found:  # fmt: skip
     """`run` over all cases, in blocks over threads; its results joined, arrays of NumPy with a first axis (cases,).
 
     A block in which steps ran out, as the ``status`` of its results says, is followed again with twice as many. Blocks
-    that are `stored` are taken from there; `like`: the tree of the results.
+    that are `stored` are taken from there, by `name` and number; `like`: the tree of the results. `size`: of a block.
     """
     threads = cores()
-    # Blocks that are stored are the same on every machine.
-    size = min(_LANES, -(-cases.number // (_STORED_BLOCKS if stored.is_used else threads)))
+    size = block_size(cases.number, stored) if size is None else size
     blocks = -(-cases.number // size)
     # The last block repeats its last case, so that all are of one size, and compiled once.
     numbers = np.minimum(np.arange(blocks * size), cases.number - 1).reshape(blocks, size)
@@ -212,7 +223,7 @@ def in_blocks(
             own = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, cycle)
             return run(own, starts)
 
-        return stored.block(f"block-{block:06}", like, lambda: _with_enough_steps(cases, run_block))
+        return stored.block(f"{name}-{block:06}", like, lambda: _with_enough_steps(cases, run_block))
 
     with progress_bar(progress, cases.number) as bar, ThreadPoolExecutor(threads) as pool:
         found = []

@@ -23,7 +23,7 @@ from ._modes import Mode, modes_of
 from ._newton import root_of
 from ._orbit_parts import guessed_period, multipliers_of, without_trivial
 from ._own_time import changes_by_itself
-from ._period import checked_period, drive_period
+from ._period import check_signals, checked_period, drive_period
 
 TOLERANCE = {8: 1e-10, 4: 1e-4}
 _ITERATIONS = 30
@@ -154,6 +154,7 @@ def periodic_orbit(
     else:
         duration = periods * duration
     if driven:
+        check_signals((system, motion), jnp.asarray(duration, dtype))
         Arguments(system, motion, method, duration).check_length()
     steps = steps_in(system, motion, method, duration)
     if steps is not None:

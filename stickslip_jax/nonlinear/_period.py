@@ -3,16 +3,23 @@
 from collections.abc import Iterator
 from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .. import _checks
 from .._excitation.motion import Motion
-from .._fields import modules_in
+from .._excitation.smooth import Signal
+from .._fields import is_of_package, modules_in
 from .._numerics.known import NotKnown, values_of
-from .._types import Scalar
+from .._types import Array, Scalar
 
 _MOST_CYCLES = 1000  # of the slowest motion until all motions begin anew
 _EQUAL = 1e-9  # relative
+_INSTANTS = (1024, 65_536)  # of a period, at which a signal is compared with itself one period later
+_IN_FASTEST = 16  # of them in its fastest oscillation
+_MOST_INSTANTS = 4_000_000  # of all cases
 
 
 def repetitions(system: object, base: object, by_itself: bool = False) -> list[tuple[str, Any]]:
@@ -99,6 +106,43 @@ def has_known_period(system: object, base: object, by_itself: bool) -> bool:
     except ValueError:
         return False
     return True
+
+
+def check_signals(tree: object, period: Array) -> None:
+    """Raise ValueError where a signal of a user's own in `tree` is another one a `period` (s) later, at many instants
+    of one period; of many cases, arrays have a first axis (cases,), and `period` is (cases,).
+    """
+    if any(map(_checks.is_traced, jax.tree.leaves((tree, period)))):
+        return
+    periods = np.atleast_1d(np.asarray(period, float))
+    for signal in _outermost(tree):
+        held = getattr(signal, "motion", signal)
+        if not isinstance(signal, Signal) or (is_of_package(signal) and is_of_package(held)):
+            continue
+        fastest = np.asarray(signal.shortest_period or np.inf, float)
+        number = np.clip(_IN_FASTEST * np.max(periods) / np.min(fastest), *_INSTANTS)
+        shares = (np.arange(int(min(number, max(_MOST_INSTANTS / len(periods), 64)))) + 0.382) / number
+
+        def differences(signal: Signal, period: Array, shares: np.ndarray = shares) -> tuple[Array, Array, Array]:
+            times = period * jnp.asarray(shares, period.dtype)
+            first, second = (jax.vmap(signal.value)(at) for at in (times, times + period))
+            # Beside differences of the values themselves, what the rounding of the instants makes of the rates.
+            rates, eps = jax.vmap(signal.rate)(times), jnp.finfo(period.dtype).eps
+            bound = jnp.sqrt(eps) * jnp.max(jnp.abs(first)) + 4 * eps * period * jnp.abs(rates)
+            worst = jnp.argmax(jnp.abs(first - second) - bound)
+            differs = ~(jnp.abs(first - second) <= bound)[worst]
+            return differs, times[worst], jnp.stack([first[worst], second[worst]])
+
+        found = differences if np.ndim(period) == 0 else eqx.filter_vmap(differences)
+        differs, times, values = map(np.asarray, found(signal, jnp.asarray(period)))
+        if np.any(differs):
+            case = int(np.argmax(differs))
+            one, other = values.reshape(-1, 2)[case]
+            name = type(signal).__name__ if held is signal else type(getattr(held, "held", held)).__name__
+            raise ValueError(
+                f"Argument period must be a time after which {name} repeats itself, but its value is {one:.6g} at "
+                f"{times.ravel()[case]:.6g} s and {other:.6g} {periods[case]:.9g} s later."
+            )
 
 
 def drive_period(system: object, base: object, given: Scalar | None, by_itself: bool) -> Scalar | None:

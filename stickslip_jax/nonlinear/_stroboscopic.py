@@ -10,10 +10,10 @@ from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
 from .._systems.system import System
 from .._types import Scalar
-from ._cases import Cases, Over, cases_of, checked_numbers
+from ._cases import Cases, Over, cases_of
 from ._following import Seen, follow
 from ._labeled import CYCLE, dataset_of, on_grid, outcome_of, states_of
-from ._recurrence import recurrence
+from ._settling import checked_periods, settled
 from ._stored import Folder, kept_in
 from ._warnings import warn_of_unfinished
 
@@ -32,6 +32,7 @@ def stroboscopic_section(
     over: Over | None = None,
     transient: int = 200,
     kept: int = 100,
+    longest_transient: int | None = None,
     period: Scalar | None = None,
     tolerance: float = RECURS,
     method: Exact = EXACT,
@@ -45,8 +46,10 @@ def stroboscopic_section(
         base: As in `simulate`; a motion that repeats itself.
         y0: The initial state, as in `simulate`; or many of them, an array (starts, coordinates).
         over: Values of parameters by name, as for `Sweep`: every combination is followed from every start.
-        transient: Number of periods before the first that is kept.
+        transient: Number of periods before the first that is kept, at least; 0 for motions as they begin.
         kept: Number of periods kept.
+        longest_transient: Number of periods before the first that is kept, at most; by default 16 times `transient`.
+            Motions that have not settled go on, twice as long each time.
         period: s; by default that after which all motions that drive the system repeat themselves together. A multiple
             of it may be given, and must be where none is known (a record, which then begins anew after it; a system of
             your own whose rates depend on time). Where nothing changes with time, any time after which to look.
@@ -61,9 +64,12 @@ def stroboscopic_section(
         several, and "cycle", the number of the period; likewise ``stick_time`` (s) in each period, ``stick_count``, the
         sticks that began in it, and ``longest_stick``, that ended in it or goes on (s, from its beginning), of each
         contact of a list. Of each case ``recurrence``, the number of periods after which the motion repeats itself, at
-        most half of those kept (0: none is found), ``status`` and ``near_grazing_count``. Angles are between 0 and
+        most half of those kept (0: none is found; -1: the motion has not settled, its differences still fall or grow,
+        and no stable orbit is near), ``more_periods``, for which it went on beyond `transient` until it had settled
+        (add them to "cycle"), ``status`` and ``near_grazing_count``. Angles are between 0 and
         their period. A variable that is called as a parameter is has an underscore after its name. Warns
-        (RuntimeWarning) of cases that were not followed to the end; they hold NaN from there on.
+        (RuntimeWarning) of cases that were not followed to the end, and hold NaN from there on, and of those that have
+        not settled. Fewer than four periods kept are compared, but whether they settle is not seen.
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
@@ -78,32 +84,29 @@ def stroboscopic_section(
     >>> section.recurrence.values
     array([1, 1])
     """
-    transient, kept = checked_numbers(transient, kept)
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
     _checks.positive("tolerance", tolerance)
     cases = cases_of(system, base, y0, over, period, method)
     what = {"function": "stroboscopic_section", "transient": transient, "kept": kept}
     with kept_in(folder, cases, what) as stored:
         seen = follow(cases, transient, kept, progress, stored)
-    warn_of_unfinished(seen.status, stacklevel=3)
-    return section_of(cases, seen, transient, float(tolerance))
+        found = settled(cases, seen, lasted, float(tolerance), progress, stored, stacklevel=3)
+    warn_of_unfinished(found[0].status, stacklevel=3)
+    return section_of(cases, *found, transient)
 
 
-def section_of(cases: Cases, seen: Seen, transient: int, tolerance: float) -> "xarray.Dataset":
-    """The data set of what was seen."""
+def section_of(cases: Cases, seen: Seen, found: np.ndarray, more: np.ndarray, transient: int) -> "xarray.Dataset":
+    """The data set of what was seen, of the recurrences `found` and the periods `more` of each case, (cases,)."""
     numbers = np.arange(transient + 1, transient + np.shape(seen.states)[1] + 1)
     coordinates: Entries = {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})}
     states = np.asarray(seen.states)
-    periods = tuple(coordinate.period for coordinate in cases.system.coordinates)
     return dataset_of(
         cases,
         {
             **states_of(cases, states, (CYCLE,), "at the end of the period"),
             **sticks_in(cases, seen),
-            "recurrence": on_grid(
-                cases,
-                recurrence(states, np.asarray(seen.sizes), tolerance, periods),
-                "number of periods after which the motion repeats itself",
-            ),
+            "recurrence": on_grid(cases, found, "number of periods after which the motion repeats itself"),
+            "more_periods": on_grid(cases, more, "number of periods for which it went on until it had settled"),
             "period": on_grid(cases, cases.cycle.duration, "period", "s"),
             **outcome_of(cases, np.asarray(seen.status), np.asarray(seen.near_grazing_count)),
         },

@@ -24,6 +24,18 @@ def warn_of_unfinished(status: object, stacklevel: int) -> None:
         )
 
 
+def warn_of_unsettled(number: int, cases: int, periods: int, stacklevel: int) -> None:
+    """Warn (RuntimeWarning) of motions that have not settled."""
+    if number:
+        warnings.warn(
+            f"{number} of {cases} motions have not settled within {periods} periods: differences between their returns "
+            "still fall or grow, and their recurrence is -1. A larger longest_transient lets them go on; near a "
+            "bifurcation that may take very long.",
+            RuntimeWarning,
+            stacklevel=stacklevel,
+        )
+
+
 def warn_of_missing(missing: int, cases: int, periods: int, stacklevel: int) -> None:
     """Warn (RuntimeWarning) if in some cases fewer events were found than are asked for."""
     if missing:

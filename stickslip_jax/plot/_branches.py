@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 _MARKERS = {
     "fold": "s", "flip": "D", "Neimark-Sacker": "^", "branch point": "P", "stick appears": "o", "stick vanishes": "o",
-    "grazing": "v", "end": "X",
+    "slip appears": "p", "slip vanishes": "p", "grazing": "v", "Hopf": "*", "homoclinic": "X", "endless stick": "X",
+    "end": "X",
 }  # fmt: skip
 
 

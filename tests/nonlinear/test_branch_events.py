@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq, minimize_scalar
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
@@ -146,3 +147,112 @@ def test_motor_and_cart_stop_going_round_at_a_fold():
         kept=2, progress=False,
     )  # fmt: skip
     np.testing.assert_array_equal(section.recurrence, [1, 0])
+
+
+CUBIC = ss.FrictionCurve(lambda speed: 0.4 - 0.225 * (speed / 0.5 - (speed / 0.5) ** 3 / 3))
+EXPONENTIAL = ss.Stribeck(mu=0.5, mu_static=1.0, stribeck_speed=0.5)
+HOPF = {
+    # A small oscillation about the steady slip neither grows nor decays where friction falls with the speed as fast as
+    # the damping rises: 0.45 - 1.8 v^2 = 0.1, and exp(-2 v) = 0.1.
+    "supercritical": (CUBIC, 0.36, (0.5, 0.36), None, 0.45, math.sqrt(0.35 / 1.8), ["stick vanishes", "Hopf"]),
+    "subcritical": (EXPONENTIAL, 1.3, (1.4, 0.0), 6.3, 1.0, math.log(10) / 2, ["Hopf"]),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HOPF)
+def test_a_branch_ends_at_the_hopf_point(name):
+    law, speed, y0, period, until, expected, kinds = HOPF[name]
+    system = ss.MassSpring(1.0, 1.0, 1.0, law, damping=0.1)
+    orbit = nonlinear.periodic_orbit(system, ss.Constant(speed), y0=y0, period=period)
+    branch = nonlinear.continue_orbit(orbit, "speed", until=until, step=0.1)
+    assert [event.kind for event in branch.events] == kinds
+    assert branch.events[-1].parameter == pytest.approx(expected, abs=1e-11)
+    assert branch.ending == branch.events[-1].text
+    points = branch.points
+    assert np.all(np.diff(points.speed) * (until - speed) > 0)  # never back over the same orbits
+    assert (name == "subcritical") == (not bool(points.is_stable[-1]))
+
+
+def _held_by_static_friction(frequency, offset):
+    """Where a mass stops again that a base ``A sin`` carries at this `offset` until static friction lets go of it, and
+    half a period later: in closed form. None where the force that holds it does not reach the limit.
+
+    A mass of 1 kg on 1 N/m and 0.1 N s/m, friction of 0.3 N, static 0.36 N, a base of 0.5 m/s.
+    """
+    amplitude, damped = 0.5 / frequency, math.sqrt(1 - 0.05**2)
+    force = complex(amplitude * (1 - frequency**2), 0.05)
+    if offset + abs(force) < 0.36:
+        return None
+    phase = math.asin((0.36 - offset) / abs(force))
+    begin = (phase - math.atan2(force.imag, force.real)) / frequency
+    position, velocity = offset + amplitude * math.sin(frequency * begin) - 0.3, 0.5 * math.cos(frequency * begin)
+    sine = (velocity + 0.05 * position) / damped
+
+    def moved(t):
+        decay, c, s = math.exp(-0.05 * t), math.cos(damped * t), math.sin(damped * t)
+        speed = decay * ((sine * damped - 0.05 * position) * c - (position * damped + 0.05 * sine) * s)
+        return 0.3 + decay * (position * c + sine * s), speed - 0.5 * math.cos(frequency * (begin + t))
+
+    times = np.linspace(1e-3, 12, 2401)
+    relative = np.array([moved(t)[1] for t in times])
+    first = np.flatnonzero((relative[:-1] < 0) & (relative[1:] >= 0))[0]
+    end = brentq(lambda t: moved(t)[1], times[first], times[first + 1], xtol=1e-15)
+    return -(moved(end)[0] - amplitude * math.sin(frequency * (begin + end)))
+
+
+def _where_slips_vanish():
+    """The fold of this orbit, where two offsets that come back are one, and where the release becomes tangent."""
+
+    def least(frequency):
+        return 0.36 - abs(complex(0.5 / frequency * (1 - frequency**2), 0.05))
+
+    def change(frequency, more):
+        return _held_by_static_friction(frequency, least(frequency) + more) - least(frequency) - more
+
+    end = brentq(lambda frequency: change(frequency, 1e-15), 0.712, 0.714, xtol=1e-14)
+
+    def largest(frequency):
+        return -minimize_scalar(
+            lambda more: -change(frequency, more), bounds=(0.005, 0.02), options={"xatol": 1e-10}
+        ).fun
+
+    return brentq(largest, 0.7155, 0.7162, xtol=1e-13), end
+
+
+@pytest.mark.slow
+def test_a_branch_ends_where_static_friction_holds_for_ever():
+    """It turns round at a fold, and the unstable orbit ends where the force no longer reaches the static limit."""
+    fold, end = _where_slips_vanish()
+    system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.3, 0.36), damping=0.1)
+    base = ss.Harmonic(0.5, 0.5)
+    orbit = nonlinear.periodic_orbit(system, base, y0=(0.45, 0.5))
+    assert bool(orbit.converged)
+    branch = nonlinear.continue_orbit(orbit, "angular_frequency", until=1.6, step=0.05)  # once to -2.58 rad/s
+    assert [event.kind for event in branch.events] == ["fold", "slip vanishes"]
+    assert branch.events[0].parameter == pytest.approx(fold, abs=1e-9)
+    assert branch.events[1].parameter == pytest.approx(end, abs=1e-8)
+    assert float(branch.points.angular_frequency[-1]) == pytest.approx(end, abs=1e-6)
+    assert "no orbit continues the branch" in branch.ending
+    assert set(branch.points.modes.values) == {"- 0 + 0"}
+
+
+@pytest.mark.slow
+def test_an_orbit_of_twice_the_period_ends_where_that_doubles():
+    def forced(frequency):
+        force = ss.Harmonic(amplitude=0.6, angular_frequency=frequency)
+        return ss.MassSpring(1.0, 1.0, 1.0, FALLING, damping=0.001, force=force)
+
+    belt = ss.Constant(0.3)
+    section = nonlinear.stroboscopic_section(forced(1.57), belt, transient=400, kept=8, progress=False)
+    start = (float(section.position[-1]), float(section.velocity[-1]))
+    orbit = nonlinear.periodic_orbit(forced(1.57), belt, y0=start, periods=4)
+    branch = nonlinear.continue_orbit(orbit, "angular_frequency", until=1.5, step=0.05)
+    assert branch.events[-1].kind == "flip"
+    assert "half its period" in branch.ending
+    # There the orbit of half the period has a multiplier of -1.
+    half = nonlinear.periodic_orbit(
+        forced(branch.events[-1].parameter), belt,
+        y0=(branch.points.position[-1], branch.points.velocity[-1]), periods=2,
+    )  # fmt: skip
+    assert np.min(np.abs(np.asarray(half.multipliers) + 1)) < 1e-6

@@ -149,7 +149,7 @@ def test_second_stop_of_den_hartog(b):
     orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(section.position[-1], section.velocity[-1]))
     branch = nonlinear.continue_orbit(orbit, "normal_force", until=0.05)
     first = branch.events[0]
-    assert first.kind == "stick appears"
+    assert first.kind == "slip appears"  # in the stick
     assert first.parameter == pytest.approx(_second_stop(b), abs=1e-9)
     assert set(branch.points.stick_count.values[: first.point + 1]) == {2}
     assert int(branch.points.stick_count[first.point + 1]) == 4

@@ -115,6 +115,33 @@ def test_recurrence_is_the_smallest_period():
     np.testing.assert_array_equal(recurrence(turning, none[:1], 1e-6, (None,)), [0])
 
 
+def _coming_nearer(multiplier, size, number, kept=64, error=0.0):
+    """Of a period of `number` returns: each time round the motion is `multiplier` times as far from it."""
+    at = np.arange(kept)
+    way = size * np.abs(multiplier) ** (at / number) * np.sign(multiplier) ** (at // number)
+    return (1 + np.cos(2 * np.pi * at / number) + way + error * np.random.default_rng(0).normal(size=kept))[:, None]
+
+
+@pytest.mark.parametrize(
+    ("states", "expected"),
+    [
+        (_coming_nearer(-0.98, 1e-3, 2), -1),  # near a flip, from both sides in turn
+        (_coming_nearer(-0.9999, 1e-4, 1), -1),  # four periods later it is within the tolerance of where it was
+        (_coming_nearer(0.9999, 1e-4, 1), -1),  # one period too, but not of where it ends
+        (_coming_nearer(1.001, 1e-8, 3), -1),  # it leaves an unstable orbit
+        (_coming_nearer(-0.98, 1e-8, 2), 2),
+        (_coming_nearer(0.5, 1e-3, 4)[32:], 4),
+        (_coming_nearer(1.0, 0.0, 4, error=1e-11), 4),  # round-off of a simulation
+        (np.arange(64.0)[:, None] % 13, 13),
+        (np.cos(np.arange(64) * (1 + math.sqrt(5)))[:, None], 0),  # a torus
+        (np.random.default_rng(1).normal(size=(64, 1)), 0),
+        (_coming_nearer(-0.98, 1e-3, 2)[:3], 0),  # too few
+    ],
+)
+def test_recurrence_of_motions_that_have_not_settled(states, expected):
+    np.testing.assert_array_equal(recurrence(states[None], np.ones((1, 1)), 1e-6, (None,)), [expected])
+
+
 def test_recurrence_is_judged_by_the_size_of_each_motion_alone():
     # One that runs away does not make all others look as if they recurred; what is small once a period may be large in
     # between.
