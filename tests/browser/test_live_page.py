@@ -117,11 +117,12 @@ def test_one_interval_from_any_state(opened):
     v = np.append(v, [*(0.5 * np.sin(angle)), 0.5, 0.5, 0.0, 0.0])
     base = np.append(base, [*np.full(100, 0.5), 0.5, 0.5, 0.0, 0.0])
     scales = Scales.of(jnp.asarray(4.0), jnp.asarray(mu), jnp.asarray(T1))
-    expected = jax.vmap(carry_across, (0, 0, 0, None, None))(x, v, base, scales, jnp.asarray(span))
+    began = jnp.asarray(30.0)
+    expected = jax.vmap(carry_across, (0, 0, 0, None, None, None))(x, v, base, scales, jnp.asarray(span), began)
     script = """
     const [x, v, base, span] = arguments;
     const scales = stickslip.interval.scalesOf(stickslip.page.model(), 50);
-    return x.map((x, index) => stickslip.interval.carryAcross(x, v[index], base[index], span, scales));
+    return x.map((x, index) => stickslip.interval.carryAcross(x, v[index], base[index], span, scales, 30));
     """
     move(opened, mu=mu, speed=1, rate=1, sample=0)
     found = opened.execute_script(script, x.tolist(), v.tolist(), base.tolist(), span)

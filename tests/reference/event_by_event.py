@@ -281,6 +281,10 @@ def _run_interval(
 ) -> list[ReferenceSegment]:
     """All segments of one interval of constant base velocity, from time ``now`` to its end."""
     base = interval.velocity
+    tiny = mpf(10) ** (-oscillator.digits)
+    # Exact ties are seen as ties: a mass that has the base's velocity, and an event on the end of the interval.
+    if abs(velocity - base) <= tiny * (abs(base) + oscillator.omega * oscillator.half_width):
+        position, velocity = _snap_to_band_edge(oscillator, position), base
     side = _side_on_base(oscillator, position, base) if velocity == base else _sign(base - velocity)
     segments: list[ReferenceSegment] = []
     tangent = _is_release_point(oscillator, position, base) and velocity == base
@@ -292,7 +296,7 @@ def _run_interval(
             elapsed = mp.inf
         else:
             elapsed = _time_to_base_velocity(oscillator, side, position, velocity, base)
-        cut = elapsed >= remaining
+        cut = elapsed >= remaining - tiny * (interval.end + 1 / oscillator.omega)
         elapsed = remaining if cut else elapsed
         new_position, new_velocity = _move(oscillator, side, position, velocity, elapsed)
         if cut:
@@ -335,9 +339,12 @@ def _is_release_point(oscillator: _Oscillator, position: mpf, base: mpf) -> bool
 
 
 def _snap_to_band_edge(oscillator: _Oscillator, position: mpf) -> mpf:
-    """Replace a position within round-off of a band edge by the edge, so that exact ties are seen as ties."""
+    """Replace a position within round-off of a band edge by the edge, so that exact ties are seen as ties.
+
+    Half of the digits: an arc from that close to the edge differs by the square from one that touches ``x' = v``.
+    """
     width = oscillator.half_width
-    if abs(abs(position) - width) <= width * mpf(10) ** (-oscillator.digits):
+    if abs(abs(position) - width) <= width * mpf(10) ** (-oscillator.digits // 2):
         return width if position > 0 else -width
     return position
 

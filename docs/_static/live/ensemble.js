@@ -21,7 +21,7 @@
       const isLast = t + duration >= t1;
       const end = isLast ? t1 : t + duration;
       const part = draw && ((kind, x, v, A, begin, until) => draw(kind, x, v, A, t + begin, t + until, base));
-      const passage = interval.carryAcross(x, v, base, isLast ? t1 - t : duration, scales, part);
+      const passage = interval.carryAcross(x, v, base, isLast ? t1 - t : duration, scales, t, part);
       if (passage.stuck) {
         const ending = passage.released ? "released" : isLast ? "horizon" : "switched";
         const stickEnd = passage.released ? t + passage.left : end;

@@ -5,14 +5,17 @@
   const EPSILON = 2 ** -52;
   const TOUCH_ULPS = 4096; // round-off up to which an arc from below is tangent to the base velocity
   const REST_ULPS = 128; // and up to which a mass on a base at rest is at rest
+  const FEW = 256 * EPSILON; // how far round-off can have moved the state: an interval shorter than that is no stick
+  const CLOCK_ULPS = 4;
 
   /** Parameters of the closed forms: the angular frequency, rad/s, and `alpha`, the deceleration by friction, m/s^2. */
   function scalesOf({ mass, stiffness, normalForce, mu }, t1) {
     const squared = stiffness / mass;
     const omega = Math.sqrt(squared);
     const alpha = (mu * normalForce) / mass;
-    const restSpeed = REST_ULPS * EPSILON * alpha * Math.min(1 / omega, t1);
-    return { squared, omega, alpha, restSpeed };
+    const clock = Math.min(1 / omega, t1);
+    const restSpeed = REST_ULPS * EPSILON * alpha * clock;
+    return { squared, omega, alpha, clock, restSpeed };
   }
 
   /** The angle of the vector (x, y) with y >= 0, in [0, pi]. Adding 0 makes a zero positive. */
@@ -51,30 +54,31 @@
   }
 
   /**
-   * Carry the state (x, v) across an interval of the base velocity `base` that lasts `span`.
+   * Carry the state (x, v) across an interval of the base velocity `base` that lasts `span`, from `began` on.
    *
    * Returns the state at its end, whether there was a stick (`stuck`), when it began and ended (`entered`, `left`,
-   * from the beginning of the interval), where it began (`position`), and whether friction gave way (`released`).
+   * from the beginning of the interval), where it began (`position`), and whether friction gave way (`released`), after
+   * a stick or where the mass arrived.
    * `draw`, if given, is told of each part of the motion: draw(kind, x, v, A, begin, end), where A is the deceleration
    * in an arc, and `kind` "slip" or "stick".
    */
-  function carryAcross(x, v, base, span, scales, draw = null) {
-    const { squared, omega, alpha } = scales;
+  function carryAcross(x, v, base, span, scales, began, draw = null) {
+    const { squared, omega, alpha, clock, restSpeed } = scales;
     const mirror = base < 0 ? -1 : 1;
     const q = Math.abs(base);
     const told = (kind, x, v, A, begin, end) => draw(kind, mirror * x, mirror * v, mirror * A, begin, end);
     x *= mirror;
     const first = firstArc(x, mirror * v, q, scales);
     let { side, H, time: entered } = first;
-    let arrived = first.meets && entered < span;
+    let arrived = first.meets && entered < (1 + FEW) * span;
     const meets = arrived;
     if (draw) told("slip", x, first.v, side * first.A, 0, meets ? entered : span);
     // Crossings of the base velocity, where the spring is too strong for friction to hold the mass.
-    while (arrived && 2 * alpha < H) {
+    while (arrived && (2 + 2 * FEW) * alpha < H) {
       side = -side;
       H -= 2 * alpha;
       const arrival = entered + (2 / omega) * angleOf(H, -side * omega * q);
-      arrived = arrival < span;
+      arrived = arrival < (1 + FEW) * span;
       if (draw) told("slip", (side * (alpha + H)) / squared, q, side * H, entered, arrived ? arrival : span);
       if (arrived) entered = arrival;
     }
@@ -84,7 +88,11 @@
     const release = q > 0 ? entered + lacks / (squared * q) : Infinity;
     const released = arrived && release <= span;
     const left = released ? release : span;
-    const stuck = arrived && left > entered;
+    // An interval without length is no stick.
+    const length = left - entered - CLOCK_ULPS * EPSILON * began;
+    const speedError = FEW * (q + (3 / (REST_ULPS * EPSILON)) * restSpeed);
+    const lasts = lacks > 4 * FEW * alpha && length * H > (entered === 0 ? 0 : speedError);
+    const stuck = arrived && (lasts || length > Math.sqrt(FEW) * clock);
     const leftAt = arrived ? position + q * (left - entered) : position;
     if (draw && stuck) told("stick", position, q, 0, entered, left);
     // The last motion: from the release, from the last crossing, or along the first arc.
@@ -95,7 +103,7 @@
     const [xEnd, vEnd] = swung(start, speed, A, rest, scales);
     if (draw && released) told("slip", start, speed, A, left, span);
     const end = { x: mirror * xEnd, v: mirror * vEnd };
-    return { ...end, stuck, entered, left, position: mirror * position, released: stuck && released };
+    return { ...end, stuck, entered, left, position: mirror * position, released };
   }
 
   globalThis.stickslip.interval = { carryAcross, scalesOf, swung };

@@ -163,7 +163,7 @@ def _stick(
     """The stick from `entered` at ``w2 x = side (alpha - H)`` until the spring reaches the friction limit at alpha."""
     side, H, entered, arrived = last
     alpha, spring = scales.deceleration, scales.spring
-    is_flat = first.is_flat & ~(first.arrives & (2 * alpha < first.H))  # and not crossed
+    is_flat = first.is_flat & ~(first.arrives & is_crossed(first.H, alpha))  # and not crossed
     # After a crossing that has led to no arrival: where the crossing was, H beyond the centre.
     elsewhere = side * quotient(alpha - jnp.where(arrived, H, -H), ~is_flat & first.arrives, spring)
     position = jnp.where(is_flat, first.position, elsewhere)
@@ -178,6 +178,13 @@ def _stick(
     lasts = (lacks > 4 * few(H) * alpha) & (length * H > jnp.where(entered == 0, 0, _speed_error(q, scales)))
     lasts = lasts | (length > math.sqrt(few(H)) * scales.clock)
     return _Stick(position, left_at, left, released, arrived & lasts)
+
+
+def is_crossed(H: FloatArray, alpha: FloatArray) -> BoolArray:
+    """Whether friction cannot hold a mass that meets the base velocity. At the limit it does: a crossing there would be
+    one of no motion, which on a base at rest lasts for half a turn.
+    """
+    return (2 + 2 * few(H)) * alpha < H
 
 
 def _speed_error(q: FloatArray, scales: Scales) -> FloatArray:
@@ -290,7 +297,7 @@ def _follow_crossings(side, H, entered, arrived, q, turned, alpha, spring, span)
     along with the times.
     """
     # Among thousands of lanes some lane nearly always needs the first crossing: it is done without a loop.
-    state = _cross_if_needed((arrived & (2 * alpha < H), side, H, entered, arrived), turned, alpha, spring, span)
+    state = _cross_if_needed((arrived & is_crossed(H, alpha), side, H, entered, arrived), turned, alpha, spring, span)
     return lax.while_loop(lambda s: s[0], lambda s: _cross(s, turned, alpha, spring, span), state)[1:]
 
 
@@ -319,7 +326,7 @@ def _follow_crossings_jvp(primals, tangents):
         sums = crossings, by_H - slope * q, by_q + slope * distance, by_alpha + slope * q * 2 * crossings
         return state, (*sums, by_w2 + by_turn)
 
-    state = (arrived & (2 * alpha < H), side, H, entered, arrived)
+    state = (arrived & is_crossed(H, alpha), side, H, entered, arrived)
     sums = (jnp.zeros_like(H),) * 5
     state, (crossings, by_H, by_q, by_alpha, by_w2) = lax.while_loop(lambda c: c[0][0], cross, (state, sums))
     d_entered = d_entered + by_H * dH + by_q * dq + by_alpha * d_alpha + by_w2 * by_spring.squared
@@ -335,7 +342,7 @@ def _cross(state, turned, alpha, spring, span):
     H = H - 2 * alpha
     arrival = entered + time_of_arc(H, side, turned, spring)
     arrived = _is_within(arrival, span)
-    return arrived & (2 * alpha < H), side, H, jnp.where(arrived, arrival, entered), arrived
+    return arrived & is_crossed(H, alpha), side, H, jnp.where(arrived, arrival, entered), arrived
 
 
 @computed_once

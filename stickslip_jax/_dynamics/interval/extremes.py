@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._types import BoolArray, FloatArray, Scalar
-from .arcs import Scales, carry_across, first_arc, mirrored, time_of_arc
+from .arcs import Scales, carry_across, first_arc, is_crossed, mirrored, time_of_arc
 from .crossing import Motion
 from .spring import Spring, quotient, swung
 
@@ -60,14 +60,14 @@ def _arcs_until_stick(
     first = first_arc(x, v, q, turned, scales, span)
     begun = jnp.where(first.arrives, first.time, span)
     arcs = [_Arc(jnp.ones((), bool), x, first.v, first.side * first.A, begun)]
-    crosses, side, H = first.arrives & (2 * alpha < first.H), first.side, first.H
+    crosses, side, H = first.arrives & is_crossed(first.H, alpha), first.side, first.H
     for _ in range(2):
         side, H = -side, jnp.where(crosses, H - 2 * alpha, 1)
         time = time_of_arc(H, side, turned, spring)
         arrives = begun + time < span
         time = jnp.where(arrives, time, span - begun)
         arcs.append(_Arc(crosses, side * quotient(alpha + H, crosses, spring), q, side * H, time))
-        crosses, begun = crosses & arrives & (2 * alpha < H), begun + time
+        crosses, begun = crosses & arrives & is_crossed(H, alpha), begun + time
     return arcs
 
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..._types import BoolArray, FloatArray
-from .arcs import CLOCK_ULPS, Scales, few, first_arc, mirrored, time_of_arc, touch
+from .arcs import CLOCK_ULPS, Scales, few, first_arc, is_crossed, mirrored, time_of_arc, touch
 from .crossing import Motion
 
 LAST_LEFT = "slip_displacement"  # the quantity of a stick that remembers where the last one ended
@@ -115,7 +115,7 @@ def _last_meeting(H, side, arrival, q, scales, span):
 
     def crosses(state):
         _, H, arrival = state
-        return (2 * alpha < H) & (arrival < span)
+        return is_crossed(H, alpha) & (arrival < span)
 
     def cross(state):
         side, H, arrival = state

@@ -18,12 +18,13 @@ class Stop(NamedTuple):
     """How a time step ended: on an event of the mode (`landed`), or where a segment ends or at the horizon (`at_stop`).
 
     `landed`: of each contact, whether its mode ended there. `brief`: its slip would end where it began, but for
-    round-off.
+    round-off. `shortest`: a stick that lasts no longer has no length, but for the rounding of its instants, s.
     """
 
     landed: BoolArray
     brief: BoolArray
     at_stop: BoolArray
+    shortest: FloatArray
 
 
 class _Mode(NamedTuple):
@@ -52,7 +53,7 @@ def switched(
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
     mode = _mode_after(model, forcing, lane, stop, ended, jumped)
     at_horizon = stop.at_stop & ~(lane.t < t1)
-    following, record = _with_mode(model, lane, mode, ended & jumped, at_horizon)
+    following, record = _with_mode(model, lane, mode, ended & jumped, at_horizon, stop.shortest)
     return following._replace(segment_states=segment_states), record, mode.margin, at_horizon | jumped
 
 
@@ -79,11 +80,14 @@ def _mode_after(
     holds, release_sign, guard, guard_rate = model.decided(
         forcing, lane.y, Question(sign, asked, released, goes_on & ~released)
     )
+    # At the limit, friction that need not grow holds: else the mass would slip to and fro with no motion.
+    at_limit = is_not_below(guard, guard_rate, lane.t)
+    holds = holds | (at_limit & (guard_rate >= 0))
     # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
     # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
     turned = jnp.where(was_stick | (resting & ~stop.brief), release_sign, -sign)
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), sign)
-    at_limit = goes_on & is_not_below(guard, guard_rate, lane.t)
+    at_limit = at_limit & goes_on
     held_or_released = jnp.where(holds | at_limit, 0, release_sign)
     resolved = jnp.where(resting | goes_on, held_or_released, slips)
     sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
@@ -91,23 +95,25 @@ def _mode_after(
     rests = (resolve & (resting | goes_on)) | (landed & (sign == 0))
     y = model.at_base_velocity(forcing, lane.y, rests)
     at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
+    # Right after a jump, a velocity that is zero but for round-off may be on either side of it, or at rest.
+    near_rest = ended & jumped & ~was_stick & holds & is_nearly_at_rest(model, forcing, lane.y)
     decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
-    return _Mode(y, sign, at_rest, jnp.where(decided, jnp.abs(guard), jnp.inf))
+    return _Mode(y, sign, at_rest, jnp.where(near_rest, 0, jnp.where(decided, jnp.abs(guard), jnp.inf)))
 
 
 def _with_mode(
-    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray
+    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray, shortest: FloatArray
 ) -> tuple[Lane, StickRecord]:
     """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any."""
     was_stick, sticks, position = model.stuck(lane.sign), model.stuck(mode.sign), model.stick_position(mode.y)
-    over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start)
+    over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + shortest)
     now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
     stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)
     quantities, remembered = measured(lane.remembered, over, stick)
     ending = ending_of(over, ~at_horizon & ~jumped, at_horizon)
     record = StickRecord(stick.start, stick.end, stick.position, quantities, ending)
     begins = ~was_stick & sticks
-    # A stick that starts exactly on the edge of the band ends at once: of no length, it does not count.
+    # A stick that starts on the edge of the band, or on the end of a segment, ends at once: of no length, it is none.
     no_stick = was_stick & ~sticks & ~over
     following = lane._replace(
         y=mode.y,
@@ -130,6 +136,13 @@ def mode_at_start(model: SwitchedModel, forcing: object, y: State) -> tuple[Stat
     holds, release_sign, guard, _ = model.decided(forcing, y, Question(slips, resting, never, never))
     sign = jnp.where(resting, jnp.where(holds, 0, release_sign), slips)
     return model.at_base_velocity(forcing, y, resting), sign, jnp.where(resting, jnp.abs(guard), jnp.inf)
+
+
+def is_nearly_at_rest(model: SwitchedModel, forcing: object, y: State) -> BoolArray:
+    """Whether the relative velocity is so small that round-off decides about its sign."""
+    velocity = model.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y)
+    few = NEAR_GRAZING[y[0].dtype.itemsize]
+    return jnp.abs(velocity) <= few * model.guard_scale(forcing, y, jnp.ones_like(velocity))
 
 
 def is_tie(margin: FloatArray) -> BoolArray:

@@ -41,6 +41,9 @@ from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
 from .mode import Stop, is_tie, mode_at_start, switched
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
+# Fraction of a step: no stick is shorter. The instants of its ends are wrong by up to 256 units in the last place (64 in
+# single precision) of 32 steps, about the time scale of the motion (`NEAR_ULPS` of `interval/arcs.py`).
+_SHORTEST = {8: 2.0**-39, 4: 2.0**-12}
 _ERROR = {8: 1e-9, 4: 1e-5}  # relative, of a step without a closed form; the estimate of its solver is far too high
 _LEAST_ERROR = 1e-20
 _AT_ONCE = 1e-9  # fraction of a step: an earlier fall means that the mode was over when the step began
@@ -125,7 +128,7 @@ def advance(
     )
     # A slip that only round-off makes: it would end where it began, and neither reverses friction nor counts.
     brief = (verdict.ends & verdict.at_once) | (t - lane.event <= _LANDED[t.dtype.itemsize] * step + trial.clock)
-    ends = Stop(verdict.ends, brief, live & at_stop)
+    ends = Stop(verdict.ends, brief, live & at_stop, _SHORTEST[t.dtype.itemsize] * step + trial.clock)
     following, record, margin, abrupt = switched(model, segment_laws, moved, ends, t1)
     vanished = brief & (lane.sign != 0) & (following.sign == 0)
     near_grazing = tie | (tie_if_abrupt & abrupt) | is_tie(margin) | vanished
