@@ -10,8 +10,8 @@ from ..._types import Array
 def step_control(rtol: Any, atol: Any, jumps: Array | None, *, is_very_stiff: bool) -> Any:
     """Control by the tolerances, with steps that end at the instants `jumps` (s), if any.
 
-    The first stage of a very stiff step, computed anew from the state, would be its round-off enlarged: without jumps no
-    trajectory of a batch needs it.
+    The first stage of a very stiff step, computed anew from the state, would be its round-off enlarged: without jumps
+    no trajectory of a batch needs it.
     """
     control = diffrax.PIDController(rtol=rtol, atol=atol)
     return control if is_very_stiff and jumps is None else _class()(control, jump_ts=jumps)
