@@ -22,6 +22,7 @@ from .series_spring import BehindSpring, SpeedBehindSpring
 
 _MU = "friction coefficient of a fast slip"
 _STATIC = "largest friction coefficient of a slow slip, at least mu"
+_LEAST_SPEED = 1e-10  # of the reference speed
 _BRISTLES = "of the bristles: friction coefficient per deflection"
 
 
@@ -402,6 +403,24 @@ class DieterichRuina(DynamicFriction):
         share = sign * coefficient / self.direct
         exponent = share - (self.mu + self.evolution * z) / self.direct
         return sign * self.reference_speed * jnp.exp(exponent) * -jnp.expm1(-2 * share)
+
+    def logarithm(self, z: FloatScalar, velocity: FloatScalar) -> FloatArray:
+        """``coefficient / direct``: with its sign, and a constant, the logarithm of a speed that is not tiny."""
+        return jnp.asarray(self.coefficient(z, velocity) / self.direct)
+
+    def logarithm_rate(
+        self, z: FloatScalar, logarithm: FloatScalar, acceleration: FloatScalar, z_rate: FloatScalar
+    ) -> FloatArray:
+        """The time derivative of the `logarithm` under a relative acceleration (m/s^2).
+
+        Below a speed that hardly matters, the logarithm follows a force as if that speed remained: so a passage through
+        rest is no faster than any step can follow.
+        """
+        size = jnp.abs(logarithm)
+        cosh = size + jnp.log1p(jnp.exp(-2 * size)) - jnp.log(2)
+        slow = (self.mu + self.evolution * z) / self.direct - cosh - jnp.log(2 * self.reference_speed)
+        per_velocity = jnp.exp(jnp.minimum(slow, -jnp.log(_LEAST_SPEED * self.reference_speed)))
+        return per_velocity * acceleration + jnp.tanh(logarithm) * self.evolution / self.direct * z_rate
 
     def behind_spring(self, series_stiffness: Number, backlash: Number, normal_force: Number) -> SpeedBehindSpring:
         return SpeedBehindSpring(self, *_spring(self, series_stiffness, backlash, normal_force))

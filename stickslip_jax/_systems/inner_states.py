@@ -3,14 +3,16 @@
 Such friction is smooth: the rates of the state follow from it everywhere, and there are no modes.
 """
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from .._types import Array, DType, FloatArray, FloatScalar, Number, State
 from .contacts_model import ContactsModel
-from .dynamic_friction import DynamicFriction
+from .dynamic_friction import DieterichRuina, DynamicFriction
 from .friction import FrictionLaw
 from .one_contact import OneContactModel
 
@@ -29,12 +31,14 @@ def inner_laws_of(laws: tuple[FrictionLaw, ...]) -> tuple[DynamicFriction, ...]:
 class InnerStates(eqx.Module):
     """The model `inner` with `size` numbers in its state, followed by the inner states of the `laws` of its contacts.
 
-    With several contacts they are one array (contacts,), with one contact a scalar.
+    With several contacts they are one array (contacts,), with one contact a scalar. `speed`: which number of the state
+    is the velocity of the one contact, but for that of its base, if one is.
     """
 
     inner: OneContactModel | ContactsModel
     laws: tuple[DynamicFriction, ...]
     size: int = eqx.field(static=True)
+    speed: int | None = eqx.field(static=True, default=None)
 
     @property
     def contacts(self) -> int | None:
@@ -73,6 +77,40 @@ class InnerStates(eqx.Module):
         assert isinstance(self.inner, OneContactModel)
         share = jnp.abs(jnp.asarray(self.inner.to_inner_law(y[:-1])[0], y[0].dtype))
         return jnp.maximum(share, jnp.finfo(share.dtype).eps)
+
+    @property
+    def spans_decades(self) -> bool:
+        """Whether `with_logarithm` applies: the speed falls over so many decades that an error of it says nothing."""
+        return self.speed is not None and isinstance(self.laws[0], DieterichRuina)
+
+    def with_logarithm(self, forcing: Any, y: State) -> State:
+        """The state `y` with the logarithm of the relative velocity in place of the velocity."""
+        return self._replaced(y, self._law.logarithm(y[-1], self.relative_velocity(forcing, jnp.zeros_like(y[0]), y)))
+
+    def without_logarithm(self, forcing: Any, y: State) -> State:
+        """The state of which `with_logarithm` made `y`."""
+        velocity = self._law.slip_velocity(y[-1], self._law.direct * y[self.speed or 0])
+        still = self._replaced(y, jnp.zeros_like(velocity))
+        return self._replaced(y, velocity - self.relative_velocity(forcing, jnp.zeros_like(velocity), still))
+
+    def rates_with_logarithm(self, forcing: Any, y: State) -> State:
+        """The time derivative of a state `with_logarithm`."""
+        assert isinstance(self.inner, OneContactModel)
+        logarithm, tau = y[self.speed or 0], jnp.zeros_like(y[0])
+        coefficient, now = self._law.direct * logarithm, self.without_logarithm(forcing, y)
+        rates = self.inner.rates_under(forcing, tau, now[:-1], coefficient)
+        rates = *rates, jnp.asarray(self._law.rate(y[-1], self._law.slip_velocity(y[-1], coefficient)))
+        velocity = partial(self.relative_velocity, forcing)
+        _, acceleration = jax.jvp(velocity, (tau, now), (jnp.ones_like(tau), rates))
+        return self._replaced(rates, self._law.logarithm_rate(y[-1], logarithm, acceleration, rates[-1]))
+
+    @property
+    def _law(self) -> DieterichRuina:
+        assert isinstance(self.laws[0], DieterichRuina)
+        return self.laws[0]
+
+    def _replaced(self, y: State, value: FloatArray) -> State:
+        return tuple(value if i == self.speed else number for i, number in enumerate(y))
 
     def varying_normal_forces(self, forcing: Any, tau: FloatScalar, y: State) -> FloatArray:
         """The normal forces that vary, N."""

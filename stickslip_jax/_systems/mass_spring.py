@@ -211,7 +211,7 @@ class MassSpring(System):
         if structure is not None:
             return structure.inner_model(smooth)
         model = SolverOscillatorModel(self, smooth, diffrax.Dopri8(), False)
-        return InnerStates(model, self.inner_laws, 2) if self.inner_laws else None
+        return InnerStates(model, self.inner_laws, 2, speed=1) if self.inner_laws else None
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
         structure = self._as_structure

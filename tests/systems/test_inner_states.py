@@ -40,6 +40,8 @@ def below(solution, velocity, threshold, shortest, bend=2 * 1.5 / 1e5, of_law=No
     slow = np.concatenate([[False], np.abs(speed) <= threshold, [False]])
     edges = np.minimum(np.flatnonzero(slow[1:] != slow[:-1]), len(times) - 1)
     path = np.cumsum(np.abs(speed) if of_law is None else of_law(states)) * times[1]
+    if path[-1] - path[edges[-1]] < bend:
+        edges[-1] = len(times) - 1
     slips = path[edges[2::2]] - path[edges[1:-1:2]] >= bend
     spans = times[np.stack([edges[::2][np.append(True, slips)], edges[1::2][np.append(slips, True)]], axis=1)]
     return spans[spans[:, 1] - spans[:, 0] >= shortest]
@@ -132,6 +134,35 @@ def test_steady_sliding_of_a_spring_slider_loses_stability(form):
 
     assert growth(0.99) > 1.2
     assert growth(1.01) < 0.8
+
+
+@pytest.mark.slow
+def test_a_cycle_of_earthquakes_against_scipy():
+    """The speed falls from 0.3 to 1e-14 m/s; scipy integrates its logarithm."""
+    stiffness, t1 = 0.2 * CRITICAL, 2500.0
+    y0 = (0.6 * NORMAL / stiffness + 1e-8, 0.0)
+    law = ss.DieterichRuina(0.6, A, B, length=LENGTH, reference_speed=SPEED)
+    system = ss.MassSpring(MASS, stiffness, NORMAL, law)
+    method = ss.Regularized(threshold=1e-9, minimum_duration=1.0)
+    one = ss.simulate(system, ss.Constant(SPEED), t1=t1, y0=y0, method=method)
+    assert one.status == ss.Status.FINISHED
+    assert one.method.max_steps == 16384
+
+    def rates(t, y):
+        x, w, z = y
+        exponent = (0.6 + B * z) / A
+        v = 2 * SPEED * np.exp(-exponent) * np.sinh(w)
+        z_rate = SPEED / LENGTH * np.exp(-z) - abs(v) / LENGTH
+        per_velocity = np.exp(exponent - np.logaddexp(w, -w) + np.log(2)) / (2 * SPEED)
+        acceleration = (-stiffness * x - NORMAL * A * w) / MASS
+        return [v + SPEED, per_velocity * acceleration + np.tanh(w) * B / A * z_rate, z_rate]
+
+    start = [y0[0], np.arcsinh(-0.5 * np.exp(0.6 / A)), 0.0]
+    run = solve_ivp(rates, (0, t1), start, method="Radau", rtol=1e-8, atol=[1e-12, 1e-10, 1e-10], dense_output=True)
+    assert one.final_state[0] == pytest.approx(run.y[0, -1], rel=3e-4)
+    times = np.linspace(0.0, t1, 40_001)
+    found, expected = (times[np.argmin(np.diff(x))] for x in (np.asarray(one.evaluate(times)[0]), run.sol(times)[0]))
+    assert found == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.slow

@@ -77,7 +77,7 @@ class Regularized(Module):
     - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep velocity at which a
       mass is released: one width where static friction exceeds kinetic friction, else that or a little more
       (`Switch.creep`). Of laws with an inner state, a thousandth of what friction changes of the velocity in the time
-      of one radian.
+      of one radian; a gap in which the contact slips by less than their `elastic_slip` is no slip.
     - `minimum_duration`: shortest time below the threshold that counts as a stick, s; by default ten times the time in
       which friction stops a mass at the threshold (a mass that passes through takes less), at least two fixed steps. Of
       several contacts it may be an array (contacts,), as the threshold; all at once stick for the longest of them.

@@ -7,9 +7,14 @@ from ... import _diffrax as diffrax
 from ..._types import Array, FloatArray
 
 
-def step_control(rtol: Any, atol: Any, longest: FloatArray, jumps: Array | None) -> Any:
-    """Control by the tolerances, with steps of at most `longest` (s) that end at the instants `jumps` (s), if any."""
-    return _class()(diffrax.PIDController(rtol=rtol, atol=atol, dtmax=longest), jump_ts=jumps)
+def step_control(rtol: Any, atol: Any, longest: FloatArray, jumps: Array | None, *, is_very_stiff: bool) -> Any:
+    """Control by the tolerances, with steps of at most `longest` (s) that end at the instants `jumps` (s), if any.
+
+    The first stage of a very stiff step, computed anew from the state, would be its round-off enlarged: without jumps
+    no trajectory of a batch needs it.
+    """
+    control = diffrax.PIDController(rtol=rtol, atol=atol, dtmax=longest)
+    return control if is_very_stiff and jumps is None else _class()(control, jump_ts=jumps)
 
 
 @cache

@@ -126,8 +126,8 @@ def solve_batch(
     """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
 
     `realization` (samples,): the number that each draws its excitation by. `used`: number of samples that are needed;
-    the others end at once. `most`: the largest number of steps of each. `varying`, `leaf_numbers`: the leaves of the batch that
-    differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
+    the others end at once. `most`: the largest number of steps of each. `varying`, `leaf_numbers`: the leaves of the
+    batch that differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
     t1, quantities, tracks = jnp.asarray(batch.t1, dtype), ALL if keep else (), batch.system.track_count
 

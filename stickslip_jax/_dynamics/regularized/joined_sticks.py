@@ -48,11 +48,16 @@ class Left(NamedTuple):
 
 
 class AllAtOnce(NamedTuple):
-    """Whether all closed contacts stick, since `start` (s) at `position` (m)."""
+    """Whether all closed contacts stick, since `start` (s) at `position` (m).
+
+    `ended`: the time before in which they did, and how it ended, -1 where there is none: a contact that has left may
+    turn out to have ended it sooner.
+    """
 
     stick: BoolArray
     start: FloatArray
     position: FloatArray
+    ended: tuple[StickSpan, IntArray]
 
 
 class JoiningDetector(NamedTuple):
@@ -81,7 +86,9 @@ def start_joining(
     none = Left(StickSpan(zero, zero, position, position), jnp.full_like(slow, -1, jnp.int8), zero + jnp.inf, zero)
     all_at_once = None
     if tracks.ndim:
-        all_at_once = AllAtOnce(_all_of(slow, seen.closed), jnp.zeros_like(tracks[-1]), tracks[-1])
+        start, of_all = jnp.zeros_like(tracks[-1]), tracks[-1]
+        nothing = StickSpan(start, start, of_all, of_all), jnp.full((), -1, jnp.int8)
+        all_at_once = AllAtOnce(_all_of(slow, seen.closed), start, of_all, nothing)
     remembered, totals = begin_quantities(tracks, quantities), start_totals(tracks.dtype, tracks.shape)
     return JoiningDetector(slow, zero, position, none, all_at_once, remembered, totals, jnp.zeros(tracks.shape, bool))
 
@@ -147,12 +154,16 @@ def detect_joined(
         changed = jnp.where(closed_before == closed, now, step.t + jnp.where(closed, closing, opening))
         contacts = _Contacts(
             ended=_joined(left._replace(ending=jnp.where(closed_before, endings, jnp.int8(-1))), following),
-            is_over=jnp.append(ends & closed_before, (following.ending >= 0) & ~following.may_go_on(bend) & at_end),
+            is_over=jnp.append(
+                ends & closed_before & left.may_go_on(bend),
+                (following.ending >= 0) & ~following.may_go_on(bend) & at_end,
+            ),
             start=jnp.where(slow, start, following.span.start),
             holds=slow | following.may_go_on(bend),
             closed=at_end,
             opened=jnp.where(closed_before & ~at_end, changed, -jnp.inf),
             closes=jnp.where(~closed_before & at_end, changed, jnp.inf),
+            may_end=jnp.where(following.may_go_on(bend), following.span.end, jnp.inf),
         )
         all_at_once, of_all, how_all = _all_at_once(detector.all_at_once, step, contacts)
         spans, endings = jax.tree.map(jnp.append, spans, of_all), jnp.append(endings, how_all)
@@ -171,7 +182,8 @@ class _Contacts(NamedTuple):
 
     - `ended`: what it left in the step and before, (2 contacts,), and of this what `is_over` for good.
     - `start`: of what `holds` it at the end of the step, s. `closed`: whether it is, at the end.
-    - `opened`, `closes`: when it does in the step, s; -infinity and infinity where it does not.
+    - `opened`, `closes`: when it does in the step, s; -infinity and infinity where it does not. `may_end`: when it
+      left, if it may still be stuck; else infinity.
     """
 
     ended: Left
@@ -181,29 +193,50 @@ class _Contacts(NamedTuple):
     closed: BoolArray
     opened: FloatArray
     closes: FloatArray
+    may_end: FloatArray
 
 
 def _all_at_once(before: AllAtOnce, step: Step, of: _Contacts) -> tuple[AllAtOnce, StickSpan, IntArray]:
     """All at once after a step, the time in which they stuck until then, and how it ended, -1 if it did not.
 
     They begin with the last that comes to rest, or with the opening of the last that slips; they end with the first
-    that leaves or closes while it slips, or with the last that opens.
+    that leaves or closes while it slips, or with the last that opens. One that left before may be known to slip later.
     """
-    stick = _all_of(of.holds, of.closed)
-    is_over = of.is_over & (of.ended.span.end >= before.start)
-    first, leaves = jnp.argmin(jnp.where(is_over, of.ended.span.end, jnp.inf)), jnp.any(is_over)
+
+    def cut(span: StickSpan, ending: IntArray) -> tuple[StickSpan, IntArray]:
+        ends = jnp.where(of.is_over, of.ended.span.end, jnp.inf)
+        first = jnp.argmin(ends)
+        sooner = ends[first] < span.end
+        end, left_at = (
+            jnp.where(sooner, new[first], old) for new, old in ((ends, span.end), (of.ended.of_all, span.left_at))
+        )
+        ending = jnp.where(sooner & (ending >= 0), of.ended.ending[first], ending)
+        return StickSpan(span.start, end, span.position, left_at), ending
+
+    stick, now = _all_of(of.holds, of.closed), step.t + step.h
     slips = jnp.min(jnp.where(of.holds, jnp.inf, of.closes))
-    changed = jnp.clip(jnp.where(jnp.isfinite(slips), slips, jnp.max(of.opened)), step.t, step.t + step.h)
-    end = jnp.where(leaves, of.ended.span.end[first], changed)
-    left_at = jnp.where(leaves, of.ended.of_all[first], _at(step, changed - step.t)[1])
-    ends = before.stick & (leaves | ~stick)
-    how = jnp.where(ends, jnp.where(leaves, of.ended.ending[first], jnp.int8(Ending.RELEASED)), jnp.int8(-1))
+    left_at = _at(step, jnp.where(jnp.isfinite(slips), slips - step.t, 0))[1]
+    span, how = cut(StickSpan(before.start, slips, before.position, left_at), jnp.int8(Ending.RELEASED))
+    opened = jnp.max(of.opened)
+    opened = jnp.where(jnp.isfinite(opened), opened, now)
+    by_opening = StickSpan(before.start, opened, before.position, _at(step, opened - step.t)[1])
+    span = jax.tree.map(lambda new, old: jnp.where(~stick & ~jnp.isfinite(span.end), new, old), by_opening, span)
+    ends = before.stick & jnp.isfinite(span.end)
+    known, known_how = cut(*before.ended)
+    replaced = ends & (known_how >= 0)
+    ended, how = jax.tree.map(lambda new, old: jnp.where(ends, new, old), (span, how), (known, known_how))
+    is_known = (how >= 0) & ~jnp.any(of.may_end < ended.end)
+    recorded, recorded_how = jax.tree.map(
+        lambda old, new: jnp.where(replaced, old, new), (known, known_how), (ended, jnp.where(is_known, how, -1))
+    )
+    how = jnp.where(is_known & ~replaced, jnp.int8(-1), how)
+
     begun = jnp.maximum(jnp.max(jnp.where(of.holds & of.closed, of.start, -jnp.inf)), jnp.max(of.opened))
-    begun = jnp.clip(begun, step.t, step.t + step.h)
+    begun = jnp.clip(begun, step.t, now)
     begins = stick & (ends | ~before.stick)
     start = jnp.where(begins, begun, before.start)
     position = jnp.where(begins, _at(step, begun - step.t)[1], before.position)
-    return AllAtOnce(stick, start, position), StickSpan(before.start, end, before.position, left_at), how
+    return AllAtOnce(stick, start, position, (ended, how)), recorded, recorded_how
 
 
 def _all_of(holds: BoolArray, closed: BoolArray) -> BoolArray:

@@ -56,6 +56,11 @@ class Tables(eqx.Module):
         return Segments(*(tuple(table.at(t) for table in part) for part in self._parts))
 
     @property
+    def base_jumps(self) -> bool:
+        """Whether the velocity of the base may jump."""
+        return any(table.jumps and len(table.segments.begin) > 1 for table in self.base)
+
+    @property
     def _parts(self) -> tuple[tuple[SegmentTable, ...], ...]:
         return self.base, self.ground, self.force, self.normal
 
@@ -136,18 +141,36 @@ def solve_adaptive(
     dtype = t1.dtype
     zero = jnp.zeros((), dtype)
 
+    atol = jnp.broadcast_to(jnp.asarray(how.atol, dtype), (len(y0),))
+    start = jnp.stack([jnp.asarray(v, dtype) for v in y0])
+    in_logarithms = None
+    if isinstance(field, InnerField) and field.model.spans_decades and not tables.base_jumps:
+        in_logarithms = field.model
+        start = jnp.stack(in_logarithms.with_logarithm(in_logarithms.forcing(zero, tables.at(zero)), tuple(start)))
+        atol = atol.at[in_logarithms.speed].set(how.rtol)
+
     def rates(t, y, _):
         forcing = field.model.forcing(t, tables.at(t))
+        if in_logarithms is not None:
+            return jnp.stack(in_logarithms.rates_with_logarithm(forcing, tuple(y)))
         return jnp.stack(field.model.numbers(field.rates(forcing, zero, field.model.start(tuple(y), dtype))))
 
-    control = step_control(how.rtol, how.atol, jnp.asarray(how.longest_step, dtype), tables.times)
+    longest = jnp.asarray(how.longest_step, dtype)
+    control = step_control(how.rtol, atol, longest, tables.times, is_very_stiff=in_logarithms is not None)
     end = jnp.minimum(t1, tables.end)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rates), how.solver, zero, end, None, jnp.stack([jnp.asarray(v, dtype) for v in y0]),
+        diffrax.ODETerm(rates), how.solver, zero, end, None, start,
         saveat=diffrax.SaveAt(t0=True, steps=True), stepsize_controller=control, max_steps=max_steps,
         adjoint=how.adjoint, throw=False,
     )  # fmt: skip
     t, y = jnp.asarray(solution.ts), jnp.asarray(solution.ys)
+    if in_logarithms is not None:
+
+        def plain(t: FloatArray, y: Array) -> Array:
+            here = jnp.where(jnp.isfinite(t), t, 0)
+            return jnp.stack(in_logarithms.without_logarithm(in_logarithms.forcing(here, tables.at(here)), tuple(y)))
+
+        y = jax.vmap(plain)(t, y)
     steps = jnp.sum(jnp.isfinite(t)).astype(jnp.int32) - 1
     full = solution.result == diffrax.RESULTS.max_steps_reached
     code = jnp.where(solution.result == diffrax.RESULTS.successful, Status.FINISHED, Status.SOLVER_FAILED)
