@@ -103,7 +103,7 @@ def test_intervals_of_ratios_are_fieller_s(many, sticks):
 def test_intervals_of_means_of_all_sticks():
     """The same from sticks as from totals, and shown where it is not symmetric."""
     rng = np.random.default_rng(5)
-    samples = [[(2.0 * i, 2.0 * i + rng.exponential(), 0.0, 0) for i in range(rng.poisson(0.6))] for _ in range(20)]
+    samples = [[(2.0 * i, 2.0 * i + rng.exponential(), 0.0, 0) for i in range(rng.poisson(0.4))] for _ in range(20)]
     sticks = sticks_from(samples)
     rows = np.array([(sum(b - a for a, b, *_ in one), len(one)) for one in samples])
     mean = statistics_of(sticks, t1=40.0, rest=True).duration.mean
