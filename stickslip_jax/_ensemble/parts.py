@@ -236,7 +236,8 @@ def _check_memory(kept: list[Part], samples: int) -> None:
         )
     if len(kept) == 1 and expected > _MUCH:
         warnings.warn(
-            f'The sticks need much memory: {todo} of it; keep="statistics" takes little, whatever the number of samples.',
+            f'The sticks need much memory: {todo} of it; keep="statistics" takes little, whatever the number of '
+            "samples.",
             RuntimeWarning,
             stacklevel=2,
         )
