@@ -75,7 +75,11 @@ class _Constructor(type(eqx.Module)):
                 continue
             value = kwargs[name] if is_by_name else args[place]
             is_number = isinstance(value, (np.generic, np.ndarray, jax.Array)) and not value.ndim
-            plain = value.item() if is_number and value.dtype.kind in "biuf" and not _checks.is_traced(value) else value
+            plain = (
+                value.item()
+                if is_number and getattr(value.dtype, "kind", "O") in "biuf" and not _checks.is_traced(value)
+                else value
+            )
             if not isinstance(plain, np.generic) and plain is not value:  # Equinox would warn of a number of NumPy
                 if is_by_name:
                     kwargs[name] = plain

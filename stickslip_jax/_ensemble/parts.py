@@ -228,7 +228,7 @@ def _check_memory(kept: list[Part], samples: int) -> None:
     done = sum(len(part.results.status) for part in kept)
     size = sum(column.nbytes for part in kept for column in (*part.results, *(part.sticks or ())))
     expected, there = 2 * size / done * samples, available_memory() + size
-    todo = f"keeping the sticks of {samples:,} samples takes about {expected / 1e9:.1f} GB of memory"
+    todo = f"keeping the sticks of {samples:,} samples takes about {expected / 1e9:.1f} GB"
     if expected > there:
         raise ValueError(
             f'Argument keep must be "statistics" for so many samples: {todo}, and this machine has '
@@ -236,7 +236,8 @@ def _check_memory(kept: list[Part], samples: int) -> None:
         )
     if len(kept) == 1 and expected > _MUCH:
         warnings.warn(
-            f'The sticks need much memory: {todo}; keep="statistics" takes little, whatever the number of samples.',
+            f'The sticks need much memory: {todo} of it; keep="statistics" takes little, whatever the number of '
+            "samples.",
             RuntimeWarning,
             stacklevel=2,
         )

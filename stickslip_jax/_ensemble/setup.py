@@ -65,8 +65,6 @@ class EnsembleSetup:
 
         `of_every_contact`: whether sticks are counted of every contact of a list.
         """
-        for name, value in model._asdict().items():
-            _checks.tree(name, value)
         if _checks.holds_traced(*model, t1, key, method):
             raise ValueError(
                 "Arguments of simulate_ensemble must be numbers, but JAX is tracing them; inside jit, vmap or grad use "

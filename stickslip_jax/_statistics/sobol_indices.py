@@ -235,6 +235,7 @@ def _symmetric(pairs: np.ndarray, factors: int) -> np.ndarray:
 
 def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None, np.ndarray]:
     """Names of the outputs, None for one without a name, and their numbers (samples, outputs)."""
+    _checks.tree("outputs", outputs)
     names, given = None, outputs
     if isinstance(outputs, Mapping) or (hasattr(outputs, "items") and hasattr(outputs, "columns")):
         pairs = list(outputs.items())

@@ -93,6 +93,8 @@ class Inputs:
         model = model._replace(y0=_columns(model.y0))
         if design is not None and not design.is_uniform:
             model = _with_values(model, design)
+        for name, value in model._asdict().items():
+            _checks.tree(name, value)
         entries = tuple(Input(path, *found) for path, *found in varying(model))
         for entry in entries:
             if not entry.is_random and len(entry.source) != samples:

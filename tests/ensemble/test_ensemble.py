@@ -43,7 +43,7 @@ def test_much_memory_is_told_before_it_is_taken(monkeypatch):
     """From the first part on: twice what its sticks take, for all samples."""
     wanted = {"samples": 150, "keep": "sticks", **RUN}
     monkeypatch.setattr(parts, "_MUCH", 1000.0)
-    with pytest.warns(RuntimeWarning, match=r'sticks of 150 samples takes about 0.0 GB of memory; keep="statistics"'):
+    with pytest.warns(RuntimeWarning, match=r'sticks of 150 samples takes about 0.0 GB of it; keep="statistics"'):
         ss.simulate_ensemble(SYSTEM, POISSON, **wanted)
     monkeypatch.setattr(parts, "available_memory", lambda: 1000.0)
     with pytest.raises(ValueError, match=r'Argument keep must be "statistics" .* of 150 samples takes'):
