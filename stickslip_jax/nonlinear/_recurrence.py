@@ -74,6 +74,7 @@ def _differences(
     scale = np.where(turns, 1.0, np.fmax(sizes, np.max(np.abs(states), axis=1)))
     smallest = _ROUND_OFF * np.finfo(states.dtype).eps * np.max(scale, axis=1, keepdims=True)
     limit = np.fmax(tolerance * scale, smallest)[:, None]
+    limit = np.where(limit > 0, limit, 1)  # of a motion that has always been at zero
     for number in range(1, states.shape[1] // 2 + 1):
         change = np.abs(states[:, number:] - states[:, :-number])
         for column, period in enumerate(periods):

@@ -107,9 +107,9 @@ def test_recurrence_is_the_smallest_period():
     numbers = np.arange(12)
     states = np.stack([0.3 + 0 * numbers, numbers % 3.0, numbers % 4.0, numbers**2.0])[..., None]
     none = np.zeros((4, 1))
-    np.testing.assert_array_equal(recurrence(states, none, 1e-6, (None,)), [1, 3, 4, 0])
+    np.testing.assert_array_equal(recurrence(states, none, 1e-6, (None,)), [1, 3, 4, -1])  # the last grows
     states[2, 5] = np.nan
-    np.testing.assert_array_equal(recurrence(states, none, 1e-6, (None,)), [1, 3, 0, 0])
+    np.testing.assert_array_equal(recurrence(states, none, 1e-6, (None,)), [1, 3, 0, -1])
     turning = np.array([6.283, 0.0005, 6.2827, 0.0002])[None, :, None]
     np.testing.assert_array_equal(recurrence(turning, none[:1], 1e-2, (2 * np.pi,)), [1])
     np.testing.assert_array_equal(recurrence(turning, none[:1], 1e-6, (None,)), [0])
@@ -147,7 +147,7 @@ def test_recurrence_is_judged_by_the_size_of_each_motion_alone():
     # between.
     doubling = 1e-3 * np.array([1.0, 2.0] * 4)
     states = np.stack([doubling, 1e6 * 2.0 ** np.arange(8)])[..., None]
-    np.testing.assert_array_equal(recurrence(states, np.zeros((2, 1)), 1e-2, (None,)), [2, 0])
+    np.testing.assert_array_equal(recurrence(states, np.zeros((2, 1)), 1e-2, (None,)), [2, -1])
     np.testing.assert_array_equal(recurrence(states[:1], np.array([[1.0]]), 1e-2, (None,)), [1])
 
 
