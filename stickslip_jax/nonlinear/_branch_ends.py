@@ -4,6 +4,7 @@ a stick becomes tangent.
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator
@@ -78,18 +79,20 @@ def _root(
 
     def at(parameter: float) -> float:
         unknowns[-1] = parameter
+        found = None
         for _ in range(_ITERATIONS):
             found = equations.at(unknowns, plane, periods)
             if found is None:
-                return math.nan
+                break
             # Of contacts that stick all the time the matrix is singular: they stay where they are.
             change = np.linalg.lstsq(found.matrix[:number, :number], -found.value[:number], rcond=1e-10)[0]
             unknowns[:number] += change
             if np.max(np.abs(change)) <= _EXACT * np.max(np.abs(unknowns[:number])):
                 break
-        return test(found)
+        return math.nan if found is None else test(found)
 
-    value, result = newton(at, guess[-1], x1=other, tol=1e-12, full_output=True, disp=False)
+    result: Any
+    value, result = newton(at, guess[-1], x1=other, tol=1e-12, full_output=True, disp=False)  # pyright: ignore[reportAssignmentType]
     near = abs(value - guess[-1]) <= abs(other - guess[-1]) + 1e-3 * abs(guess[-1])
     return float(value) if result.converged and near else float(guess[-1])
 

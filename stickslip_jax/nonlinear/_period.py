@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import _checks
 from .._excitation.motion import Motion
-from .._excitation.smooth import Signal
+from .._excitation.smooth import Signal, UserMotion
 from .._fields import is_of_package, modules_in
 from .._numerics.known import NotKnown, values_of
 from .._types import Array, Scalar
@@ -116,8 +116,8 @@ def check_signals(tree: object, period: Array) -> None:
         return
     periods = np.atleast_1d(np.asarray(period, float))
     for signal in _outermost(tree):
-        held = getattr(signal, "motion", signal)
-        if not isinstance(signal, Signal) or (is_of_package(signal) and is_of_package(held)):
+        held = signal.motion if isinstance(signal, UserMotion) else signal
+        if not isinstance(signal, Signal) or (held is signal and is_of_package(signal)):
             continue
         fastest = np.asarray(signal.shortest_period or np.inf, float)
         number = np.clip(_IN_FASTEST * np.max(periods) / np.min(fastest), *_INSTANTS)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 _ROUND_OFF = 100  # times the spacing of numbers of the size of the largest number of the state
-_LEAST = 4  # returns by which one sees whether differences fall
+_LEAST = 8  # returns by which one sees whether differences fall
 _COMPARED = 16  # differences of several returns: of fewer, chance would make all smaller too often
 _SYSTEMATIC = 0.9  # of the differences: smaller than those before, or larger
 _FAST = 0.1  # of the largest in the first half: those of the second half
@@ -25,7 +25,7 @@ def recurrence(
     coordinates), or to round-off: other cases, which may be far larger, do not matter. `periods`: of coordinates that
     turn. A motion that still comes nearer to its attractor, or leaves an orbit that is unstable, has not settled: the
     differences of the number of returns for which they are smallest still fall, or grow, return after return; if they
-    are within the tolerance, by more than it until they were to have fallen to zero. Of fewer than four returns this
+    are within the tolerance, by more than it until they were to have fallen to zero. Of fewer than eight returns this
     is not seen.
     """
     found = np.zeros(len(states), int)
@@ -74,6 +74,7 @@ def _differences(
     scale = np.where(turns, 1.0, np.fmax(sizes, np.max(np.abs(states), axis=1)))
     smallest = _ROUND_OFF * np.finfo(states.dtype).eps * np.max(scale, axis=1, keepdims=True)
     limit = np.fmax(tolerance * scale, smallest)[:, None]
+    limit = np.where(limit > 0, limit, 1)  # of a motion that has always been at zero
     for number in range(1, states.shape[1] // 2 + 1):
         change = np.abs(states[:, number:] - states[:, :-number])
         for column, period in enumerate(periods):

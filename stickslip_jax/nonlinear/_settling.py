@@ -40,13 +40,14 @@ def settled(
 
     `lasted`: the numbers of periods before those that are kept, of these, and the largest of those before. Where it has
     not settled then, the multipliers of the orbit that a motion comes nearer to decide. Warns (RuntimeWarning) of the
-    others.
+    others, unless none was to go on.
     """
     transient, kept, longest = lasted
     seen, size = jax.tree.map(np.array, seen), block_size(cases.number, stored)
+    states, sizes = np.asarray(seen.states), np.asarray(seen.sizes)  # the same memory, which later periods are put into
     turns = tuple(coordinate.period for coordinate in cases.system.coordinates)
     more, last = np.zeros(cases.number, int), transient
-    found = recurrence(seen.states, seen.sizes, tolerance, turns)
+    found = recurrence(states, sizes, tolerance, turns)
     while last < longest and np.any(found == UNSETTLED):
         which = np.flatnonzero(found == UNSETTLED)
         gone, last = last + kept, min(2 * last, longest)
@@ -54,17 +55,17 @@ def settled(
         # Few block sizes, because each is compiled.
         small = size if size < _FEW_LANES else min(size, 4 ** math.ceil(math.log(len(which), 4)))
         name = f"more-{last}-{hashlib.sha256(which.tobytes()).hexdigest()[:12]}"
-        own = cases.of(which, seen.states[which, -1])
+        own = cases.of(which, states[which, -1])
         later = in_blocks(own, periods_of(last - gone, kept), SEEN, progress, stored, small, name)
         later = later._replace(near_grazing_count=later.near_grazing_count + seen.near_grazing_count[which])
         for whole, part in zip(jax.tree.leaves(seen), jax.tree.leaves(later), strict=True):
             whole[which] = part
         more[which] = last - transient
-        found[which] = recurrence(seen.states[which], seen.sizes[which], tolerance, turns)
-    if cases.driven and transient:
+        found[which] = recurrence(states[which], sizes[which], tolerance, turns)
+    if cases.driven and longest > transient:
         for case in np.flatnonzero(found == UNSETTLED)[:_MOST_ORBITS]:
-            found[case] = _by_orbits(cases, int(case), seen.states[case], seen.sizes[case], tolerance)
-    if transient:
+            found[case] = _by_orbits(cases, int(case), states[case], sizes[case], tolerance)
+    if longest > transient:
         warn_of_unsettled(int(np.sum(found == UNSETTLED)), len(found), int(transient + np.max(more)), stacklevel + 1)
     return seen, found, more
 

@@ -69,7 +69,7 @@ def stroboscopic_section(
         (add them to "cycle"), ``status`` and ``near_grazing_count``. Angles are between 0 and
         their period. A variable that is called as a parameter is has an underscore after its name. Warns
         (RuntimeWarning) of cases that were not followed to the end, and hold NaN from there on, and of those that have
-        not settled. Fewer than four periods kept are compared, but whether they settle is not seen.
+        not settled. Fewer than eight periods kept are compared, but whether they settle is not seen.
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
