@@ -19,6 +19,7 @@ _NO_MOTION = 1e3  # in place of infinity
 
 SHARE = 0.05  # of a direction, below which a number has no part in it
 _NEAR = 3.0  # standard errors from a bound: farther away the estimate is normal
+_NEAR_KINETIC = 10.0  # of static from kinetic friction, on whose square the motion depends there
 _AS_NORMAL = 5.0  # times its largest distance that a number can go, up to which its standard error is believed
 
 
@@ -44,7 +45,8 @@ def all_bounds(
         np.where(np.isfinite(end), np.abs(own - np.asarray(bound)), np.inf)
         for end, bound in zip(transform.box, (transform.low, transform.high), strict=True)
     )
-    is_near = np.minimum(from_low, from_high) < _NEAR * slopes * errors
+    far = np.where(np.any(np.asarray(transform.added) > 0, axis=1), _NEAR_KINETIC, _NEAR)
+    is_near = np.minimum(from_low, from_high) < far * slopes * errors
     is_tied = np.any(np.abs(told.tied) > SHARE, axis=0)
     bounds = {}
     for i in np.flatnonzero((told.untold | is_near) & ~is_tied):

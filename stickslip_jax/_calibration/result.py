@@ -29,7 +29,7 @@ class Calibration:
       the likelihood, None where there is none, of each number on which the motion does not depend at its first guess,
       such as the friction coefficient of a mass that never slips, and of each that is less than three standard errors
       away from a bound of its own, such as a damping near zero: its error is to one side there. Static friction that
-      is fitted together with kinetic friction has bounds of the difference, "mu_static - mu".
+      is fitted together with kinetic friction has bounds of the difference, "mu_static - mu", up to ten of them.
     - `system`, `base`: with the estimates in place; of a number that the record does not tell, its first guess.
     - `start`: the estimated state at the first measurement, by the names of the coordinates; None where `y0` was given,
       or where several windows were fitted.
