@@ -1,4 +1,4 @@
-"""Events of friction that coincide exactly with those of the base, in time steps, against 60 digits and closed forms."""
+"""Events of friction that coincide exactly with those of the base, in time steps, against 60 digits."""
 
 import jax
 import jax.numpy as jnp
