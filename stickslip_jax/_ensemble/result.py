@@ -49,8 +49,8 @@ class Ensemble(EnsembleData):
     - `moments`: number of finished samples, mean and covariance of their `TOTALS` (stick time in s, number of sticks,
       number of slips).
     - `near_grazing_samples`: number of samples in which round-off decided whether there was an event (see
-      `Simulation`); the statistics include them. Where the motion is known in closed form, only the start is looked at
-      (the base's velocity at an edge of the stick band): `simulate` under ``vmap`` counts the rest.
+      `Simulation`); the statistics include them. Where the motion is known in closed form: in which a stick would have
+      begun and ended at once, or the start was at an edge of the stick band; `simulate` under ``vmap`` counts the rest.
     - `status_counts`: number of samples that ended with each `Status`; only those FINISHED count in the statistics.
     - `sticks`: every stick, arrays (samples, slots), if ``keep="sticks"``.
     - `totals`: of each sample, if ``keep="totals"`` or "sticks": `stick_time` (s), `sticks`, `slips`, `status` and

@@ -45,6 +45,7 @@ PRINTED = {
         r"by the area of the ellipse 80\.4 %",
         r"or neither: 2000 of 2000",
         r"r = 0\.4: 0 sticks .* 2 different circles about \+0\.5 m/s, 2 different circles about -0\.5 m/s",
+        r"r = 2: 0 sticks in the last 10 periods",
         r"with the period 1 / \(r omega\), at r = 1\.2: 0\.00 %",
         r"most: 38\.[6-9]\d % at r = 1\.22",
         r"r = 0\.4: 0\.00 %",

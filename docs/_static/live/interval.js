@@ -91,7 +91,7 @@
     // An interval without length is no stick.
     const length = left - entered - CLOCK_ULPS * EPSILON * began;
     const speedError = FEW * (q + (3 / (REST_ULPS * EPSILON)) * restSpeed);
-    const lasts = lacks > 4 * FEW * alpha && length * H > (entered === 0 ? 0 : speedError);
+    const lasts = lacks > 4 * FEW * alpha && length * H > (released && side > 0 ? 0 : speedError);
     const stuck = arrived && (lasts || length > Math.sqrt(FEW) * clock);
     const leftAt = arrived ? position + q * (left - entered) : position;
     if (draw && stuck) told("stick", position, q, 0, entered, left);

@@ -173,9 +173,10 @@ def _stick(
     left = jnp.where(released, release, span)
     left_at = position + jnp.where(arrived, q * (left - entered), 0)
     # An interval without length is no stick. With the error of the velocity, that of the instant of an arrival is this
-    # error / H (near a tangency less than the square root of it); a stick from the beginning arrives exactly.
+    # error / H (near a tangency less than the square root of it). From below a release has the same error: it cancels.
     length = left - entered - CLOCK_ULPS * float(jnp.finfo(H.dtype).eps) * began
-    lasts = (lacks > 4 * few(H) * alpha) & (length * H > jnp.where(entered == 0, 0, _speed_error(q, scales)))
+    least = jnp.where(released & (side > 0), 0, _speed_error(q, scales))
+    lasts = (lacks > 4 * few(H) * alpha) & (length * H > least)
     lasts = lasts | (length > math.sqrt(few(H)) * scales.clock)
     return _Stick(position, left_at, left, released, arrived & lasts)
 

@@ -41,8 +41,8 @@ from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
 from .mode import Stop, is_tie, mode_at_start, switched
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
-# Fraction of a step: no stick is shorter. The instants of its ends are wrong by up to 256 units in the last place (64 in
-# single precision) of 32 steps, about the time scale of the motion (`NEAR_ULPS` of `interval/arcs.py`).
+# Fraction of a step: no stick is shorter. The instants of its ends are wrong by up to 256 units in the last place (in
+# single precision 64) of 32 steps, about the time scale of the motion (`NEAR_ULPS` of `interval/arcs.py`).
 _SHORTEST = {8: 2.0**-39, 4: 2.0**-12}
 _ERROR = {8: 1e-9, 4: 1e-5}  # relative, of a step without a closed form; the estimate of its solver is far too high
 _LEAST_ERROR = 1e-20
