@@ -89,7 +89,7 @@ def test_turns_that_nearly_coincide():
     """A velocity that dips below zero for a hundredth of its period, between two pieces of it that are looked at."""
     w, dip = 2.0, math.cos(0.01 * math.pi)
     motion = ss.Harmonic(0.1, w, offset=0.1 * dip)
-    times = np.array([0.0, 1.6, 9.0])
+    times = np.array([0.0, 1.5925, 9.0])
 
     def velocity(t):
         return 0.1 * (np.cos(w * t) + dip)
@@ -99,10 +99,10 @@ def test_turns_that_nearly_coincide():
 
     turning = turns(velocity, 0.0, 9.0, 1e-3)
     assert len(turning) == 6
-    bent = along(position, times, turning, sliding(3.0, 3.0, 4e6, 0.0))
-    found = ss.Coulomb(0.3).force(times, motion, 10.0, series_stiffness=4e6)
-    np.testing.assert_allclose(found, 4e6 * bent, rtol=0, atol=1e-6)
-    assert 1.5 < float(found[1]) < 2.0  # 3 N but for the short way back, a moment ago
+    bent = along(position, times, turning, sliding(3.0, 3.0, 2.3e7, 0.0))
+    found = ss.Coulomb(0.3).force(times, motion, 10.0, series_stiffness=2.3e7)
+    np.testing.assert_allclose(found, 2.3e7 * bent, rtol=0, atol=1e-6)
+    assert -2 < float(found[1]) < 2  # -3 N a moment ago, 3 N before that
 
 
 @pytest.mark.slow
