@@ -174,7 +174,7 @@ def test_samples_with_pulses_of_their_own():
         system, Pulse(at, width, 0.5), t1=T1, samples=3, key=jax.random.key(0), method=method, keep="sticks"
     )
     for i in range(3):
-        one = ss.simulate(system, Pulse(at[i], width[i], 0.5), t1=T1, method=method)
+        one = ss.simulate(system, Pulse(float(at[i]), float(width[i]), 0.5), t1=T1, method=method)
         starts, ends = (
             np.asarray(column)[np.asarray(one.sticks.mask)] for column in (one.sticks.start, one.sticks.end)
         )
