@@ -89,7 +89,7 @@ def test_turns_that_nearly_coincide():
     """A velocity that dips below zero for a hundredth of its period, between two pieces of it that are looked at."""
     w, dip = 2.0, math.cos(0.01 * math.pi)
     motion = ss.Harmonic(0.1, w, offset=0.1 * dip)
-    times = np.array([0.0, 1.6, 9.0])
+    times = np.array([0.0, 1.5925, 9.0])
 
     def velocity(t):
         return 0.1 * (np.cos(w * t) + dip)
@@ -99,10 +99,10 @@ def test_turns_that_nearly_coincide():
 
     turning = turns(velocity, 0.0, 9.0, 1e-3)
     assert len(turning) == 6
-    bent = along(position, times, turning, sliding(3.0, 3.0, 4e6, 0.0))
-    found = ss.Coulomb(0.3).force(times, motion, 10.0, series_stiffness=4e6)
-    np.testing.assert_allclose(found, 4e6 * bent, rtol=0, atol=1e-6)
-    assert 1.5 < float(found[1]) < 2.0  # 3 N but for the short way back, a moment ago
+    bent = along(position, times, turning, sliding(3.0, 3.0, 2.3e7, 0.0))
+    found = ss.Coulomb(0.3).force(times, motion, 10.0, series_stiffness=2.3e7)
+    np.testing.assert_allclose(found, 2.3e7 * bent, rtol=0, atol=1e-6)
+    assert -2 < float(found[1]) < 2  # -3 N a moment ago, 3 N before that
 
 
 @pytest.mark.slow
@@ -182,16 +182,20 @@ def test_short_moves_of_other_laws():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("play", [None, 0.0, 1e-3])
 @pytest.mark.parametrize(
-    "law", [ss.Dahl(0.3, 200.0), ss.BoucWen(0.3, 200.0), ss.DieterichRuina(0.6, 0.012, 0.004, 1e-3, 1e-2)]
+    ("law", "play"),
+    [
+        *itertools.product((ss.Dahl(0.3, 200.0), ss.BoucWen(0.3, 200.0)), (None, 0.0, 1e-3)),
+        (ss.DieterichRuina(0.6, 0.012, 0.004, 1e-3, 1e-2), None),
+    ],
 )
 def test_points_of_a_record_are_followed(law, play):
     """Whether or not the force is asked for there."""
     spring = {} if play is None else {"series_stiffness": 4e3, "backlash": play}
     source = np.random.default_rng(3)
     knots = np.append(0.0, np.cumsum(source.exponential(0.1, 40)))
-    motion = ss.Recorded(knots, 0.05 * source.normal(size=41))
+    speeds = source.normal(size=41)
+    motion = ss.Recorded(knots, 0.01 * np.exp(speeds) if isinstance(law, ss.DieterichRuina) else 0.05 * speeds)
     few, many = np.array([0.0, knots[13], knots[29], knots[-1]]), knots
     found = law.force(few, motion, 10.0, rtol=1e-9, **spring)
     every = law.force(many, np.asarray(motion.values), 10.0, rtol=1e-9, **spring)
