@@ -278,9 +278,10 @@ def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator
             return (Part(results),)
         sticks = StickCollector()
         sticks.restart(number)
-        for records, of_lanes in kept:
-            values = np.stack([np.asarray(column).T for column in records.columns.values()], axis=1)
-            sticks.add(values, np.where(of_lanes, np.asarray(records.ending).T, np.int8(-1)), lanes[None, :])
+        for found, of_lanes in kept:
+            assert found is not None
+            values = np.stack([np.asarray(column).T for column in found.columns.values()], axis=1)
+            sticks.add(values, np.where(of_lanes, np.asarray(found.ending).T, np.int8(-1)), lanes[None, :])
         part = Part.of(results, sticks.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
         return (part,)
 
