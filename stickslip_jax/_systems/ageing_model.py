@@ -71,8 +71,8 @@ class _WithAges(SwitchedModel[F]):
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
         return self.inner.relative_velocity(forcing, tau, y[:-1])
 
-    def at_rest(self, forcing: F, y: State) -> BoolArray:
-        return self.inner.at_rest(forcing, y[:-1])
+    def at_rest(self, forcing: F, y: State, times: float = 1.0) -> BoolArray:
+        return self.inner.at_rest(forcing, y[:-1], times)
 
     def noise(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
         return self.inner.noise(forcing, y[:-1], sign)

@@ -170,8 +170,8 @@ class CartModel(OneContactModel[FloatScalar]):
         stick = jnp.minimum(2 * np.pi / (16 * self.smooth.angular_frequency), transient / 2 + age / 3)
         return jnp.where(sign == 0, stick, slip)
 
-    def at_rest(self, forcing: FloatScalar, y: State) -> BoolScalar:
-        return jnp.abs(y[1]) <= self.noise(forcing, y, jnp.ones_like(y[1]))
+    def at_rest(self, forcing: FloatScalar, y: State, times: float = 1.0) -> BoolScalar:
+        return jnp.abs(y[1]) <= times * self.noise(forcing, y, jnp.ones_like(y[1]))
 
     def slip_sign(self, forcing: FloatScalar, y: State) -> FloatScalar:
         sine, cosine = sincos(y[0])

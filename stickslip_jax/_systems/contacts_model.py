@@ -225,10 +225,10 @@ class ContactsModel(SwitchedModel[F]):
         scale = jnp.where(own == 0, 2.0, size)
         return self._with_normal(scale, self.normal_scale(forcing, y)) if self.varying else scale
 
-    def at_rest(self, forcing: F, y: State) -> BoolArray:
+    def at_rest(self, forcing: F, y: State, times: float = 1.0) -> BoolArray:
         velocity = self.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y)
         noise = self.noise(forcing, y, self._with_normal(jnp.ones_like(velocity), 1))
-        return self._with_normal(jnp.abs(velocity) <= self._own(noise), 0)
+        return self._with_normal(jnp.abs(velocity) <= times * self._own(noise), 0)
 
     def slip_sign(self, forcing: F, y: State) -> FloatArray:
         slips = super().slip_sign(forcing, y)

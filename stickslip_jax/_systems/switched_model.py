@@ -158,10 +158,10 @@ class SwitchedModel(eqx.Module, Generic[F]):
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
         """The relative velocity of each contact, m/s."""
 
-    def at_rest(self, forcing: F, y: State) -> BoolArray:
-        """Whether the relative velocity is zero, but for round-off, at `tau` 0."""
+    def at_rest(self, forcing: F, y: State, times: float = 1.0) -> BoolArray:
+        """Whether the relative velocity is zero, but for so many `times` its round-off, at `tau` 0."""
         velocity = self.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y)
-        return jnp.abs(velocity) <= self.noise(forcing, y, jnp.ones_like(velocity))
+        return jnp.abs(velocity) <= times * self.noise(forcing, y, jnp.ones_like(velocity))
 
     def noise(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
         """The round-off of the guard at `tau` 0."""

@@ -81,14 +81,13 @@ def _mode_after(
         forcing, lane.y, Question(sign, asked, released, goes_on & ~released)
     )
     # At the limit, friction that need not grow holds: else the mass would slip to and fro with no motion.
-    at_limit = is_not_below(guard, guard_rate, lane.t)
-    holds = holds | (at_limit & (guard_rate >= 0))
+    not_below = is_not_below(guard, guard_rate, lane.t)
+    holds = holds | (not_below & is_not_below(-guard, guard_rate, lane.t) & (guard_rate >= 0))
     # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
     # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
     turned = jnp.where(was_stick | (resting & ~stop.brief), release_sign, -sign)
     sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), sign)
-    at_limit = at_limit & goes_on
-    held_or_released = jnp.where(holds | at_limit, 0, release_sign)
+    held_or_released = jnp.where(holds | (not_below & goes_on), 0, release_sign)
     resolved = jnp.where(resting | goes_on, held_or_released, slips)
     sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
     # A mass that sticks has the base's velocity to the last bit.
@@ -96,7 +95,8 @@ def _mode_after(
     y = model.at_base_velocity(forcing, lane.y, rests)
     at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
     # Right after a jump, a velocity that is zero but for round-off may be on either side of it, or at rest.
-    near_rest = ended & jumped & ~was_stick & holds & is_nearly_at_rest(model, forcing, lane.y)
+    nearly = NEAR_GRAZING[lane.t.dtype.itemsize] / (NOISE_ULPS * float(jnp.finfo(lane.t.dtype).eps))
+    near_rest = ended & jumped & ~was_stick & holds & model.at_rest(forcing, lane.y, nearly)
     decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
     return _Mode(y, sign, at_rest, jnp.where(near_rest, 0, jnp.where(decided, jnp.abs(guard), jnp.inf)))
 
@@ -136,13 +136,6 @@ def mode_at_start(model: SwitchedModel, forcing: object, y: State) -> tuple[Stat
     holds, release_sign, guard, _ = model.decided(forcing, y, Question(slips, resting, never, never))
     sign = jnp.where(resting, jnp.where(holds, 0, release_sign), slips)
     return model.at_base_velocity(forcing, y, resting), sign, jnp.where(resting, jnp.abs(guard), jnp.inf)
-
-
-def is_nearly_at_rest(model: SwitchedModel, forcing: object, y: State) -> BoolArray:
-    """Whether the relative velocity is so small that round-off decides about its sign."""
-    velocity = model.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y)
-    few = NEAR_GRAZING[y[0].dtype.itemsize]
-    return jnp.abs(velocity) <= few * model.guard_scale(forcing, y, jnp.ones_like(velocity))
 
 
 def is_tie(margin: FloatArray) -> BoolArray:
