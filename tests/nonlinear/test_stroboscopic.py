@@ -81,6 +81,7 @@ def _assert_same_sticks(section, one, ends, transient):
             np.testing.assert_allclose(own.longest_stick[cycle], longest, atol=1e-8)
 
 
+@pytest.mark.filterwarnings("ignore:.* not settled within")
 def test_grid_of_parameters_and_starts():
     starts = np.array([[0.0, 0.0], [1.0, 0.5], [-0.5, 0.2]])
     over = {"mu": [0.1, 0.3], "angular_frequency": [0.7, 1.3]}
