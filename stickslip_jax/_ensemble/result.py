@@ -266,7 +266,7 @@ class Ensemble(EnsembleData):
 
         Args:
             path: A file name that ends in .csv or .parquet. The column names include the units. Of a .csv file pandas
-                may miss the last digit, unless it reads with ``float_precision="round_trip"``.
+                before 3.0 may miss the last digit, unless it reads with ``float_precision="round_trip"``.
             overwrite: Whether to replace a file of that name. Until the table is whole, an older one stays.
 
         Returns:
