@@ -140,7 +140,7 @@ PRINTED = {
         r"numbers that are those of a sweep never stopped: (\d+) of \1\b",
         r"batches done by a third run: 0",
         r"mu = 1\.6: samples for rates 0\.3, 0\.6, 1\.2, 2\.4 \(foretold\): 2100 .*1500 .*1300 .*1000 ",
-        r"numbers of two processes that are those of one thread: 36 of 36",
+        r"numbers of two processes that are those of one thread: 38 of 38",
     ),
     "structures": (
         # The numbers of an independent integration from event to event, at a relative tolerance of 1e-12.
