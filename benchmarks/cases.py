@@ -201,7 +201,7 @@ def _diagram(values: int, sizes: Sizes) -> Run:
     def run(number: int) -> Work:
         over = {"mu": np.linspace(0.1, 1.0, values) + 1e-4 * number}
         found = ss.nonlinear.bifurcation_diagram(
-            ON_HARMONIC, HARMONIC, over, transient=transient, kept=kept, progress=False
+            ON_HARMONIC, HARMONIC, over, transient=transient, kept=kept, longest_transient=transient, progress=False
         )  # fmt: skip
         assert not found.status.any()
         return Work(values * (transient + kept))
@@ -216,7 +216,7 @@ def _basins(side: int, sizes: Sizes) -> Run:
     def run(number: int) -> Work:
         y0 = {"position": np.linspace(-2, 2, side) + 1e-4 * number, "velocity": np.linspace(-2, 2, side)}
         found = ss.nonlinear.basins(
-            ON_HARMONIC, HARMONIC, y0=y0, transient=transient, kept=kept, progress=False
+            ON_HARMONIC, HARMONIC, y0=y0, transient=transient, kept=kept, longest_transient=transient, progress=False
         )  # fmt: skip
         assert found.basin.all()
         return Work(side * side * (transient + kept))
