@@ -18,7 +18,7 @@ class BranchEvent(NamedTuple):
     """What happens on a branch: its `kind`, the value of the `parameter` there, the point after which, and in words.
 
     Kinds: "fold", "flip", "Neimark-Sacker", "branch point", "stick appears", "stick vanishes", "slip appears", "slip
-    vanishes", "grazing"; of ends also "Hopf", "homoclinic", "endless stick", and "end" where none of these was found.
+    vanishes", "grazing"; of ends also "Hopf", and "end" where none of these was found.
     """
 
     kind: str

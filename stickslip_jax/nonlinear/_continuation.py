@@ -38,8 +38,6 @@ _TOLD = 1e-6  # of the way to `until`: the width of a bracket from which on an e
 _BEYOND = 4.0 ** np.arange(16)  # steps, by which a motion beyond the end of a branch is looked for
 _CROSSES = 0.9  # cosine of the angle between the motion and the normal of the plane where an orbit begins
 _MOVES = 1e-6  # in its period, scaled: an orbit that is no equilibrium
-_LONG = 6.0  # first periods: of an orbit whose period may grow without bound
-_LATELY = 1.0  # first periods by which it has grown, while the parameter hardly changed
 _LOOKS = (2.0, 10.0, 50.0, 250.0, 1250.0)  # steps, by which the way from a corner is found
 
 
@@ -179,8 +177,6 @@ class _Branch:
                 return
             if noted is not None:
                 self.points.append(self._rebased(noted))
-                if self._lasts_for_ever():
-                    return
                 length = min(length * (2 if noted.iterations <= _FEW else 1), _LONGEST * self._step)
                 continue
             length /= 2
@@ -235,24 +231,6 @@ class _Branch:
             kind, value, text = end
             self._end(kind, value, f"{text}, and the branch ends")
         return end is not None
-
-    def _lasts_for_ever(self) -> bool:
-        """Whether the period of an orbit that nothing drives grows without bound where the parameter hardly changes any
-        more. Ends the branch there.
-        """
-        first, last = self.points[0].found.duration, self.points[-1].found.duration
-        if self.equations.driven or last < _LONG * first:
-            return False
-        value = self.points[-1].unknowns[-1]
-        before = next(point for point in reversed(self.points) if point.found.duration < last - _LATELY * first)
-        if abs(value - before.unknowns[-1]) > _TOLD * self._scale[-1]:
-            return False
-        longest = max(self.points[-1].found.modes, key=lambda mode: mode.end - mode.start)
-        if any(longest.signs):
-            self._end("homoclinic", value, "the period grows without bound: a slip comes to rest at an equilibrium")
-        else:
-            self._end("endless stick", value, "the period grows without bound: a stick lasts for ever")
-        return True
 
     def _land(self, last: Point, found: Point) -> bool:
         """The last point, where the parameter is at the end of its range that it passed; whether it was found."""

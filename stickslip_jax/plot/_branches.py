@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 _MARKERS = {
     "fold": "s", "flip": "D", "Neimark-Sacker": "^", "branch point": "P", "stick appears": "o", "stick vanishes": "o",
-    "slip appears": "p", "slip vanishes": "p", "grazing": "v", "Hopf": "*", "homoclinic": "X", "endless stick": "X",
-    "end": "X",
+    "slip appears": "p", "slip vanishes": "p", "grazing": "v", "Hopf": "*", "end": "X",
 }  # fmt: skip
 
 

@@ -15,11 +15,10 @@ SYSTEM = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.4, mu_static=0.6, stribec
 BASE = ss.Harmonic(amplitude=0.8, angular_frequency=1.3)
 OVER = {"angular_frequency": np.linspace(0.9, 1.6, 40)}
 COMMON = {"y0": (0.3, 0.1), "transient": 4, "kept": 4, "progress": False}
-# Motions that have not settled do not go on here: how many blocks there are is asked.
-pytestmark = pytest.mark.filterwarnings("ignore:.* not settled within")
 
 
 def short(**more):
+    """Motions that have not settled do not go on here: how many blocks there are is asked."""
     given = COMMON | more
     return given | {"longest_transient": given["transient"]}
 
