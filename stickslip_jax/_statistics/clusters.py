@@ -29,9 +29,9 @@ class Clusters:
     def scale(self) -> float:
         """Factor from the standard deviation of sums over realisations to a standard error.
 
-        NaN for fewer than two realisations or values.
+        NaN for fewer than two realisations with values.
         """
-        if self.realizations < 2 or len(self.values) < 2:
+        if self.realizations < 2 or len(self.values) < 2 or self.owner.min() == self.owner.max():
             return math.nan
         return self.realizations / len(self.values) / math.sqrt(self.of_all)
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from .estimate import Estimate, RatioOfMeans
 from .source import EnsembleLike, origin_of, require_ensemble
 
+_IN_ONE = 1e-9  # relative round-off of a variance
 TOTALS = ("stick_time", "stick_count", "slip_count", "rest_time", "rest_count")
 """The totals of each sample whose means and covariances an ensemble holds: stick time (s), sticks, slips; and of the
 first two the part that is the initial rest: a stick that begins at t = 0, unless it counts (`Numbering`), else 0."""
@@ -75,7 +76,8 @@ class StatisticOfTotals:
 
         Samples are independent, the sticks of one sample are not; so the error comes from the covariance of the totals
         over samples. For the ratio ``r = n / d`` of two means its gradient is ``(grad n - r grad d) / d`` (delta
-        method; Cochran, Sampling Techniques, 1977, chapter 6). NaN where the denominator is 0.
+        method; Cochran, Sampling Techniques, 1977, chapter 6). NaN where the denominator is 0; the error also where all
+        of the events are in one sample, which tells nothing of their spread.
 
         Raises ValueError if `ensemble` is not the result of `simulate_ensemble`.
         """
@@ -92,6 +94,8 @@ class StatisticOfTotals:
         kind = RatioOfMeans(float(below[:-1] @ of_denominator) / denominator, float(gradient @ of_denominator))
         if self.denominator.is_constant:
             kind = None
+        elif kind.variance > (1 - _IN_ONE):  # as large as can be: one sample has all of the events
+            error = math.nan
         return Estimate(self.label, value, error, self.unit, moments.number, origin_of(ensemble), kind)
 
     def __repr__(self) -> str:

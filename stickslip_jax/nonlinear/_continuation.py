@@ -37,7 +37,6 @@ _CORNER = 1e-3  # step, relative to the first, over which the tangent may turn m
 _TOLD = 1e-6  # of the way to `until`: the width of a bracket from which on an event says it
 _BEYOND = 4.0 ** np.arange(16)  # steps, by which a motion beyond the end of a branch is looked for
 _CROSSES = 0.9  # cosine of the angle between the motion and the normal of the plane where an orbit begins
-_MOVES = 1e-6  # in its period, scaled: an orbit that is no equilibrium
 _LOOKS = (2.0, 10.0, 50.0, 250.0, 1250.0)  # steps, by which the way from a corner is found
 
 

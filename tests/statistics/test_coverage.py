@@ -114,6 +114,24 @@ def test_intervals_of_means_of_all_sticks():
     assert mean.without_name().endswith(f" s (95 %: {low:.4g} to {high:.4g})")
 
 
+@pytest.mark.parametrize("sticks", [1, 3])
+def test_all_sticks_in_one_sample(many, sticks):
+    """They tell nothing of their spread over samples: there is no error, rather than one of 1e-17."""
+    rng = np.random.default_rng(6)
+    samples = [[] for _ in range(20)]
+    samples[7] = [(2.0 * i, 2.0 * i + rng.uniform(), 0.0, 0) for i in range(1, sticks + 1)]
+    time = sum(end - start for start, end, *_ in samples[7])
+    rows = np.zeros((20, 5))
+    rows[7, :2] = time, sticks
+    mean = ss.mean_stick_duration(dataclasses.replace(many, moments=Moments.of(rows)))
+    for found in (mean, statistics_of(sticks_from(samples), t1=40.0, rest=True).duration.mean):
+        assert found.value == pytest.approx(time / sticks)
+        assert math.isnan(found.standard_error)
+        assert np.all(np.isnan(found.interval()))
+    rows[8, :2] = 0.5, 1
+    assert ss.mean_stick_duration(dataclasses.replace(many, moments=Moments.of(rows))).standard_error > 0
+
+
 @pytest.mark.parametrize("having", [0, 1, 13, 20])
 def test_intervals_of_shares_are_exact(having):
     """As scipy's of Clopper and Pearson; where all have it, not all need to."""
