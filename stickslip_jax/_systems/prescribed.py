@@ -21,7 +21,7 @@ from .._types import Array, DType, FloatArray, Number, Scalar
 from .series_spring import BehindSpring, SpeedBehindSpring
 
 _FEW, _EACH = 2**20, 64  # steps that are allowed, and those for each time and point of a record
-_LEAST = 1e-19  # of the time: steps so short lead nowhere
+_LEAST = 1e-18  # of the time: steps so short lead nowhere
 _PIECES, _FEWEST = 16, 10  # of a period, in which its velocity has one extreme at most; and where their number is given
 _MOST_PIECES = 2**22
 _MOST = 2**31 - 1  # steps that 32 bits count
