@@ -1,6 +1,7 @@
 """A system with several contacts under its excitation: the `SwitchedModel` that follows from its friction forces."""
 
 import abc
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -20,6 +21,7 @@ from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedMo
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
 _MOMENT_ULPS = 16  # the moment after which a contact that closes has a normal force
 _CLOCK_ULPS = 4  # the round-off of times, in units in the last place
+_TOUCH_ULPS = 8  # of a normal force: one that only touches zero neither opens nor closes its contact
 
 
 class Instant(NamedTuple):
@@ -61,8 +63,9 @@ class ContactsModel(SwitchedModel[F]):
     frequency or decay rate of the system, rad/s.
 
     Where normal forces vary, the sign of each of them follows the modes of the contacts, as if it were the mode of one
-    more contact that never sticks: +1 closed, -1 open. Its guard is the normal force, with this sign. An open contact
-    has no friction and nothing that ends its mode but its closing; the sign of its own mode means nothing.
+    more contact that never sticks: +1 closed, -1 open. Its guard is the normal force, with this sign, and its round-off
+    more. An open contact has no friction and nothing that ends its mode but its closing; the sign of its own mode means
+    nothing.
     """
 
     solver: ExplicitSolver
@@ -133,6 +136,12 @@ class ContactsModel(SwitchedModel[F]):
         """The sizes of the terms that add up to `varying_normal_forces`; asked only where some do."""
         raise NotImplementedError("of models in which none does")
 
+    def _touch(self, forcing: F, y: State) -> FloatArray:
+        """The round-off of the normal forces that vary, and 0 for the others, N, (contacts,)."""
+        size = self.normal_scale(forcing, y)
+        none = jnp.zeros(self.contacts or 0, size.dtype)
+        return none.at[np.array(self.varying)].set(_TOUCH_ULPS * jnp.finfo(size.dtype).eps * size)
+
     def _own(self, of_modes: Array) -> Array:
         """Of the modes, those of the contacts."""
         return of_modes[: len(of_modes) - len(self.varying)]
@@ -191,17 +200,20 @@ class ContactsModel(SwitchedModel[F]):
 
         def of(now: InMode) -> FloatArray:
             if now.normal is not None:
+                touch = self._touch(forcing, y)
                 slips = jnp.where(self._is_open(sign), 1, own * now.velocity)
-                contacts = jnp.where(own == 0, _bounded_guard(now.limit, now.force), slips)
-                return jnp.concatenate([contacts, sign[len(own) :] * now.normal])
+                contacts = jnp.where(own == 0, _bounded_guard(now.limit + touch, now.force), slips)
+                return jnp.concatenate([contacts, sign[len(own) :] * now.normal + touch[np.array(self.varying)]])
             can = now.limit > 0
             share = jnp.where(can, now.force / jnp.where(can, now.limit, 1), 0)
             return jnp.where(own == 0, jnp.where(can, 1 - share * share, -1), own * now.velocity)
 
         guard, rate = jax.jvp(of, (now,), (change,))
+        if now.normal is None or change.normal is None:
+            return guard, rate
         # A normal force that is and stays zero: the contact stays open.
-        is_normal = self._with_normal(jnp.zeros_like(own, bool), True)
-        return jnp.where(is_normal & (guard == 0) & (rate == 0), 1, guard), rate
+        stays = self._with_normal(jnp.zeros(len(own), bool), (now.normal == 0) & (change.normal == 0))
+        return jnp.where(stays, 1, guard), rate
 
     def in_mode(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
         """What the guards of the mode `sign` are made of, and its time derivative."""
@@ -237,16 +249,21 @@ class ContactsModel(SwitchedModel[F]):
     def _normal_sign(self, forcing: F, y: State) -> FloatArray:
         """The sign of each varying normal force right after `tau` 0; -1 where it stays zero."""
         none = jnp.zeros((), y[0].dtype)
-        # Relative velocities may jump here, and the rates of the state with them: they are those of the base alone.
-        rates = self.instant(forcing, none, y).rates
 
-        def at(tau, y):
-            return self.varying_normal_forces(forcing, tau, y)
+        def moving(tau: FloatScalar, y: State) -> tuple[FloatScalar, State]:
+            # Relative velocities may jump here, and the rates of the state with them: they are those of the base alone.
+            return jnp.ones_like(tau), self.instant(forcing, tau, y).rates
 
-        value, rate = jax.jvp(at, (none, y), (jnp.ones_like(none), rates))
+        def with_rate(tau: FloatScalar, y: State) -> tuple[FloatArray, FloatArray]:
+            return jax.jvp(partial(self.varying_normal_forces, forcing), (tau, y), moving(tau, y))
+
+        (value, rate), (_, bend) = jax.jvp(with_rate, (none, y), moving(none, y))
         eps = jnp.finfo(y[0].dtype).eps
         noise = eps * (NOISE_ULPS * self.normal_scale(forcing, y) + _CLOCK_ULPS * self.time(forcing) * jnp.abs(rate))
-        return jnp.where(jnp.where(jnp.abs(value) <= noise, rate, value) > 0, 1, -1).astype(y[0].dtype)
+        # Within this of its least value, a force with the curvature `bend` has at most the rate sqrt(4 noise bend).
+        touches = rate * rate <= 4 * noise * jnp.abs(bend)
+        decides = jnp.where(jnp.abs(value) > noise, value, jnp.where(touches, bend, rate))
+        return jnp.where(decides > 0, 1, -1).astype(y[0].dtype)
 
     def after(
         self, forcing: F, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
@@ -277,6 +294,9 @@ class ContactsModel(SwitchedModel[F]):
             moment = _MOMENT_ULPS * eps * (self.time(forcing) + jnp.minimum(1 / self.fastest, 1))
             later = tuple(value + moment * change for value, change in zip(y, now.rates, strict=True))
         limits = self._limits(forcing, moment, later, jnp.where(question.asked, 0, now.velocity), modes)
+        if self.varying:  # nor does one whose normal force only touches zero let go of a stick that needs no friction
+            touches = question.goes_on & ~self._is_open(modes) & (limits.largest == 0)
+            limits = Limits(*(jnp.where(touches, self._touch(forcing, y), force) for force in limits))
         slack = eps * (NOISE_ULPS + _CLOCK_ULPS * self.time(forcing) * jnp.abs(rate))
         found = settled(now.gain, now.drift, limits, question, _finite(slack))
         guard = jnp.where(jnp.abs(found.share) < jnp.inf, 1 - found.share**2, -1)

@@ -103,8 +103,15 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
 
     def normal_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
         t, base = self._base_at(forcing, jnp.zeros_like(y[0]))
-        normal, slopes = self._normal(forcing, t, y, base), jax.jacrev(lambda y: self._normal(forcing, t, y, base))(y)
-        return jnp.abs(normal) + sum(jnp.abs(slope * value) for slope, value in zip(slopes, y, strict=True))
+
+        def rate(t: FloatScalar) -> FloatArray:
+            return jax.jvp(lambda t: self._normal(forcing, t, y, base), (t,), (jnp.ones_like(t),))[1]
+
+        # What oscillates in time is as large as its curvature says where it is zero.
+        bend = jax.jvp(rate, (t,), (jnp.ones_like(t),))[1] / self.fastest**2
+        slopes = jax.jacrev(lambda numbers: self._normal(forcing, t, *numbers))((y, base))
+        terms = jax.tree.map(lambda slope, number: jnp.abs(slope * number), slopes, (y, base))
+        return jnp.abs(self._normal(forcing, t, y, base)) + jnp.abs(bend) + sum(jax.tree.leaves(terms))
 
     def velocity_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
         t, base = self._base_at(forcing, jnp.zeros_like(y[0]))

@@ -1,6 +1,7 @@
 """Normal forces of contacts: numbers, or functions of time."""
 
 import dataclasses
+import math
 from typing import Any, TypeAlias, cast
 
 import jax.numpy as jnp
@@ -87,23 +88,29 @@ def power_series_of(
     return first
 
 
-def size_of(normal_force: NormalForce, value: FloatScalar) -> FloatScalar:
-    """The size of the terms that add up to its `value`: the scale of its round-off where it passes zero."""
-    if isinstance(normal_force, _PIECES):
-        return jnp.max(jnp.abs(jnp.asarray(normal_force.values, value.dtype)))
-    if isinstance(normal_force, Signal) and normal_force.is_harmonic:
-        tones: Any = normal_force
-        amplitudes = jnp.atleast_1d(jnp.asarray(tones.tones[0], value.dtype))
-        return jnp.sum(jnp.abs(amplitudes)) + jnp.abs(jnp.asarray(tones.mean, value.dtype))
-    return jnp.abs(value)
+def size_of(normal_force: NormalForce, t: FloatScalar) -> FloatScalar:
+    """The size of the terms that add up to its value at the time `t` (s): the scale of its round-off at zero."""
+    largest = largest_of(normal_force)
+    if largest is not None:
+        return jnp.asarray(largest, t.dtype)
+    signal = cast(Signal, normal_force)
+    radian = 0.0 if signal.shortest_period is None else jnp.minimum(signal.shortest_period / (2 * math.pi), jnp.abs(t))
+    # What oscillates is as large as its curvature says where it is zero.
+    return jnp.abs(signal.value(t)) + jnp.abs(signal.curvature(t)) * radian**2
 
 
 def largest_of(normal_force: NormalForce) -> Scalar | None:
     """The largest size that it has at any time, N, or an upper bound of it; None where that is not known."""
-    if isinstance(normal_force, Signal) and not normal_force.is_harmonic:
+    if isinstance(normal_force, _PIECES):
+        return jnp.max(jnp.abs(jnp.asarray(normal_force.values, float)))
+    if not isinstance(normal_force, Signal):
+        return jnp.abs(jnp.asarray(normal_force, float))
+    if not normal_force.is_harmonic:
         return None
-    number = jnp.zeros(()) if is_function(normal_force) else jnp.asarray(normal_force, float)
-    return size_of(normal_force, number)
+    tones: Any = normal_force
+    return jnp.sum(jnp.abs(jnp.atleast_1d(jnp.asarray(tones.tones[0], float)))) + jnp.abs(
+        jnp.asarray(tones.mean, float)
+    )
 
 
 def periods_of(normal_forces: tuple[NormalForce, ...]) -> dict[str, Scalar | None]:

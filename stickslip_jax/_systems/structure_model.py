@@ -144,8 +144,7 @@ class StructureModel(ContactsModel[StructureForcing]):
         return self._normal_forces(forcing, tau)[np.array(self.varying)]
 
     def normal_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
-        now = self._normal_forces(forcing, jnp.zeros_like(forcing.t))
-        return jnp.stack([size_of(self.structure.normal_forces[number], now[number]) for number in self.varying])
+        return jnp.stack([size_of(self.structure.normal_forces[number], forcing.t) for number in self.varying])
 
     def normal_forces_at(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> FloatArray:
         return self._normal_forces(forcing, tau)

@@ -20,9 +20,9 @@ from ._attractors import Attractor, dense, matched
 from ._cases import Cases, cases_of
 from ._following import follow
 from ._labeled import START, dataset_of, names_of
+from ._recurrence import RECURS
 from ._settling import checked_periods, settled
 from ._stored import Folder, kept_in
-from ._stroboscopic import RECURS
 from ._warnings import warn_of_none, warn_of_unfinished
 
 if TYPE_CHECKING:

@@ -9,9 +9,10 @@ from .._systems.system import System
 from .._types import Scalar
 from ._cases import Over, cases_of
 from ._following import follow, follow_along
+from ._recurrence import RECURS
 from ._settling import checked_periods, settled
 from ._stored import Folder, kept_in
-from ._stroboscopic import RECURS, section_of
+from ._stroboscopic import section_of
 from ._warnings import warn_of_unfinished
 
 if TYPE_CHECKING:

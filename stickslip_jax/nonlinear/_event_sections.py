@@ -25,8 +25,9 @@ from ._cases import Cases, Over, cases_of, checked_numbers
 from ._cycle import Cycle
 from ._following import in_blocks
 from ._labeled import dataset_of, on_grid, outcome_of, states_of
+from ._recurrence import RECURS, UNSETTLED, recurrence
 from ._stored import Folder, kept_in
-from ._warnings import warn_of_missing, warn_of_unfinished
+from ._warnings import warn_of_missing, warn_of_unfinished, warn_of_unsettled
 
 if TYPE_CHECKING:
     import xarray
@@ -35,6 +36,7 @@ EVENT = "event"
 ModeEvent = Literal["stick_start", "stick_end", "slip_forward", "slip_backward"]
 _SLOTS = 16  # for passages of a coordinate in one period; more are made where there are more
 _NEWTON = 24
+_NEAR = 1e-4  # of a step: Newton's steps then square it
 _MOST_PERIODS = 20  # for each event asked for
 
 
@@ -122,8 +124,10 @@ def event_section(
     Returns:
         ``time`` (s) and the numbers of the state at each event, with dimensions of the parameters, "start" if there are
         several, and "event", its number; NaN for events that were not found within twenty periods for each that is
-        asked for. Of each case ``event_count``, how many of these and of those before were found, ``status`` and
-        ``near_grazing_count``. Warns (RuntimeWarning) of cases with too few events, and of those not followed to the
+        asked for. Of each case ``recurrence``, the number of events after which state and phase of the period recur
+        (0: none is found; -1: they still come nearer to those of an orbit, or leave it: the motion has not settled),
+        ``event_count``, how many of these and of those before were found, ``status`` and ``near_grazing_count``. Warns
+        (RuntimeWarning) of cases that have not settled, of those with too few events, and of those not followed to the
         end. A coordinate that passes the value and comes back within one time step is missed.
 
     Raises:
@@ -154,7 +158,10 @@ def event_section(
     warn_of_missing(int(np.sum(missing)), len(missing), most, stacklevel=3)
     # A case goes on while others of its block do: what it then finds does not count.
     number = np.minimum(found.buffer.number, transient + kept)
-    return _labeled(cases, found._replace(buffer=found.buffer._replace(number=number)), transient)
+    recurs = _recurrence(cases, np.asarray(found.buffer.times), np.asarray(found.buffer.states))
+    if transient:
+        warn_of_unsettled(recurs == UNSETTLED, transient + kept, "A larger transient lets", stacklevel=3, what="events")
+    return _labeled(cases, found._replace(buffer=found.buffer._replace(number=number)), recurs, transient)
 
 
 class _Event(NamedTuple):
@@ -288,10 +295,11 @@ def _passages(
             is_before = (value < 0) == rises
             low, high = jnp.where(is_before, h, low), jnp.where(is_before, high, h)
             newton = h - value / jnp.where(rate == 0, 1, rate)
-            inside = (newton >= low) & (newton <= high) & (rate != 0)
-            return low, high, jnp.where(inside, newton, (low + high) / 2)
+            # Beyond what is known by a hair: it has converged, but for round-off.
+            inside = (newton >= low - near) & (newton <= high + near) & (rate != 0)
+            return low, high, jnp.where(inside, jnp.clip(newton, low, high), (low + high) / 2)
 
-        zero = jnp.zeros_like(lengths[step])
+        zero, near = jnp.zeros_like(lengths[step]), _NEAR * lengths[step]
         _, _, h = lax.fori_loop(0, _NEWTON, closer, (zero, lengths[step], lengths[step] / 2))
         return here.t + h, jnp.stack(model.numbers(state_in_step(model, here, h)))
 
@@ -305,13 +313,23 @@ def _beyond(numbers: FloatArray, event: _Event) -> FloatArray:
     return beyond if event.turn is None else beyond - event.turn * jnp.round(beyond / event.turn)
 
 
-def _labeled(cases: Cases, found: _Found, transient: int) -> "xarray.Dataset":
+def _recurrence(cases: Cases, times: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """After how many events the state recurs, and where motions drive the system its phase, (cases,)."""
+    turns = tuple(coordinate.period for coordinate in cases.system.coordinates)
+    if cases.driven:
+        phase = times / np.reshape(np.asarray(cases.cycle.duration), (-1, 1))
+        states, turns = np.concatenate([states, phase[..., None]], axis=-1), (*turns, 1.0)
+    return recurrence(states, np.max(np.abs(states), axis=1), RECURS, turns)
+
+
+def _labeled(cases: Cases, found: _Found, recurs: np.ndarray, transient: int) -> "xarray.Dataset":
     times = np.asarray(found.buffer.times)
     numbers = np.arange(transient + 1, transient + times.shape[1] + 1)
     coordinates: Entries = {EVENT: (EVENT, numbers, {"long_name": "number of the event"})}
     variables: Entries = {
         "time": on_grid(cases, times, "time of the event", "s", (EVENT,)),
         **states_of(cases, np.asarray(found.buffer.states), (EVENT,), "at the event"),
+        "recurrence": on_grid(cases, recurs, "number of events after which the motion repeats itself"),
         "event_count": on_grid(cases, found.buffer.number, "number of events found"),
         **outcome_of(cases, np.asarray(found.status), np.asarray(found.near_grazing_count)),
     }

@@ -21,8 +21,9 @@ from ._cases import Cases, Over, cases_of, checked_numbers
 from ._cycle import Cycle
 from ._following import in_blocks
 from ._labeled import CYCLE, START, dataset_of, dimensions_of, on_grid, outcome_of
+from ._recurrence import RECURS, UNSETTLED, recurrence
 from ._stored import Folder, kept_in
-from ._warnings import warn_of_unfinished
+from ._warnings import warn_of_unfinished, warn_of_unsettled
 
 if TYPE_CHECKING:
     import xarray
@@ -35,15 +36,16 @@ _ROUND_OFF = 1e3  # units in the last place: what is left of a direction that a 
 
 class Stretched(NamedTuple):
     """Of each case: the mean logarithm of the stretch of each direction in a period up to each checkpoint, (cases,
-    checkpoints, exponents), the `Status`, and how often round-off decided (cases,).
+    checkpoints, exponents), the states there, the `Status`, and how often round-off decided (cases,).
     """
 
     means: Array
+    states: Array
     status: Array
     near_grazing_count: Array
 
 
-_STRETCHED = Stretched(0, 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
+_STRETCHED = Stretched(0, 0, 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
 
 
 class _Carry(NamedTuple):
@@ -92,8 +94,9 @@ def lyapunov_exponents(
         ``lyapunov_exponent`` (1/s) with the dimensions of the parameters, "start" if there are several, and "exponent",
         from the largest on. ``running_exponent``: the same up to the period "cycle", for a curve of convergence. With
         several starts ``mean_exponent`` and ``mean_exponent_error``, its standard error over the starts (NaN where one
-        is minus infinity). Of each case ``status`` and ``near_grazing_count``. Warns (RuntimeWarning) of cases that
-        were not followed to the end; they hold NaN.
+        is minus infinity). Of each case ``settled``, False where its states still come nearer to an orbit or leave one
+        (the exponents are then not yet those of what it settles on), ``status`` and ``near_grazing_count``. Warns
+        (RuntimeWarning) of cases that have not settled, and of those not followed to the end; these hold NaN.
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
@@ -111,11 +114,15 @@ def lyapunov_exponents(
         counts = (jnp.asarray(n, jnp.int32) for n in (max(transient - _ALIGNED, 0), min(transient, _ALIGNED), every))
         return _stretch(cycle, starts, *counts, checkpoints=checkpoints, number=number)
 
-    what = {"function": "lyapunov_exponents", "exponents": number, "transient": transient, "kept": kept}
+    what = {"function": "lyapunov_exponents with states", "exponents": number, "transient": transient, "kept": kept}
     with kept_in(folder, cases, what) as stored:
         found = in_blocks(cases, run, _STRETCHED, progress, stored)
     warn_of_unfinished(found.status, stacklevel=3)
-    return _labeled(cases, found, transient + every * np.arange(1, checkpoints + 1))
+    states, turns = np.asarray(found.states), tuple(coordinate.period for coordinate in cases.system.coordinates)
+    settled = recurrence(states, np.max(np.abs(states), axis=1), RECURS, turns) != UNSETTLED
+    if transient:
+        warn_of_unsettled(~settled, transient + kept, "A larger transient lets", stacklevel=3)
+    return _labeled(cases, found, settled, transient + every * np.arange(1, checkpoints + 1))
 
 
 @eqx.filter_jit
@@ -134,14 +141,14 @@ def _stretch(
     carry = over_periods(_stretched, carry, aligned)
     carry = carry._replace(sums=jnp.zeros_like(carry.sums))
 
-    def until_checkpoint(carry: _Carry, _: None) -> tuple[_Carry, Array]:
+    def until_checkpoint(carry: _Carry, _: None) -> tuple[_Carry, tuple[Array, Array]]:
         carry = over_periods(_stretched, carry, every)
-        return carry, carry.sums
+        return carry, (carry.sums, carry.y)
 
-    carry, sums = lax.scan(until_checkpoint, carry, length=checkpoints)
+    carry, (sums, states) = lax.scan(until_checkpoint, carry, length=checkpoints)
     periods = every * jnp.arange(1, checkpoints + 1)
     means = jnp.moveaxis(sums / periods[:, None, None], 0, 1) / jnp.asarray(cycle.duration)[:, None, None]
-    return Stretched(means, carry.status, carry.near_grazing_count)
+    return Stretched(means, jnp.moveaxis(states, 0, 1), carry.status, carry.near_grazing_count)
 
 
 def _outcome(carry: _Carry, y: FloatArray, status: IntArray, near_grazing_count: IntArray) -> _Carry:
@@ -185,13 +192,14 @@ def stretches(moved: FloatArray, sticks: BoolScalar) -> tuple[FloatArray, FloatA
     return directions, jnp.where(gone, -jnp.inf, jnp.log(lengths))
 
 
-def _labeled(cases: Cases, found: Stretched, numbers: np.ndarray) -> "xarray.Dataset":
+def _labeled(cases: Cases, found: Stretched, settled: np.ndarray, numbers: np.ndarray) -> "xarray.Dataset":
     means = np.asarray(found.means)
     # The stretches of the first directions are the largest only in the long run: equal ones may come in any order.
     last = -np.sort(-means[:, -1], axis=-1)
     variables: Entries = {
         "lyapunov_exponent": on_grid(cases, last, "Lyapunov exponent", "1/s", (EXPONENT,)),
         "running_exponent": on_grid(cases, means, "Lyapunov exponent up to the period", "1/s", (CYCLE, EXPONENT)),
+        "settled": on_grid(cases, settled, "whether the motion has settled"),
         "period": on_grid(cases, cases.cycle.duration, "period", "s"),
         **outcome_of(cases, np.asarray(found.status), np.asarray(found.near_grazing_count)),
     }

@@ -11,7 +11,12 @@ _SYSTEMATIC = 0.9  # of the differences: smaller than those before, or larger
 _FAST = 0.1  # of the largest in the first half: those of the second half
 _FAR_LESS = 1e-2  # of the differences of all smaller numbers of returns, which change
 _LEFT = 0.5  # tolerances: the way that is left
+_RETURNS = 1, 2, 3, 4, 5, 6, 8  # of orbits near which a motion may turn
+_FITS = 0.003  # of each difference: what an affine map may leave of it
+_SHRINKS = 0.05  # the least change of differences over what is seen, as a logarithm
+_RANK = 1e-6  # of the largest singular value: directions in which the motion does not turn
 UNSETTLED = -1
+RECURS = 1e-6  # relative: states this near are the same
 
 
 def recurrence(
@@ -25,8 +30,8 @@ def recurrence(
     coordinates), or to round-off: other cases, which may be far larger, do not matter. `periods`: of coordinates that
     turn. A motion that still comes nearer to its attractor, or leaves an orbit that is unstable, has not settled: the
     differences of the number of returns for which they are smallest still fall, or grow, return after return; if they
-    are within the tolerance, by more than it until they were to have fallen to zero. Of fewer than eight returns this
-    is not seen.
+    are within the tolerance, by more than it until they were to have fallen to zero; or it turns about the orbit (see
+    `_turning`). Of fewer than eight returns this is not seen.
     """
     found = np.zeros(len(states), int)
     recurring: list[np.ndarray] = []
@@ -49,19 +54,26 @@ def recurrence(
         is_changing = np.where(size < least, changes & (size > 0), is_changing)
         least = np.fmin(size, least)
     found = np.where((found == 0) & (~is_changing | (late_size < _FAR_LESS * least)), late, found)
-    return np.where((found == 0) & is_changing, UNSETTLED, found)
+    found = np.where((found == 0) & is_changing, UNSETTLED, found)
+    (others,) = np.nonzero(found == 0)
+    for _, number in _turning(states[others], sizes[others], tolerance, periods):
+        found[others[np.isfinite(number)]] = UNSETTLED
+    return found
 
 
 def approached(
     states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
 ) -> list[tuple[int, float]]:
-    """The numbers of returns of one motion, (returns, coordinates), whose differences fall, and these (tolerances)."""
+    """The numbers of returns of the orbits to which one motion, (returns, coordinates), comes nearer, and how far it
+    may still be from them (tolerances).
+    """
     found = []
     for number, error in _differences(states[None], sizes[None], tolerance, periods):
         size, _, changes = _tendency(error, number)
         if changes[0] and 0 < size[0] < np.max(error):
             found.append((number, float(size[0])))
-    return found
+    turning = _turning(states[None], sizes[None], tolerance, periods)
+    return found + [(number, float(left[0])) for number, left in turning if np.isfinite(left[0])]
 
 
 def _differences(
@@ -70,17 +82,58 @@ def _differences(
     """Each number of returns, and how far the states are from those so many returns later, in tolerances, (cases,
     returns); 0 for round-off.
     """
+    smallest, limit = _limits(states, sizes, tolerance, periods)
+    for number in range(1, states.shape[1] // 2 + 1):
+        change = np.abs(_changes(states, number, periods))
+        yield number, np.max(np.where(change <= smallest, 0, change) / limit, axis=2)
+
+
+def _limits(
+    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of each case and coordinate the round-off, and the tolerance or the round-off, (cases, 1, coordinates)."""
     turns = np.array([period is not None for period in periods])
     scale = np.where(turns, 1.0, np.fmax(sizes, np.max(np.abs(states), axis=1)))
     smallest = _ROUND_OFF * np.finfo(states.dtype).eps * np.max(scale, axis=1, keepdims=True)
     limit = np.fmax(tolerance * scale, smallest)[:, None]
-    limit = np.where(limit > 0, limit, 1)  # of a motion that has always been at zero
-    for number in range(1, states.shape[1] // 2 + 1):
-        change = np.abs(states[:, number:] - states[:, :-number])
-        for column, period in enumerate(periods):
-            if period:
-                change[..., column] = np.minimum(change[..., column] % period, -change[..., column] % period)
-        yield number, np.max(np.where(change <= smallest[:, None], 0, change) / limit, axis=2)
+    return smallest[:, None], np.where(limit > 0, limit, 1)  # 1: of a motion that has always been at zero
+
+
+def _changes(states: np.ndarray, number: int, periods: tuple[float | None, ...]) -> np.ndarray:
+    """From each of the states to that so many returns later, of coordinates that turn the shorter way."""
+    change = states[:, number:] - states[:, :-number]
+    turns = np.array([period or np.inf for period in periods])
+    return change - np.where(np.isfinite(turns), turns, 0) * np.round(change / turns)
+
+
+def _turning(
+    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Numbers of returns, and how far states are from the orbit of so many that they turn about, in tolerances, (cases,
+    ); infinity where they do not.
+
+    Near an orbit the return map is affine: each difference of states is a matrix times the one before. It is found by
+    least squares from the second half of the states; where it leaves nearly nothing of any difference, and its largest
+    multiplier says that differences fall or grow, the motion has not settled, however the multiplier turns them.
+    """
+    smallest, limit = _limits(states, sizes, tolerance, periods)
+    for number in _RETURNS:
+        some = states[:, ::-1][:, ::number][:, ::-1]
+        some = some[:, some.shape[1] // 2 :]
+        if not len(states) or some.shape[1] < max(_LEAST, 2 * some.shape[2] + 2):
+            continue
+        change = _changes(some, 1, periods)
+        change = np.where(np.abs(change) <= smallest, 0, change)
+        moves = np.all(np.any(change != 0, axis=2), axis=1) & np.all(np.isfinite(change), axis=(1, 2))
+        change = np.where(moves[:, None, None], change / limit, 1)
+        before, after = change[:, :-1], change[:, 1:]
+        matrix = np.linalg.pinv(before, rcond=_RANK) @ after
+        rest, size = (np.max(np.abs(values), axis=2) for values in (after - before @ matrix, before))
+        largest = np.max(np.abs(np.linalg.eigvals(matrix)), axis=1)
+        shrinks = np.abs(np.log(np.where(largest == 0, 1, largest))) * after.shape[1] >= _SHRINKS
+        to_orbit = np.linalg.pinv(np.eye(matrix.shape[-1]) - matrix)
+        left = np.max(np.abs(change[:, -1:] @ to_orbit), axis=(1, 2))
+        yield number, np.where(moves & shrinks & np.all(rest <= _FITS * size, axis=1), left, np.inf)
 
 
 def _tendency(error: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -66,7 +66,8 @@ def settled(
         for case in np.flatnonzero(found == UNSETTLED)[:_MOST_ORBITS]:
             found[case] = _by_orbits(cases, int(case), states[case], sizes[case], tolerance)
     if longest > transient:
-        warn_of_unsettled(int(np.sum(found == UNSETTLED)), len(found), int(transient + np.max(more)), stacklevel + 1)
+        so_far = int(transient + np.max(more))
+        warn_of_unsettled(found == UNSETTLED, so_far, "A larger longest_transient lets", stacklevel + 1)
     return seen, found, more
 
 

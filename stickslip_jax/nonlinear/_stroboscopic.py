@@ -13,6 +13,7 @@ from .._types import Scalar
 from ._cases import Cases, Over, cases_of
 from ._following import Seen, follow
 from ._labeled import CYCLE, dataset_of, on_grid, outcome_of, states_of
+from ._recurrence import RECURS
 from ._settling import checked_periods, settled
 from ._stored import Folder, kept_in
 from ._warnings import warn_of_unfinished
@@ -20,7 +21,6 @@ from ._warnings import warn_of_unfinished
 if TYPE_CHECKING:
     import xarray
 
-RECURS = 1e-6
 CONTACT = "contact"
 
 

@@ -24,12 +24,12 @@ def warn_of_unfinished(status: object, stacklevel: int) -> None:
         )
 
 
-def warn_of_unsettled(number: int, cases: int, periods: int, stacklevel: int) -> None:
-    """Warn (RuntimeWarning) of motions that have not settled."""
-    if number:
+def warn_of_unsettled(unsettled: np.ndarray, so_far: int, more: str, stacklevel: int, *, what: str = "periods") -> None:
+    """Warn (RuntimeWarning) of the cases that are `unsettled`; `more` begins the sentence on what lets them go on."""
+    if np.any(unsettled):
         warnings.warn(
-            f"{number} of {cases} motions have not settled within {periods} periods: differences between their returns "
-            "still fall or grow, and their recurrence is -1. A larger longest_transient lets them go on; near a "
+            f"{np.sum(unsettled)} of {np.size(unsettled)} motions have not settled within {so_far} {what}: differences "
+            f"between their returns still fall or grow, which the result says of each. {more} them go on; near a "
             "bifurcation that may take very long.",
             RuntimeWarning,
             stacklevel=stacklevel,

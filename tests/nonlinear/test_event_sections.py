@@ -136,6 +136,18 @@ def test_an_angle_does_not_pass_its_value_half_a_turn_away():
     np.testing.assert_allclose(section.angle, 1.0, atol=1e-12)
 
 
+def test_events_that_have_not_settled_are_told():
+    """A spring whose motion falls by exp(-0.048) in a period of the force: to 1e-6 of it in 290 of them."""
+    slow = {"system": ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0), 0.02, force=ss.Harmonic(1.0, 1.3))}
+    how = {"base": ss.Constant(0.0), "of": nonlinear.Crossing("velocity"), "kept": 50, "progress": False}
+    with pytest.warns(RuntimeWarning, match="1 of 1 motions have not settled within 150 events.* A larger transient"):
+        found = nonlinear.event_section(**slow, **how, transient=100)
+    assert int(found.recurrence) == -1
+    np.testing.assert_allclose(found.velocity, 0, atol=1e-13)
+    nonlinear.event_section(**slow, **how, transient=0)  # as it begins: asked for, and no warning
+    assert int(nonlinear.event_section(**slow, **how, transient=500).recurrence) == 1
+
+
 def test_events_that_are_missing_are_told():
     with pytest.warns(RuntimeWarning, match="In 1 of 2 cases fewer events were found in 60 periods"):
         section = nonlinear.event_section(

@@ -104,6 +104,34 @@ def test_start_as_a_parameter_is_followed():
     np.testing.assert_allclose(section.position[1], alone.position, rtol=1e-12)
 
 
+@pytest.mark.parametrize("returns", [20, 50, 100, 200])
+@pytest.mark.parametrize("multiplier", [0.8, 0.95, 0.99, 0.999])
+def test_motions_that_turn_about_an_orbit_have_not_settled(multiplier, returns):
+    """``z -> multiplier exp(2 pi i r) z`` and its image by a nearly linear map, for 200 rotations r: each is told."""
+    if returns * (1 - multiplier) < 0.15:  # where it is hardly seen
+        return
+    k, turns = np.arange(returns), np.random.default_rng(1).uniform(0, 1, 200)
+    z = 1e-3 * multiplier**k * np.exp(2j * np.pi * turns[:, None] * k)
+    states = np.stack([1 + z.real + 0.3 * z.imag, z.imag + z.real * z.imag], axis=-1)
+    assert np.all(recurrence(states, np.ones((200, 2)), 1e-9, (None, None)) == -1)
+
+
+def test_motions_on_a_closed_curve_and_chaos_have_settled():
+    """Few are taken for others: those that move slowly along the curve look like a motion that comes nearer."""
+    k, source = np.arange(100), np.random.default_rng(2)
+    turn = 2 * np.pi * (source.uniform(0, 1, (400, 1)) + source.uniform(0, 1, (400, 1)) * k)
+    curve = np.stack([np.cos(turn) + 0.1 * np.cos(2 * turn), np.sin(turn)], axis=-1)
+    x, y = source.uniform(-0.1, 0.1, (2, 400))
+    points = []
+    for _ in range(200):  # the map of Henon
+        x, y = 1 - 1.4 * x * x + y, 0.3 * x
+        points.append(np.stack([x, y], axis=-1))
+    for states in (curve, np.stack(points[100:], axis=1)):
+        found = recurrence(states, np.ones((400, 2)), 1e-6, (None, None))
+        assert np.mean(found == -1) < 0.04
+        assert np.mean(found == 0) > 0.95
+
+
 def test_recurrence_is_the_smallest_period():
     numbers = np.arange(12)
     states = np.stack([0.3 + 0 * numbers, numbers % 3.0, numbers % 4.0, numbers**2.0])[..., None]

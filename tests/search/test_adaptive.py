@@ -43,14 +43,17 @@ def friction(shape, mu, width):
 def by_radau(numbers, shape, rtol=1e-9):
     m, k, n, mu, c, width, speed, tone, offset, x, v = numbers
     coefficient, inner_rate = friction(shape, mu, width)
+    numbers = 3 if shape == "LuGre" else 2
 
     def rates(t, y):
-        slip = y[1] - speed * math.cos(tone * t) - offset
-        return [y[1], (-k * y[0] - c * y[1] - n * coefficient(slip, y[2])) / m, inner_rate(slip, y[2])]
+        slip, inner = y[1] - speed * math.cos(tone * t) - offset, y[-1]
+        all_of_them = [y[1], (-k * y[0] - c * y[1] - n * coefficient(slip, inner)) / m, inner_rate(slip, inner)]
+        return all_of_them[:numbers]
 
     scale = mu * n / math.sqrt(k * m) + abs(v)
     tolerance = np.array([*[scale * min(1.0, math.sqrt(m / k))] * 2, mu * width / STIFFNESS]) * rtol / 10
-    solved = solve_ivp(rates, (0.0, T1), (x, v, 0.0), "Radau", rtol=rtol, atol=tolerance, max_step=0.05)
+    start = np.array([x, v, 0.0])
+    solved = solve_ivp(rates, (0.0, T1), start[:numbers], "Radau", rtol=rtol, atol=tolerance[:numbers], max_step=0.05)
     return solved.y[:2, -1], np.max(np.abs(solved.y[:2]), axis=1)
 
 

@@ -1,6 +1,7 @@
 """A `MassSpring` whose normal force is a function of time: closed forms, one that is constant, a structure."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -44,6 +45,102 @@ def test_a_lifted_mass_swings_freely():
     assert end == pytest.approx(x * np.cos(16.0) + v / 2 * np.sin(16.0), abs=1e-10)
     assert rate == pytest.approx(-2 * x * np.sin(16.0) + v * np.cos(16.0), abs=1e-10)
     assert np.all(np.asarray(one.sticks.end)[np.asarray(one.sticks.mask)] <= 2.0)
+
+
+class Touching(ss.Signal):
+    """``1 + cos(t)``, of which no amplitude is known."""
+
+    shortest_period = 2 * np.pi  # pyright: ignore[reportAssignmentType]
+
+    def value(self, t):
+        return 1 + jnp.cos(t)
+
+
+class TwoBlocks(ss.SwitchedSystem):
+    """Two masses on springs; the normal force of one touches zero, that of the other is what the first presses."""
+
+    contacts, shortest_time = 2, 1.0  # pyright: ignore[reportAssignmentType]
+
+    @property
+    def state_names(self):
+        return "position_a", "position_b", "velocity_a", "velocity_b"
+
+    def rates(self, t, y, base, friction):
+        return y[2], y[3], -4 * y[0] - friction[0], -4 * y[1] - friction[1]
+
+    def relative_velocity(self, t, y, base):
+        return y[2], y[3]
+
+    def normal_forces(self, t, y, base):
+        return 1 + jnp.cos(t), 2 - jnp.sin(t) - 1 - y[0]
+
+
+def touching(system: str, amplitude: float, omega: float, mean: float):
+    """A system at rest under the normal force ``mean + amplitude cos(omega t)``, and the state in which it is."""
+    load = ss.Harmonic(amplitude, omega, offset=mean)
+    if system == "mass":
+        return ss.MassSpring(1.0, 4.0, load, FRICTION, 0.1), (0.0, 0.0)
+    if system == "directional":
+        return ss.MassSpring(1.0, 0.0, load, ss.Directional(ss.Coulomb(0.3), ss.Coulomb(0.0))), (0.2, 0.0)
+    if system == "blocks":
+        contacts = [ss.Contact([1.0, 0.0], load, FRICTION), ss.Contact([1.0, -1.0], load, ss.Coulomb(0.3))]
+        return ss.LinearStructure([1.0, 1.3], [[4.0, -1.0], [-1.0, 4.0]], None, contacts), (0.0,) * 4
+    return ss.MassSpring(1.0, 0.0, load, ss.Dahl(0.5, 50.0), 0.1), (0.3, 0.0)
+
+
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+@pytest.mark.parametrize("x64", [True, False])
+@pytest.mark.parametrize("omega", [1.0, 0.9, np.pi])
+@pytest.mark.parametrize("system", ["mass", "directional", "blocks", "bristles"])
+def test_one_that_only_touches_zero_does_not_end_a_stick(system, omega, x64):
+    with jax.enable_x64(x64):
+        still, y0 = touching(system, 0.3, omega, 0.3)
+        method = ss.Regularized() if system == "bristles" else ss.Exact()
+        one = ss.simulate(still, ss.Constant(0.0), t1=20.0, y0=y0, method=method)
+    assert int(one.status) == ss.Status.FINISHED
+    assert np.asarray(one.sticks.start)[np.asarray(one.sticks.mask)] == pytest.approx(0.0, abs=0)
+    assert np.asarray(one.sticks.end)[np.asarray(one.sticks.mask)] == pytest.approx(20.0, abs=0)
+
+
+@pytest.mark.parametrize("knots", [[np.pi, 3 * np.pi], [1.0, 9.0]])
+@pytest.mark.parametrize("load", [ss.Harmonic(1.0, 1.0, offset=1.0), Touching()])
+def test_one_that_touches_zero_where_a_force_has_a_knot(load, knots):
+    """The knots change no force on this contact, which sticks on."""
+    force = [None, ss.Recorded([0.0, *knots, 30.0], [0.0, 0.1, 0.2, 0.2])]
+    contacts = [ss.Contact([1.0, 0.0], load, FRICTION), ss.Contact([0.0, 1.0], 1.0, FRICTION)]
+    one = ss.simulate(
+        ss.LinearStructure([1.0, 1.0], [4.0, 4.0], None, contacts, force), ss.Constant(0.0), t1=20.0, y0=(0.0,) * 4
+    )
+    assert int(one.status) == ss.Status.FINISHED
+    assert int(one.of_contact(0).sticks.count) == 1
+    assert float(one.of_contact(0).sticks.end[0]) == 20.0
+
+
+def test_contacts_of_a_users_system_touch():
+    """``1 - sin(t)`` and ``1 + cos(t)`` are zero at other instants; neither ends its stick."""
+    one = ss.simulate(TwoBlocks(), ss.Constant(0.0), t1=20.0, y0=(0.0,) * 4)
+    for contact in range(2):
+        assert int(one.of_contact(contact).sticks.count) == 1
+        assert float(one.of_contact(contact).sticks.duration[0]) == 20.0
+
+
+def test_one_that_reaches_zero_from_below_begins_no_stick():
+    """The contact is closed at single instants, in which friction does nothing; with 1e-9 more it is for a while."""
+    one, more = (
+        ss.simulate(
+            ss.MassSpring(1.0, 4.0, ss.Harmonic(size, 1.0, offset=-1.0), FRICTION), BASE, t1=20.0, y0=(0.5, 0.0)
+        )
+        for size in (1.0, 1 + 1e-9)
+    )
+    assert int(one.sticks.count) == 0
+    assert int(one.near_grazing_count) >= 3  # each of them is told
+    assert float(one.final_state[0]) == pytest.approx(0.5 * np.cos(40.0), abs=1e-10)
+    assert float(more.final_state[0]) == pytest.approx(0.5 * np.cos(40.0), abs=1e-10)
+    still = ss.MassSpring(1.0, 4.0, ss.Harmonic(1 + 1e-9, 1.0, offset=-1.0), FRICTION)
+    rests = ss.simulate(still, ss.Constant(0.0), t1=10.0, y0=(0.0, 0.0))
+    # cos(t) = 1 / (1 + 1e-9): a stick at the start, half as long as that around 2 pi.
+    half = np.sqrt(2e-9)
+    assert np.asarray(rests.sticks.duration)[:2] == pytest.approx([half, 2 * half], rel=1e-5)
 
 
 @pytest.mark.slow

@@ -34,9 +34,9 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             "Argument method must be Exact(...) for friction that grows while a stick lasts, but "
             f"{_checks.show(method)} was given: smoothed friction has no stick whose age is known."
         )
-    check_contacts(system, method)
     inner = bool(system.inner_laws)
     _check_width(method, inner)
+    check_contacts(system, method)
     width = None if method.width is None else jnp.asarray(method.width, dtype)
     speed, deceleration = system.contact_scales
     # Static friction above kinetic friction holds a mass up to one width.

@@ -81,7 +81,7 @@ def test_contacts_and_all_at_once(seed):
 def counted(stiffness, law, base, t1, **how):
     one = ss.simulate(ss.MassSpring(1.0, stiffness, 1.0, law), base, t1=t1, **how)
     assert one.status == ss.Status.FINISHED
-    return int(one.sticks.count), float(one.stick_time)
+    return int(one.sticks.count), float(one.stick_time), getattr(one.method, "threshold", None)
 
 
 @pytest.mark.slow
@@ -97,17 +97,22 @@ def test_ring_down_is_no_stick_of_its_own():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["LuGre", "ElastoPlastic", "Dahl", "BoucWen"])
 def test_bristles_that_bend_over_cut_no_stick(name):
-    """The spring pulls from one side to the other while the mass sticks; undamped bristles ring all the time."""
+    """The spring pulls from one side to the other while the mass sticks; undamped bristles ring all the time.
+
+    Before it breaks away a contact creeps, with ``z' / (1 - z / z_max)``: it passes the threshold when its bristles are
+    within ``z' / threshold`` of their largest deflection mu / stiffness, so early by ``mu / (stiffness threshold)``
+    where the pull grows evenly, and by up to twice that where it grows less and less. Ring-downs may take 0.05 s.
+    """
     base, how = ss.Harmonic(1.0, 0.4), {"y0": (0.3, -0.2)}
-    number, time = counted(4.0, ss.Coulomb(0.9), base, 25.0, **how)
+    number, time, _ = counted(4.0, ss.Coulomb(0.9), base, 25.0, **how)
     for stiffness in (1e4, 1e5):
         for damping in (0.1, 1.0):
             kind = getattr(ss, name)
             bristles = (0.9, stiffness) if name in ("Dahl", "BoucWen") else (0.9, 0.9, 1.0, stiffness)
             law = kind(*bristles) if len(bristles) == 2 else kind(*bristles, 2 * damping * stiffness**0.5)
-            found, of_found = counted(4.0, law, base, 25.0, method=ss.Regularized(), **how)
+            found, of_found, threshold = counted(4.0, law, base, 25.0, method=ss.Regularized(), **how)
             assert found == number == 3
-            assert of_found == pytest.approx(time, abs=3 * stiffness**-0.25)
+            assert of_found == pytest.approx(time, abs=number * (2 * 0.9 / (stiffness * float(threshold)) + 0.05))
 
 
 @pytest.mark.slow
