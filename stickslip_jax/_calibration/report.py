@@ -135,12 +135,12 @@ def _about_bounds(
     for i, (low, high) in bounds.items():
         ends = [f"{word} {one:.4g}" for word, one in (("at least", low), ("at most", high)) if one is not None]
         limit = f"it is {' and '.join(ends)} (95 % confidence each)" if ends else "it gives no bound either"
-        if not is_told[i]:
+        if ends and any(x[i] == end[i] for end in transform.box):
+            said.append(f"{names[i]} is at its bound, {own[i]:.4g}, where its error is to one side only: {limit}.")
+        elif not is_told[i]:
             said.append(
                 f"The motion hardly depends on {names[i]} near {own[i]:.4g}, so the record does not tell it: {limit}."
             )
-        elif any(x[i] == end[i] for end in transform.box):
-            said.append(f"{names[i]} is at its bound, {own[i]:.4g}, where its error is to one side only: {limit}.")
     return said
 
 

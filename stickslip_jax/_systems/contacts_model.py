@@ -1,6 +1,7 @@
 """A system with several contacts under its excitation: the `SwitchedModel` that follows from its friction forces."""
 
 import abc
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -139,8 +140,10 @@ class ContactsModel(SwitchedModel[F]):
     def _touch(self, forcing: F, y: State) -> FloatArray:
         """The round-off of the normal forces that vary, and 0 for the others, N, (contacts,)."""
         size = self.normal_scale(forcing, y)
-        none = jnp.zeros(self.contacts or 0, size.dtype)
-        return none.at[np.array(self.varying)].set(_TOUCH_ULPS * jnp.finfo(size.dtype).eps * size)
+        none, numbers = jnp.zeros(self.contacts or 0, size.dtype), jnp.finfo(size.dtype)
+        # Far from a pulse that is a power of e there are no smaller numbers: it would close the contact by a jump.
+        least = math.sqrt(float(numbers.tiny))
+        return none.at[np.array(self.varying)].set(least + _TOUCH_ULPS * numbers.eps * size)
 
     def _own(self, of_modes: Array) -> Array:
         """Of the modes, those of the contacts."""

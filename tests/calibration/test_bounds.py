@@ -36,7 +36,7 @@ CASES = {
     "mu": (plain, SMOOTH, plain(0.1), "mu", "mu", 0.002, {}),
     "damping": (damped, JUMPS, damped(0.05), ("mu", "damping"), "damping", 0.003, {}),
     "static above kinetic": (holding, JUMPS, holding(0.2, 0.6), ("mu", "mu_static"), "mu_static - mu", 0.003, {}),
-    "series stiffness": (bristles, SMOOTH, bristles(60.0), "stiffness", "stiffness", 0.003, {
+    "series stiffness": (bristles, SMOOTH, bristles(60.0), "friction.stiffness", "friction.stiffness", 0.003, {
         "method": ss.Regularized(), "y0": START}),
 }  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Adaptive steps see every short excitation: against scipy's Radau, which begins where the excitation does."""
 
 import dataclasses
+import itertools
 import math
 from functools import partial
 
@@ -183,6 +184,64 @@ def test_samples_with_pulses_of_their_own():
         found = np.asarray(many.sticks.start)[i]
         np.testing.assert_allclose(found[~np.isnan(found)], starts, atol=1e-5)
         assert abs(ends[0] - at[i]) < 4 * width[i]  # the pulse ends the first
+
+
+CLOSES, LASTS, PRESS, BELT = 7.3, 0.02, 40.0, 2.0
+CLOSINGS = {
+    "signal": (lambda: Pulse(CLOSES, LASTS, PRESS), lambda t: PRESS * math.exp(-(((t - CLOSES) / LASTS) ** 2))),
+    "steps": (
+        lambda: ss.ForceSteps([0.0, CLOSES, CLOSES + LASTS], [-1.0, PRESS, -1.0]),
+        lambda t: PRESS if CLOSES <= t <= CLOSES + LASTS else 0.0,
+    ),
+    "record": (
+        lambda: ss.Recorded([0.0, CLOSES - LASTS, CLOSES, CLOSES + LASTS, T1], [0.0, 0.0, PRESS, 0.0, 0.0]),
+        lambda t: PRESS * max(1 - abs(t - CLOSES) / LASTS, 0.0),
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+@pytest.mark.parametrize("x64", [True, False])
+@pytest.mark.parametrize("load", CLOSINGS)
+@pytest.mark.parametrize("name", ["Coulomb", "exact", "Dahl", "LuGre"])
+def test_short_closings_of_a_contact(name, load, x64):
+    """A belt that touches the mass for a moment pushes it as scipy says that it does, in steps that end at the jumps.
+
+    The belt is so fast that the mass slips back all the time, with friction of one sign.
+    """
+    normal_force, newtons = CLOSINGS[load]
+    law = ss.Dahl(MU, 2000.0) if name == "Dahl" else LAWS["Coulomb" if name == "exact" else name]
+    rules = {"Coulomb": {"width": 0.01}}.get(name, {})
+    with jax.enable_x64(x64):
+        method = ss.Exact() if name == "exact" else ss.Regularized(max_steps=2**14, **rules)
+        system = ss.MassSpring(1.0, OMEGA2, normal_force(), law)
+        one = ss.simulate(system, ss.Constant(BELT), t1=T1, method=method)
+    assert int(one.status) == ss.Status.FINISHED
+
+    def rates(t, y):
+        slip = y[1] - BELT
+        if name == "Dahl":
+            bent, coefficient = slip * (1 + 2000.0 * y[2] / MU), 2000.0 * y[2]
+        else:
+            bent, coefficient = rate_of("LuGre" if name == "LuGre" else "Coulomb", y[2], slip)
+        return [y[1], -OMEGA2 * y[0] - newtons(t) * coefficient, bent]
+
+    if load == "record":
+        ends = [0.0, CLOSES - LASTS, CLOSES, CLOSES + LASTS, T1]
+    else:
+        ends = (
+            [0.0, CLOSES, CLOSES + LASTS, T1] if load == "steps" else [0.0, CLOSES - 8 * LASTS, CLOSES + 8 * LASTS, T1]
+        )
+    state = np.zeros(3)
+    for first, last in itertools.pairwise(ends):
+        step = LASTS / 20 if last - first < 1 else math.inf
+        inside = (first + 1e-9, last - 1e-9)  # a jump is not asked for from its other side
+        run = solve_ivp(rates, inside, state, "Radau", rtol=1e-9, atol=1e-12, max_step=step)
+        state = run.y[:, -1]
+    assert abs(state[0]) > 1e-3
+    found = np.array([float(value) for value in one.final_state[:2]])
+    bound = {"exact": 1e-7 if x64 else 1e-4}.get(name, 0.01)
+    assert np.max(np.abs(found - state[:2])) < bound * np.max(np.abs(state[:2]))
 
 
 class Driven(ss.SwitchedSystem):
