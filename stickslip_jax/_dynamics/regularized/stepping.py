@@ -99,7 +99,9 @@ def advance_fixed(
     longest = step if lane.limit is None else jnp.minimum(step, lane.limit)
     # A little more than one step, so that no last step of a few units in the last place remains.
     to_stop = longest * (1 + 1e-6) >= left
-    h = jnp.where(to_stop, left, longest)
+    # By a length that the time has digits for: what it is rounded by would add up.
+    to_digit = (lane.t + longest) - lane.t
+    h = jnp.where(to_stop, left, jnp.where(to_digit > 0, to_digit, longest))
     band = field.band(forcing, lane.t, lane.y)
     y, error = field.step(forcing, lane.y, h, band)
     seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)

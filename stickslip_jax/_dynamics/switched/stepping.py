@@ -103,7 +103,10 @@ def advance(
     # No derivative passes through the search for the end of the step: `carried` knows what it depends on.
     (model, forcing, _), left, step, lane = without_derivatives((given, left, step, lane))
     to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
-    trial = _tried(model, forcing, lane, jnp.where(to_stop, left, lane.target))
+    # By a length that the time has digits for: what it is rounded by would add up, over many steps. Not in a search.
+    to_digit = (lane.t + lane.target) - lane.t
+    target = jnp.where((lane.tries == 0) & (to_digit > 0), to_digit, lane.target)
+    trial = _tried(model, forcing, lane, jnp.where(to_stop, left, target))
     verdict = _judged(trial, lane, left, step)
     at_event, at_stop = verdict.landed & ~verdict.at_once, verdict.taken & to_stop
     tie, tie_if_abrupt = _close_calls(trial, verdict, lane, step, verdict.ends & at_event, at_stop)
@@ -262,22 +265,22 @@ def _with_target(
     """The `following` lane with the length of the next step to try; `lane`: as it was before this one."""
     by_error = lane.accurate_step
     if trial.error is not None:
-        by_error = _accurate_step(by_error, trial.h, trial.error, verdict.taken, verdict.inaccurate)
+        by_error = _accurate_step(by_error, trial, verdict)
     longest = model.step_limit(following.t - following.event, step, following.y, following.sign)
     longest = jnp.minimum(longest, by_error)
     target = jnp.where(verdict.again & ~verdict.inaccurate, verdict.guess * trial.h, longest)
     return following._replace(target=lax.stop_gradient(target), accurate_step=lax.stop_gradient(by_error))
 
 
-def _accurate_step(
-    longest: FloatArray, h: FloatArray, error: FloatArray, taken: BoolArray, inaccurate: BoolArray
-) -> FloatArray:
+def _accurate_step(longest: FloatArray, trial: _Trial, verdict: _Verdict) -> FloatArray:
     """The longest step allowed from here on, by the error of the step tried (order of the solvers: 8 or less)."""
+    h, error = trial.h, trial.error
+    assert error is not None
     allowed = _ERROR[h.dtype.itemsize] / jnp.maximum(error, _LEAST_ERROR)
     change = jnp.clip(0.9 * jnp.sqrt(jnp.sqrt(jnp.sqrt(allowed))), 0.1, 5)
-    # Only a step as long as allowed says that a longer one would do: others ended at events.
-    longer = jnp.where(taken & (h >= 0.999 * longest), longest * change, longest)
-    return jnp.where(inaccurate, h * jnp.minimum(change, 0.8), longer)
+    # Only a step as long as allowed, but for digits, says that a longer one would do: others ended at events.
+    longer = jnp.where(verdict.taken & (h + trial.clock >= 0.999 * longest), longest * change, longest)
+    return jnp.where(verdict.inaccurate, h * jnp.minimum(change, 0.8), longer)
 
 
 def _first(times: Iterable[FloatArray]) -> FloatArray | float:

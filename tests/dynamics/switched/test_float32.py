@@ -78,3 +78,23 @@ def test_a_slip_of_round_off_ends(name):
     _, expected = found(*jax.tree.map(lambda number: np.asarray(number, np.float64), (phases, starts)))
     assert status.tolist() == [ss.Status.FINISHED] * len(keys)
     assert np.all(np.abs(stick_time - expected) < 2e-3 * expected + 1e-4)
+
+
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+@pytest.mark.parametrize("method", [ss.Exact(step=1e-2), ss.Regularized(0.1, step=1e-3)])
+def test_many_steps_lose_no_digits_of_the_time(method):
+    """A slip of 20 s under a force is a closed form; each of 2,000 steps or 20,000 moves on by the time that it takes.
+
+    The time is rounded by up to 1e-6 s in each; one after another, mostly to the same side, that added up to 4e-4 and
+    more. What is left are the digits of as many additions to the state, eps sqrt(20,000) = 1.7e-5.
+    """
+    force = ss.Harmonic(1.0, 1.0)
+    with jax.enable_x64(False):
+        one = ss.simulate(
+            ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.3), force=force), ss.Constant(5.0), t1=20.0, method=method
+        )
+    # x'' = -4 x + cos t + 0.3 from rest: x = cos(t) / 3 + 0.075 + a cos(2 t) with a = -1/3 - 0.075.
+    a = -1 / 3 - 0.075
+    position, velocity = math.cos(20) / 3 + 0.075 + a * math.cos(40), -math.sin(20) / 3 - 2 * a * math.sin(40)
+    assert float(one.final_state[0]) == pytest.approx(position, abs=2e-5)
+    assert float(one.final_state[1]) == pytest.approx(velocity, abs=4e-5)
