@@ -28,6 +28,7 @@ _ROUND_OFF = 4.0  # units in the last place of the unknowns, to which they are f
 _FEW = 4  # iterations after which the next step may be longer
 _SHORTEST = 1e-9  # step, relative to the first
 _LONGEST = 4.0  # likewise
+_AT_REST = 0.9999  # of the period in sticks
 _LOCATED = 1e-10  # of the way between two points
 _MIDDLES = (0.5, 0.4, 0.6, 0.25, 0.75)  # of what is left of it
 _MOST_CHANGES = 20  # of the sequence of modes between two points
@@ -170,7 +171,7 @@ class _Branch:
                     return
                 inside = min(self._range) <= found.unknowns[-1] <= max(self._range)
                 noted = self._noted(last, found) if inside else None
-                if noted is not None or (not inside and self._land(last, found)):
+                if noted is not None or self.ending or (not inside and self._land(last, found)):
                     break
             if self.ending:
                 return
@@ -352,6 +353,12 @@ class _Branch:
                 return None
             self._add(change_of_modes(last, corner) or change, corner, text)
             last = corner
+        kinds = [event.kind for event in self.events[number:]]
+        if found.stick_fraction > _AT_REST and "slip vanishes" in kinds:
+            # A mass may rest at the very limit of friction, and Newton's method finds that: its slips are round-off.
+            del self.events[number + kinds.index("slip vanishes") + 1 :]
+            self.ending = self.events[-1].text
+            return None
         if len(self.events) > number or begun.order != found.order:
             found = self._away(found, float(np.linalg.norm(self._way(begun, found))))
             if len(self.events) > number and begun.tangent[-1] * found.tangent[-1] < 0:
