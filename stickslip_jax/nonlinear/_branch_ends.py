@@ -55,17 +55,23 @@ def turning_back(
 
         value = _root(equations, plane, between, last.unknowns[-1], size, None, growth)
         return "Hopf", value, "the cycle shrinks into an equilibrium"
-    free = 0 if equations.driven else 1
-    periods = equations.periods // 2 if equations.driven else None
+    value = halved(equations, plane, between, last.unknowns[-1])
+    return "flip", value, "the orbit becomes one of half its period, which doubles there"
+
+
+def halved(equations: Equations, plane: Plane | None, between: np.ndarray, other: float) -> float:
+    """The parameter near that of the unknowns `between` where the orbit of half the period has the multiplier -1."""
+    size, free = len(equations.names), 0 if equations.driven else 1
+    guess = between.copy()
     if free:
-        between[size] /= 2
+        guess[size] /= 2
 
     def doubles(at: Evaluated) -> float:
         multipliers = multipliers_of(at.matrix[:size, :size] + np.eye(size))
         return float(np.prod((without_trivial(multipliers) if free else multipliers) + 1).real)
 
-    value = _root(equations, plane, between, last.unknowns[-1], size + free, periods, doubles)
-    return "flip", value, "the orbit becomes one of half its period, which doubles there"
+    periods = equations.periods // 2 if equations.driven else None
+    return _root(equations, plane, guess, other, size + free, periods, doubles)
 
 
 def _root(

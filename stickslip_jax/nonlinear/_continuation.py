@@ -13,7 +13,7 @@ from .._forks import require_threads_of_jax
 from .._simulation.labeled import provenance, source
 from .._sweep.setting import Setting, label_and_unit, setter_of
 from .._uncertainty.numbers import number_at
-from ._branch_ends import tangent_release, turning_back
+from ._branch_ends import halved, tangent_release, turning_back
 from ._branch_function import Equations
 from ._branch_points import BranchEvent, Change, Point, change_of_modes, changes, description, end_of
 from ._labeled import apart
@@ -29,6 +29,7 @@ _FEW = 4  # iterations after which the next step may be longer
 _SHORTEST = 1e-9  # step, relative to the first
 _LONGEST = 4.0  # likewise
 _AT_REST = 0.9999  # of the period in sticks
+_HALF = 1e-7  # scaled: what an orbit moves in half of its period, that is one of half the period
 _LOCATED = 1e-10  # of the way between two points
 _MIDDLES = (0.5, 0.4, 0.6, 0.25, 0.75)  # of what is left of it
 _MOST_CHANGES = 20  # of the sequence of modes between two points
@@ -227,10 +228,21 @@ class _Branch:
     def _turns_back(self, last: Point, found: Point) -> bool:
         """Whether the branch ends between two points because it would go back over the same orbits. Ends it there."""
         end = turning_back(self.equations, self._plane, self._scale, last, found)
+        if end is None and self._is_half(found) and not self._is_half(last):
+            corner, more = self._located(last, found, lambda point: not self._is_half(point))
+            value = halved(self.equations, self._plane, corner.unknowns, corner.unknowns[-1] + _TOLD * self._scale[-1])
+            end = "flip", value, f"the orbit becomes one of half its period, which doubles there{more}"
         if end is not None:
             kind, value, text = end
             self._end(kind, value, f"{text}, and the branch ends")
         return end is not None
+
+    def _is_half(self, point: Point) -> bool:
+        """Whether a point is an orbit of half the period: it solves the same equations, so a step may lead to it."""
+        if not self.equations.driven or self.equations.periods % 2:
+            return False
+        moved = self.equations.half_way(point.unknowns, self._plane)
+        return moved is not None and bool(np.max(np.abs(moved / self._scale[: len(moved)])) < _HALF)
 
     def _land(self, last: Point, found: Point) -> bool:
         """The last point, where the parameter is at the end of its range that it passed; whether it was found."""
