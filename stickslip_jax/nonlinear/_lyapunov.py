@@ -23,7 +23,7 @@ from ._following import in_blocks
 from ._labeled import CYCLE, START, dataset_of, dimensions_of, on_grid, outcome_of
 from ._recurrence import RECURS, UNSETTLED, recurrence
 from ._stored import Folder, kept_in
-from ._warnings import warn_of_unfinished, warn_of_unsettled
+from ._warnings import warn_of_unfinished
 
 if TYPE_CHECKING:
     import xarray
@@ -95,8 +95,9 @@ def lyapunov_exponents(
         from the largest on. ``running_exponent``: the same up to the period "cycle", for a curve of convergence. With
         several starts ``mean_exponent`` and ``mean_exponent_error``, its standard error over the starts (NaN where one
         is minus infinity). Of each case ``settled``, False where its states still come nearer to an orbit or leave one
-        (the exponents are then not yet those of what it settles on), ``status`` and ``near_grazing_count``. Warns
-        (RuntimeWarning) of cases that have not settled, and of those not followed to the end; these hold NaN.
+        (the exponents are then not yet those of what it settles on, and a larger `transient` lets it go on; in a map
+        there are always some next to bifurcations), ``status`` and ``near_grazing_count``. Warns (RuntimeWarning) of
+        cases that were not followed to the end; they hold NaN.
 
     Raises:
         ValueError: For arguments that do not fit; for a base that is random or has no period.
@@ -120,8 +121,6 @@ def lyapunov_exponents(
     warn_of_unfinished(found.status, stacklevel=3)
     states, turns = np.asarray(found.states), tuple(coordinate.period for coordinate in cases.system.coordinates)
     settled = recurrence(states, np.max(np.abs(states), axis=1), RECURS, turns) != UNSETTLED
-    if transient:
-        warn_of_unsettled(~settled, transient + kept, "A larger transient lets", stacklevel=3)
     return _labeled(cases, found, settled, transient + every * np.arange(1, checkpoints + 1))
 
 
