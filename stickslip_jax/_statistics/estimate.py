@@ -215,7 +215,7 @@ class Estimate:
                 why = "error not known: of estimates from the same random numbers"
             return f"{self.value:.6g}{unit} ({why})"
         if math.isinf(self.standard_error):
-            return f"{self.value:.6g}{unit} (not determined)"
+            return f"{self.value:.2g}{unit} (not determined)"
         shown = f"{format_with_error(self.value, self.standard_error)}{unit}"
         if self.kind is None or self.samples < 2:
             return shown
