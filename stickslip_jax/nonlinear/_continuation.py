@@ -350,7 +350,7 @@ class _Branch:
         """Note what happened between two points, each event located, the first one first. Returns `found`, its tangent
         away from `last`: where the sequence of modes changes, the branch may turn round in a corner. None, with nothing
         noted, where a change is not located, since orbits do not lead over to `found`, or where all sticks: a mass may
-        rest anywhere, and no orbit is alone.
+        rest anywhere, and no orbit is alone. None too where all comes to rest at an event, which ends the branch.
         """
         begun, number = last, len(self.events)
         if found.is_at_rest and not begun.is_at_rest:

@@ -51,3 +51,9 @@ def following_segments(
             before = segment_state.segment
             jumped = jumped | (over & (new.segment.value != before.value + before.slope * (before.end - before.begin)))
     return tuple(following), jumped
+
+
+def to_digits(t: FloatArray, step: FloatArray) -> FloatArray:
+    """The `step` (s) by which the time `t` moves on in fact: what it is rounded by would add up, over many steps."""
+    moves = (t + step) - t
+    return jnp.where(moves > 0, moves, step)

@@ -18,7 +18,7 @@ from ..._numerics.over_contacts import any_of
 from ..._systems.switched_model import State
 from ..._types import BoolArray, FloatArray, IntArray
 from ..common.ending import is_spent
-from ..common.segments import SegmentLaws, following_segments
+from ..common.segments import SegmentLaws, following_segments, to_digits
 from .contacts_field import ContactsField
 from .field import Field
 from .landing import shortened
@@ -99,9 +99,7 @@ def advance_fixed(
     longest = step if lane.limit is None else jnp.minimum(step, lane.limit)
     # A little more than one step, so that no last step of a few units in the last place remains.
     to_stop = longest * (1 + 1e-6) >= left
-    # By a length that the time has digits for: what it is rounded by would add up.
-    to_digit = (lane.t + longest) - lane.t
-    h = jnp.where(to_stop, left, jnp.where(to_digit > 0, to_digit, longest))
+    h = jnp.where(to_stop, left, to_digits(lane.t, longest))
     band = field.band(forcing, lane.t, lane.y)
     y, error = field.step(forcing, lane.y, h, band)
     seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)

@@ -35,7 +35,7 @@ from ..._numerics.roots import look_ahead
 from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel, chosen_state
 from ..._types import BoolArray, BoolScalar, FloatArray, FloatScalar, Number
 from ..common.ending import is_spent
-from ..common.segments import SegmentLaws
+from ..common.segments import SegmentLaws, to_digits
 from .carried import HowItEnds, carried
 from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
 from .mode import Stop, is_tie, mode_at_start, switched
@@ -103,9 +103,7 @@ def advance(
     # No derivative passes through the search for the end of the step: `carried` knows what it depends on.
     (model, forcing, _), left, step, lane = without_derivatives((given, left, step, lane))
     to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
-    # By a length that the time has digits for: what it is rounded by would add up, over many steps. Not in a search.
-    to_digit = (lane.t + lane.target) - lane.t
-    target = jnp.where((lane.tries == 0) & (to_digit > 0), to_digit, lane.target)
+    target = jnp.where(lane.tries == 0, to_digits(lane.t, lane.target), lane.target)  # not in a search
     trial = _tried(model, forcing, lane, jnp.where(to_stop, left, target))
     verdict = _judged(trial, lane, left, step)
     at_event, at_stop = verdict.landed & ~verdict.at_once, verdict.taken & to_stop
