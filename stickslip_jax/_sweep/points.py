@@ -143,10 +143,7 @@ def _dimension(names: object, values: object) -> Dimension:
     label = f"over[{names!r}]"
     if isinstance(values, range):  # which has no numbers yet
         _check_number(label, len(values))
-    try:
-        array = _checks.numbers(label, values, ndim=2 if several else 1).astype(np.float64)
-    except ValueError:
-        array: np.ndarray = np.empty(0)
+    array = _checks.numbers(label, values, ndim=2 if several else 1).astype(np.float64)
     if not array.size or (several and array.shape[1] != len(parameters)):
         wanted = f"rows of {len(parameters)} numbers, one row for each point" if several else "at least one number"
         raise ValueError(f"Argument {label} must hold {wanted}, but {_checks.show(values)} was given.")

@@ -91,7 +91,16 @@ BAD = [
     ({"over": {"mu": [1.0, 1.0]}}, r"over\['mu'\] must hold every point once, but entries 0 and 1 are both 1.0"),
     ({"over": {"mu": [1.0, -1.0]}}, r"point mu = -1 of the sweep cannot be simulated: Argument mu must be zero or"),
     ({"over": {"mu": [math.nan]}}, r"over\['mu'\] must hold finite numbers, but nan was given"),
-    ({"over": {"mu": [[1.0]]}}, r"over\['mu'\] must hold at least one number, but \[\[1.0\]\] was given"),
+    (
+        {"over": {"mu": [[1.0]]}},
+        r"over\['mu'\] must be a one-dimensional sequence of real numbers, but an array of shape",
+    ),
+    ({"over": {"mu": np.array([0.1 + 0j, 0.2])}}, r"over\['mu'\] must be a .*sequence of real numbers, but array"),
+    (
+        {"over": {"mu": np.ma.masked_array([0.1, 0.2], [0, 1])}},
+        r"over\['mu'\] must be a .*real numbers, but masked_array",
+    ),
+    ({"over": {"mu": []}}, r"over\['mu'\] must hold at least one number, but \[\] was given"),
     ({"over": {("mu", "rate"): [[1.0, 2.0, 3.0]]}}, r"over\[\('mu', 'rate'\)\] must hold rows of 2 numbers"),
     ({"over": {"mu": [1.0], "friction.mu": [2.0]}}, r"name every parameter once, but 'mu' and 'friction.mu' are both"),
     ({"over": {"mu": [1.0], ("mu", "rate"): [[1.0, 2.0]]}}, r"name every parameter once, but 'mu' was given twice"),
