@@ -34,6 +34,7 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
     _check_number(kind, "relative_velocity", velocities, contacts)
     check_traceable(system, ("relative_velocity",), zero, y, base)
     check_belt(system, y, base)
+    normal_forces: Any = ()
     if system.has_normal_forces:
         with _checks.traceable(f"The method normal_forces of {kind}"):
             normal_forces = system.normal_forces(zero, y, base)
@@ -51,7 +52,8 @@ def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
     check_traceable(system, ("rates",), zero, y, base, jnp.zeros(contacts))
     model: Any = system.model_without_ages(None, None)
     gain = model.instant(model.forcing(zero, _NOTHING), zero, y).gain
-    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((found, gain))):
+    # Also numbers that a class encloses, which only what the methods return can show.
+    if any(_checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y, normal_forces, found, gain))):
         return
     near = Near.of(y, *_velocities(system, y, base))
     near.check(kind, np.asarray(rates_near(system, near.columns, base, jnp.ones(contacts))))

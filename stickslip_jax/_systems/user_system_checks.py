@@ -111,7 +111,10 @@ def _check_ages(system: Any) -> None:
         )
     with _checks.traceable(f"The method static_ratio_after of {kind}"):
         jax.make_jaxpr(system.static_ratio_after)(jnp.zeros(shape))
-    now, later = (np.asarray(system.static_ratio_after(jnp.full(shape, age))) for age in (0.0, 1.0))
+    now, later = (system.static_ratio_after(jnp.full(shape, age)) for age in (0.0, 1.0))
+    if _checks.is_traced(now) or _checks.is_traced(later):
+        return
+    now, later = np.asarray(now), np.asarray(later)
     if not np.all(np.isfinite(later) & (later >= now) & (now >= 1)):
         raise ValueError(
             f"Argument static_ratio_after of a {kind} must return finite numbers, at least 1, that do not fall with "

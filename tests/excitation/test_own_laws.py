@@ -234,6 +234,8 @@ class Runaway:
 class Hidden(Runaway):
     """A base whose acceleration has no value after 5 s."""
 
+    shortest_period = 2 * np.pi
+
     def velocity(self, t):
         return jnp.sin(t)
 

@@ -326,6 +326,10 @@ class Owns(ss.SwitchedSystem):
     def normal_forces(self, t, y, base):
         return 1.0 + 0 * t, 1.0 + 0.3 * y[0]
 
+    @property
+    def shortest_time(self):
+        return 3.0  # of the stiffer spring
+
 
 def test_equations_of_ones_own_against_scipy():
     one = ss.simulate(Own(LUGRE), ss.Constant(0.1), t1=20.0, method=ACCURATE)

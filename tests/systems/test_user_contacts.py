@@ -240,6 +240,34 @@ def test_a_pad_that_lifts_off(start):
     assert 1.0 + 0.6 * float(one.minimum("position")) < 0  # it does lift off
 
 
+class AgeingPad(Pad):
+    """A `Pad` whose sticks grow stronger, on a block without a spring."""
+
+    grow: float = 0.2
+
+    def rates(self, t, y, base, friction):
+        return y[1], -self.mu * friction[0]
+
+    def static_ratio_after(self, age):
+        return 1.6 + self.grow * (1 - jnp.exp(-age))
+
+    @property
+    def static_ratio(self):
+        return 1.0
+
+
+@pytest.mark.parametrize("path", ["load", "slope", "grow", "start"])
+def test_what_depends_on_it_need_not_be_the_rates(path):
+    """The methods are tried before they are traced: also those of them that a traced number changes alone."""
+
+    def end(number):
+        system = AgeingPad(**({} if path == "start" else {path: number}))
+        start = (number if path == "start" else -0.5, 0.0, 0.0)
+        return ss.simulate(system, ss.Constant(0.3), t1=8.0, y0=start, method=ss.Exact(max_steps=64)).final_state
+
+    assert len(jax.eval_shape(end, 0.3)) == 3
+
+
 @pytest.mark.slow
 def test_derivative_of_a_pad_that_lifts_off():
     def end(slope):
