@@ -192,8 +192,10 @@ def _kept(jaxpr: core.Jaxpr) -> set[core.Var]:
 
 def _repeats(equation: core.JaxprEqn, atom: core.Var) -> int:
     """How often an element of the operand is computed where the result is, unless it is stored."""
+    if equation.primitive.name != "broadcast_in_dim":
+        return 1
     size, results = (math.prod(getattr(of.aval, "shape", ())) for of in (atom, equation.outvars[0]))
-    return max(results // size, 1) if equation.primitive.name == "broadcast_in_dim" and size > 1 else 1
+    return max(results // size, 1) if size > 1 else 1
 
 
 def _cone(equation: core.JaxprEqn, made_by: dict[core.Var, core.JaxprEqn], kept: set[core.Var]) -> list[core.JaxprEqn]:

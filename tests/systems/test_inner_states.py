@@ -39,6 +39,8 @@ def below(solution, velocity, threshold, shortest, bend=2 * 1.5 / 1e5, of_law=No
     speed = velocity(states)
     slow = np.concatenate([[False], np.abs(speed) <= threshold, [False]])
     edges = np.minimum(np.flatnonzero(slow[1:] != slow[:-1]), len(times) - 1)
+    if not len(edges):
+        return np.zeros((0, 2))
     path = np.cumsum(np.abs(speed) if of_law is None else of_law(states)) * times[1]
     if path[-1] - path[edges[-1]] < bend:
         edges[-1] = len(times) - 1

@@ -28,6 +28,7 @@ class Lane(NamedTuple):
     tries: IntArray
     steps: IntArray  # loop steps so far
     stick_start: FloatArray
+    start_error: FloatArray  # by how much round-off may have moved it, s
     stick_position: FloatArray
     remembered: Remembered  # by the quantities of each stick that are asked for
     totals: Totals

@@ -18,13 +18,13 @@ class Stop(NamedTuple):
     """How a time step ended: on an event of the mode (`landed`), or where a segment ends or at the horizon (`at_stop`).
 
     `landed`: of each contact, whether its mode ended there. `brief`: its slip would end where it began, but for
-    round-off. `shortest`: a stick that lasts no longer has no length, but for the rounding of its instants, s.
+    round-off. `start_error`: by how much round-off may have moved the start of a stick that begins here, s.
     """
 
     landed: BoolArray
     brief: BoolArray
     at_stop: BoolArray
-    shortest: FloatArray
+    start_error: FloatArray
 
 
 class _Mode(NamedTuple):
@@ -53,8 +53,9 @@ def switched(
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
     mode = _mode_after(model, forcing, lane, stop, ended, jumped)
     at_horizon = stop.at_stop & ~(lane.t < t1)
-    following, record = _with_mode(model, lane, mode, ended & jumped, at_horizon, stop.shortest)
-    return following._replace(segment_states=segment_states), record, mode.margin, at_horizon | jumped
+    following, record, vanished = _with_mode(model, lane, mode, ended & jumped, at_horizon, stop.start_error)
+    margin = jnp.where(vanished, 0, mode.margin)
+    return following._replace(segment_states=segment_states), record, margin, at_horizon | jumped
 
 
 def _mode_after(
@@ -102,11 +103,13 @@ def _mode_after(
 
 
 def _with_mode(
-    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray, shortest: FloatArray
-) -> tuple[Lane, StickRecord]:
-    """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any."""
+    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray, start_error: FloatArray
+) -> tuple[Lane, StickRecord, BoolArray]:
+    """The lane in its `mode`, its sticks counted, the record of the stick that ended, if any, and whether one ended that
+    is shorter than round-off.
+    """
     was_stick, sticks, position = model.stuck(lane.sign), model.stuck(mode.sign), model.stick_position(mode.y)
-    over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + shortest)
+    over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + lane.start_error)
     now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
     stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)
     quantities, remembered = measured(lane.remembered, over, stick)
@@ -122,10 +125,11 @@ def _with_mode(
         event=jnp.where(mode.at_rest, lax.stop_gradient(lane.t), lane.event),
         at_start=lane.at_start & ~no_stick,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
+        start_error=jnp.where(begins, lax.stop_gradient(start_error), lane.start_error),
         stick_position=jnp.where(begins, position, lane.stick_position),
         remembered=remembered,
     )
-    return following, record
+    return following, record, no_stick & (lane.t > lane.stick_start)
 
 
 def mode_at_start(model: SwitchedModel, forcing: object, y: State) -> tuple[State, FloatArray, FloatArray]:

@@ -41,9 +41,8 @@ from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
 from .mode import Stop, is_tie, mode_at_start, switched
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
-# Fraction of a step: no stick is shorter. The instants of its ends are wrong by up to 256 units in the last place (in
-# single precision 64) of 32 steps, about the time scale of the motion (`NEAR_ULPS` of `interval/arcs.py`).
-_SHORTEST = {8: 2.0**-39, 4: 2.0**-12}
+# The round-off of the relative velocity, in units in the last place of its scale (`NEAR_ULPS` of `interval/arcs.py`).
+_VELOCITY_ULPS = {8: 64, 4: 16}
 _ERROR = {8: 1e-9, 4: 1e-5}  # relative, of a step without a closed form; the estimate of its solver is far too high
 _LEAST_ERROR = 1e-20
 _AT_ONCE = 1e-9  # fraction of a step: an earlier fall means that the mode was over when the step began
@@ -83,6 +82,7 @@ def start_lane(
         none,
         none,
         jnp.broadcast_to(t0, sticks.shape),
+        jnp.zeros(sticks.shape, dtype),
         position,
         begin_quantities(position, quantities),
         start_totals(dtype, sticks.shape),
@@ -129,7 +129,7 @@ def advance(
     )
     # A slip that only round-off makes: it would end where it began, and neither reverses friction nor counts.
     brief = (verdict.ends & verdict.at_once) | (t - lane.event <= _LANDED[t.dtype.itemsize] * step + trial.clock)
-    ends = Stop(verdict.ends, brief, live & at_stop, _SHORTEST[t.dtype.itemsize] * step + trial.clock)
+    ends = Stop(verdict.ends, brief, live & at_stop, _start_error(trial, verdict, step))
     following, record, margin, abrupt = switched(model, segment_laws, moved, ends, t1)
     vanished = brief & (lane.sign != 0) & (following.sign == 0)
     near_grazing = tie | (tie_if_abrupt & abrupt) | is_tie(margin) | vanished
@@ -255,6 +255,18 @@ def _close_calls(
     # An event that was imminent, or had only just happened.
     due = (trial.d1 < 0) & (trial.s1 < -few * step * trial.d1)
     return tie, at_stop & (due | (age < few * step))
+
+
+def _start_error(trial: _Trial, verdict: _Verdict, step: FloatArray) -> FloatArray:
+    """By how much round-off may have moved the instant at which a slip ended, s; a stick that is shorter has no length.
+
+    That of the velocity over the deceleration. Where the velocity is tangent to that of the base it is the square root:
+    32 steps are about a period, 5 the time in which a motion changes by its own size.
+    """
+    few = _VELOCITY_ULPS[step.dtype.itemsize] * float(jnp.finfo(step.dtype).eps)
+    slope = jnp.abs(jnp.where(verdict.at_once, trial.d0, trial.d1))
+    tangent = math.sqrt(few) * 5 * step
+    return trial.clock + jnp.where(verdict.ends, few * trial.scale / jnp.maximum(slope, few * trial.scale / tangent), 0)
 
 
 def _with_target(
