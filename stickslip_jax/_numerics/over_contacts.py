@@ -19,6 +19,11 @@ def least_of(of_each: FloatArray) -> FloatScalar:
     return of_each if of_each.ndim == 0 else jnp.min(of_each)
 
 
+def largest_of(of_each: FloatArray) -> FloatScalar:
+    """The largest of all contacts."""
+    return of_each if of_each.ndim == 0 else jnp.max(of_each)
+
+
 def sum_of(of_each: Array) -> Array:
     """The sum over the contacts."""
     return of_each if of_each.ndim == 0 else jnp.sum(of_each)

@@ -9,7 +9,7 @@ from ..._events.stick_quantities import StickSpan, measured
 from ..._events.sticks import StickRecord, ending_of, with_stick
 from ..._numerics.over_contacts import any_of
 from ..._systems.switched_model import NOISE_ULPS, Question, State, SwitchedModel
-from ..._types import BoolArray, FloatArray
+from ..._types import BoolArray, FloatArray, FloatScalar
 from ..common.segments import SegmentLaws, following_segments
 from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
 
@@ -24,7 +24,7 @@ class Stop(NamedTuple):
     landed: BoolArray
     brief: BoolArray
     at_stop: BoolArray
-    start_error: FloatArray
+    start_error: FloatScalar
 
 
 class _Mode(NamedTuple):
@@ -53,9 +53,8 @@ def switched(
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
     mode = _mode_after(model, forcing, lane, stop, ended, jumped)
     at_horizon = stop.at_stop & ~(lane.t < t1)
-    following, record, vanished = _with_mode(model, lane, mode, ended & jumped, at_horizon, stop.start_error)
-    margin = jnp.where(vanished, 0, mode.margin)
-    return following._replace(segment_states=segment_states), record, margin, at_horizon | jumped
+    following, record = _with_mode(model, lane, mode, ended & jumped, at_horizon, stop.start_error)
+    return following._replace(segment_states=segment_states), record, mode.margin, at_horizon | jumped
 
 
 def _mode_after(
@@ -83,7 +82,8 @@ def _mode_after(
     )
     # At the limit, friction that need not grow holds: else the mass would slip to and fro with no motion.
     not_below = is_not_below(guard, guard_rate, lane.t)
-    holds = holds | (not_below & is_not_below(-guard, guard_rate, lane.t) & (guard_rate >= 0))
+    # (A cart passes zero velocity at full speed of its motor too, where the guard and its rate have poles.)
+    holds = holds | (resting & not_below & is_not_below(-guard, guard_rate, lane.t) & (guard_rate >= 0))
     # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
     # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
     turned = jnp.where(was_stick | (resting & ~stop.brief), release_sign, -sign)
@@ -103,11 +103,9 @@ def _mode_after(
 
 
 def _with_mode(
-    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray, start_error: FloatArray
-) -> tuple[Lane, StickRecord, BoolArray]:
-    """The lane in its `mode`, its sticks counted, the record of the stick that ended, if any, and whether one ended that
-    is shorter than round-off.
-    """
+    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray, start_error: FloatScalar
+) -> tuple[Lane, StickRecord]:
+    """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any."""
     was_stick, sticks, position = model.stuck(lane.sign), model.stuck(mode.sign), model.stick_position(mode.y)
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + lane.start_error)
     now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
@@ -118,18 +116,20 @@ def _with_mode(
     begins = ~was_stick & sticks
     # A stick that starts on the edge of the band, or on the end of a segment, ends at once: of no length, it is none.
     no_stick = was_stick & ~sticks & ~over
+    undecided = any_of(no_stick & (lane.t > lane.stick_start))
     following = lane._replace(
         y=mode.y,
         sign=mode.sign,
         totals=with_stick(lane.totals, over, at_horizon, lane.t - lane.stick_start),
         event=jnp.where(mode.at_rest, lax.stop_gradient(lane.t), lane.event),
         at_start=lane.at_start & ~no_stick,
+        near_grazing_count=lane.near_grazing_count + undecided,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
         start_error=jnp.where(begins, lax.stop_gradient(start_error), lane.start_error),
         stick_position=jnp.where(begins, position, lane.stick_position),
         remembered=remembered,
     )
-    return following, record, no_stick & (lane.t > lane.stick_start)
+    return following, record
 
 
 def mode_at_start(model: SwitchedModel, forcing: object, y: State) -> tuple[State, FloatArray, FloatArray]:

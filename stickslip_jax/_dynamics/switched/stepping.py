@@ -29,7 +29,7 @@ from ..._compiler import sharing
 from ..._events.stick_quantities import begin_quantities
 from ..._events.sticks import StickRecord, start_totals
 from ..._excitation.segments import SegmentState
-from ..._numerics.over_contacts import any_of, sum_of
+from ..._numerics.over_contacts import any_of, largest_of, sum_of
 from ..._numerics.primal import without_derivatives
 from ..._numerics.roots import look_ahead
 from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel, chosen_state
@@ -133,7 +133,7 @@ def advance(
     following, record, margin, abrupt = switched(model, segment_laws, moved, ends, t1)
     vanished = brief & (lane.sign != 0) & (following.sign == 0)
     near_grazing = tie | (tie_if_abrupt & abrupt) | is_tie(margin) | vanished
-    following = following._replace(near_grazing_count=lane.near_grazing_count + sum_of(near_grazing))
+    following = following._replace(near_grazing_count=following.near_grazing_count + sum_of(near_grazing))
     following = _with_target(following, model, trial, verdict, lane, step)
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), following, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
@@ -257,16 +257,17 @@ def _close_calls(
     return tie, at_stop & (due | (age < few * step))
 
 
-def _start_error(trial: _Trial, verdict: _Verdict, step: FloatArray) -> FloatArray:
-    """By how much round-off may have moved the instant at which a slip ended, s; a stick that is shorter has no length.
+def _start_error(trial: _Trial, verdict: _Verdict, step: FloatArray) -> FloatScalar:
+    """By how much round-off may have moved the instant at which slips ended, s; a stick that is shorter has no length.
 
     That of the velocity over the deceleration. Where the velocity is tangent to that of the base it is the square root:
     32 steps are about a period, 5 the time in which a motion changes by its own size.
     """
     few = _VELOCITY_ULPS[step.dtype.itemsize] * float(jnp.finfo(step.dtype).eps)
     slope = jnp.abs(jnp.where(verdict.at_once, trial.d0, trial.d1))
-    tangent = math.sqrt(few) * 5 * step
-    return trial.clock + jnp.where(verdict.ends, few * trial.scale / jnp.maximum(slope, few * trial.scale / tangent), 0)
+    tangent = math.sqrt(few) / (5 * step) * trial.scale  # the slope of a tangent where round-off ends it
+    error = few * trial.scale / (slope + tangent + float(jnp.finfo(step.dtype).tiny))
+    return trial.clock + largest_of(jnp.where(verdict.ends, error, 0))
 
 
 def _with_target(

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from reference import compiled_motor_cart
 
 import stickslip_jax as ss
 
@@ -98,3 +99,21 @@ def test_many_steps_lose_no_digits_of_the_time(method):
     position, velocity = math.cos(20) / 3 + 0.075 + a * math.cos(40), -math.sin(20) / 3 - 2 * a * math.sin(40)
     assert float(one.final_state[0]) == pytest.approx(position, abs=2e-5)
     assert float(one.final_state[1]) == pytest.approx(velocity, abs=4e-5)
+
+
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+@pytest.mark.parametrize("precise", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_cart_that_turns_does_not_stick_at_dead_centre(precise):
+    """There the cart rests for an instant, at full speed of its motor; friction has no lever, and nothing to hold."""
+    numbers = (0.03068855, 5.996775, 0.03530228, 1.5240884e-4, 5.2552898e-5, 0.03695036, 0.457531, 5.3917889e-4)
+    volts, start = (5.907935, 0.0, 4.1423143, 0.26196686), (2.5485381, -57.420249, 1.0)
+    numbers, volts, start = (tuple(float(np.float32(one)) for one in part) for part in (numbers, volts, start))
+    expected, _ = compiled_motor_cart.follow(
+        compiled_motor_cart.Numbers(*numbers, *volts, 2), np.array(start), 0.4, 1e-13
+    )
+    names = "mu", "cart_mass", "eccentricity", "motor_inertia", "motor_damping", "motor_constant", "resistance"
+    with jax.enable_x64(precise):
+        cart = ss.MotorCart(**dict(zip((*names, "inductance"), numbers, strict=True)))
+        one = ss.simulate(cart, ss.SourceVoltage(*volts), t1=0.4, y0=start, method=ss.Exact(max_steps=4096))
+    assert int(one.sticks.count) == 0
+    np.testing.assert_allclose(one.final_state, expected, rtol=0, atol=1e-4)
