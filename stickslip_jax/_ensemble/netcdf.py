@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._processor import available_memory
+
 if TYPE_CHECKING:
     import xarray
 
@@ -60,9 +62,18 @@ def read_netcdf(path: Path) -> "xarray.Dataset":
     if not path.is_file():
         raise DamagedFileError("it is no ordinary file")
     try:
+        size = 0
         with h5py.File(path) as file:  # all names and attributes: where h5netcdf fails, it prints a traceback besides
+
+            def look(_: str, part: Any) -> None:
+                nonlocal size
+                dict(part.attrs)
+                size += getattr(part, "nbytes", 0)  # of an array
+
             dict(file.attrs)
-            file.visititems(lambda name, part: dict(part.attrs) and None)
+            file.visititems(look)
+        if size > available_memory():  # packed, or never written: the file itself may be small
+            raise DamagedFileError(f"its arrays are larger than the memory: {size / 1e9:.3g} GB")
         return xr.load_dataset(path, engine="h5netcdf")
     except ImportError:
         raise

@@ -4,6 +4,7 @@ import dataclasses
 import json
 
 import diffrax
+import h5py
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -277,6 +278,16 @@ def test_a_file_that_is_not_there_and_what_is_no_file(tmp_path, kept):
         kept.save(tmp_path / "many.csv")
     with pytest.raises(ValueError, match=r"Argument dataset must be what Ensemble\.to_xarray"):
         ss.Ensemble.from_xarray({"stick_start": [1.0]})
+
+
+def test_a_file_whose_arrays_are_larger_than_the_memory(tmp_path):
+    """A few kB that claim 8 TB, of which nothing was ever written."""
+    path = tmp_path / "claims.nc"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("stick_start", (10**12,), "f8", chunks=(10**6,), compression="gzip")
+    assert path.stat().st_size < 1e5
+    with pytest.raises(ValueError, match=r"its arrays are larger than the memory: 8e\+03 GB"):
+        ss.load(path)
 
 
 def test_another_precision_draws_nothing_again(kept):
