@@ -179,3 +179,16 @@ def test_what_is_shared_is_computed_once_and_right():
     names = [equation.primitive.name for equation in equations_of(jax.make_jaxpr(shared)(0.7, 1.3).jaxpr)]
     assert names.count("exp") == 1
     assert names.count("custom_jvp_call") == 1
+
+
+def test_what_is_shared_may_print():
+    """As in a law of a user's own: printing has no results, which every other operation has."""
+    seen = []
+
+    def function(x):
+        jax.debug.callback(lambda value: seen.append(float(value)), x)
+        return jnp.exp(x) + 2 * jnp.exp(x)
+
+    assert jax.jit(sharing(function))(0.0) == 3.0
+    jax.effects_barrier()
+    assert seen == [0.0]
