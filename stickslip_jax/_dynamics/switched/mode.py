@@ -51,14 +51,22 @@ def switched(
     ended = stop.at_stop & (lane.t < t1)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, lane.t, ended)
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
-    mode = _mode_after(model, forcing, lane, stop, ended, jumped)
+    may_jump = any(law.jumps for law in segment_laws.all)
+    mode = _mode_after(model, forcing, lane, stop, ended, jumped, may_jump=may_jump)
     at_horizon = stop.at_stop & ~(lane.t < t1)
     following, record = _with_mode(model, lane, mode, ended & jumped, at_horizon, stop.start_error)
     return following._replace(segment_states=segment_states), record, mode.margin, at_horizon | jumped
 
 
 def _mode_after(
-    model: SwitchedModel, forcing: object, lane: Lane, stop: Stop, ended: BoolArray, jumped: BoolArray
+    model: SwitchedModel,
+    forcing: object,
+    lane: Lane,
+    stop: Stop,
+    ended: BoolArray,
+    jumped: BoolArray,
+    *,
+    may_jump: bool,
 ) -> _Mode:
     """The mode from here on. `ended`: whether a segment ended here; `jumped`: whether the base velocity jumped."""
     was_stick = lane.sign == 0
@@ -95,11 +103,13 @@ def _mode_after(
     rests = (resolve & (resting | goes_on)) | (landed & (sign == 0))
     y = model.at_base_velocity(forcing, lane.y, rests)
     at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
-    # Right after a jump, a velocity that is zero but for round-off may be on either side of it, or at rest.
-    nearly = NEAR_GRAZING[lane.t.dtype.itemsize] / (NOISE_ULPS * float(jnp.finfo(lane.t.dtype).eps))
-    near_rest = ended & jumped & ~was_stick & holds & model.at_rest(forcing, lane.y, nearly)
-    decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
-    return _Mode(y, sign, at_rest, jnp.where(near_rest, 0, jnp.where(decided, jnp.abs(guard), jnp.inf)))
+    margin = jnp.where((landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays, jnp.abs(guard), jnp.inf)
+    if may_jump:
+        # Right after a jump, a velocity that is zero but for round-off may be on either side of it, or at rest.
+        nearly = NEAR_GRAZING[lane.t.dtype.itemsize] / (NOISE_ULPS * float(jnp.finfo(lane.t.dtype).eps))
+        near_rest = ended & jumped & ~was_stick & holds & model.at_rest(forcing, lane.y, nearly)
+        margin = jnp.where(near_rest, 0, margin)
+    return _Mode(y, sign, at_rest, margin)
 
 
 def _with_mode(
