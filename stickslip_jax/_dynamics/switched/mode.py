@@ -103,7 +103,8 @@ def _mode_after(
     rests = (resolve & (resting | goes_on)) | (landed & (sign == 0))
     y = model.at_base_velocity(forcing, lane.y, rests)
     at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
-    margin = jnp.where((landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays, jnp.abs(guard), jnp.inf)
+    decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
+    margin = jnp.where(decided, jnp.abs(guard), jnp.inf)
     if may_jump:
         # Right after a jump, a velocity that is zero but for round-off may be on either side of it, or at rest.
         nearly = NEAR_GRAZING[lane.t.dtype.itemsize] / (NOISE_ULPS * float(jnp.finfo(lane.t.dtype).eps))
