@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._processor import available_memory
+from .._processor import require_memory
 
 if TYPE_CHECKING:
     import xarray
@@ -54,6 +54,7 @@ def read_netcdf(path: Path) -> "xarray.Dataset":
 
     Raises:
         DamagedFileError: For what cannot be read.
+        ValueError: For what is larger than the memory.
         ImportError: Without the extra.
     """
     import h5py  # noqa: PLC0415 - an extra, loaded when asked for
@@ -61,24 +62,30 @@ def read_netcdf(path: Path) -> "xarray.Dataset":
 
     if not path.is_file():
         raise DamagedFileError("it is no ordinary file")
+    size = 0.0
+
+    def look(_: str, part: Any) -> None:
+        nonlocal size
+        dict(part.attrs)
+        size += float(getattr(part, "nbytes", 0))  # of an array
+
     try:
-        size = 0
         with h5py.File(path) as file:  # all names and attributes: where h5netcdf fails, it prints a traceback besides
-
-            def look(_: str, part: Any) -> None:
-                nonlocal size
-                dict(part.attrs)
-                size += getattr(part, "nbytes", 0)  # of an array
-
             dict(file.attrs)
             file.visititems(look)
-        if size > available_memory():  # packed, or never written: the file itself may be small
-            raise DamagedFileError(f"its arrays are larger than the memory: {size / 1e9:.3g} GB")
+    except Exception as error:  # of h5py, h5netcdf and xarray, which raise any kind for a damaged file
+        raise _damaged(error) from error
+    require_memory("path", size, f"what {str(path)!r} holds")  # packed, or never written: the file may be small
+    try:
         return xr.load_dataset(path, engine="h5netcdf")
     except ImportError:
         raise
-    except Exception as error:  # of h5py, h5netcdf and xarray, which raise any kind for a damaged file
-        raise DamagedFileError(" ".join(str(error).split()) or type(error).__name__) from error
+    except Exception as error:
+        raise _damaged(error) from error
+
+
+def _damaged(error: Exception) -> DamagedFileError:
+    return DamagedFileError(" ".join(str(error).split()) or type(error).__name__)
 
 
 def verified(dataset: "xarray.Dataset", *, is_file: bool = True) -> "xarray.Dataset":

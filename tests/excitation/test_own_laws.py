@@ -264,6 +264,25 @@ def test_a_base_without_an_acceleration_in_adaptive_steps():
     assert many.status_counts[ss.Status.NOT_FINITE] == 3
 
 
+class Nowhere(Runaway):
+    """A base whose velocity never has a value."""
+
+    shortest_period = 1.0
+
+    def velocity(self, t):
+        return jnp.nan * t
+
+    def acceleration(self, t):
+        return jnp.nan * t
+
+
+def test_adaptive_steps_tell_a_base_without_a_value_from_one_without_a_length():
+    one = ss.simulate(SYSTEM, Nowhere(), t1=1.0, method=ss.Regularized(1e-2))
+    assert ss.Status(int(one.status)) is ss.Status.NOT_FINITE
+    none = ss.VelocitySteps(np.zeros(1), np.ones(1))
+    assert int(ss.simulate(SYSTEM, none, t1=1.0, method=ss.Regularized(1e-2)).status) == ss.Status.BASE_TOO_SHORT
+
+
 class Atoms(ss.RandomNumber):
     """One of two numbers, as likely as each other."""
 

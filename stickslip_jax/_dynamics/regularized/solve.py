@@ -223,8 +223,8 @@ def detect_in_step(
     moved, record = detect_joined(criterion, detector, seen, jumped=jumped & (now < t1), after=after, last=now >= t1)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, detector)
     # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `status_of`.
-    # (Of a base that ends where it begins there is no acceleration, and no step either.)
-    hidden = (index < solution.steps) & any_of(~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)))
+    # (What ends where it begins has none, and no motion.)
+    hidden = live & (tables.end > 0) & any_of(~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)))
     stick_time = jnp.where(hidden, jnp.nan, moved.totals.stick_time)
     moved = moved._replace(totals=moved.totals._replace(stick_time=stick_time))
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))

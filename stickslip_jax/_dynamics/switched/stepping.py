@@ -41,8 +41,6 @@ from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
 from .mode import Stop, is_tie, mode_at_start, switched
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
-# The round-off of the relative velocity, in units in the last place of its scale (`NEAR_ULPS` of `interval/arcs.py`).
-_VELOCITY_ULPS = {8: 64, 4: 16}
 _ERROR = {8: 1e-9, 4: 1e-5}  # relative, of a step without a closed form; the estimate of its solver is far too high
 _LEAST_ERROR = 1e-20
 _AT_ONCE = 1e-9  # fraction of a step: an earlier fall means that the mode was over when the step began
@@ -263,7 +261,7 @@ def _start_error(trial: _Trial, verdict: _Verdict, step: FloatArray) -> FloatSca
     That of the velocity over the deceleration. Where the velocity is tangent to that of the base it is the square root:
     32 steps are about a period, 5 the time in which a motion changes by its own size.
     """
-    few = _VELOCITY_ULPS[step.dtype.itemsize] * float(jnp.finfo(step.dtype).eps)
+    few = NOISE_ULPS * float(jnp.finfo(step.dtype).eps)
     slope = jnp.abs(jnp.where(verdict.at_once, trial.d0, trial.d1))
     tangent = math.sqrt(few) / (5 * step) * trial.scale  # the slope of a tangent where round-off ends it
     error = few * trial.scale / (slope + tangent + float(jnp.finfo(step.dtype).tiny))
