@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reference import compiled_motor_cart
 
 import stickslip_jax as ss
 
@@ -102,18 +101,23 @@ def test_many_steps_lose_no_digits_of_the_time(method):
 
 
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
-@pytest.mark.parametrize("precise", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_a_cart_that_turns_does_not_stick_at_dead_centre(precise):
-    """There the cart rests for an instant, at full speed of its motor; friction has no lever, and nothing to hold."""
-    numbers = (0.03068855, 5.996775, 0.03530228, 1.5240884e-4, 5.2552898e-5, 0.03695036, 0.457531, 5.3917889e-4)
-    volts, start = (5.907935, 0.0, 4.1423143, 0.26196686), (2.5485381, -57.420249, 1.0)
-    numbers, volts, start = (tuple(float(np.float32(one)) for one in part) for part in (numbers, volts, start))
-    expected, _ = compiled_motor_cart.follow(
-        compiled_motor_cart.Numbers(*numbers, *volts, 2), np.array(start), 0.4, 1e-13
-    )
-    names = "mu", "cart_mass", "eccentricity", "motor_inertia", "motor_damping", "motor_constant", "resistance"
-    with jax.enable_x64(precise):
-        cart = ss.MotorCart(**dict(zip((*names, "inductance"), numbers, strict=True)))
-        one = ss.simulate(cart, ss.SourceVoltage(*volts), t1=0.4, y0=start, method=ss.Exact(max_steps=4096))
-    assert int(one.sticks.count) == 0
-    np.testing.assert_allclose(one.final_state, expected, rtol=0, atol=1e-4)
+def test_carts_that_turn_do_not_stick_at_dead_centre():
+    """There the cart rests for an instant, at full speed of its motor: friction has no lever, and nothing to hold.
+
+    Of these 200 carts 5 stuck there where friction at its limit was let hold a cart that is not at rest.
+    """
+    source, number = np.random.default_rng(0), 200
+    drawn = [source.uniform(*ends, number) for ends in ((0.05, 3.0), (-300.0, -20.0), (0.01, 0.5), (0.0, 6.0))]
+
+    @jax.jit
+    @jax.vmap
+    def followed(angle, speed, mu, phase):
+        voltage = ss.SourceVoltage(3.0, 2.0, 20.0, phase)
+        one = ss.simulate(ss.MotorCart(mu), voltage, t1=0.1, y0=(angle, speed, 0.0), method=ss.Exact(max_steps=1024))
+        return one.status, one.sticks.position, one.sticks.mask
+
+    with jax.enable_x64(False):
+        status, angle, mask = map(np.asarray, followed(*(one.astype(np.float32) for one in drawn)))
+    assert np.mean(status == ss.Status.FINISHED) > 0.99
+    assert np.all(np.abs(np.sin(angle[mask])) > 1e-3)
+    assert np.sum(mask) > 0
