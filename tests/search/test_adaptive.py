@@ -93,7 +93,12 @@ def test_states(shape, kind):
     [("tanh", 5), *(pytest.param(shape, 400, marks=pytest.mark.slow) for shape in (*PHI, "LuGre"))],
 )
 def test_errors_are_of_the_order_of_the_tolerance(shape, number):
-    """Below 30 times the tolerance that is asked, from 1e-4 to 1e-8, against Radau at 1e-10."""
+    """Below 30 times the tolerance that is asked, from 1e-4 to 1e-8, against Radau at 1e-10.
+
+    What is asked of a state is ``rtol |state| + atol``, and atol is `rtol` times the state's scale: ``N mu / k`` and
+    ``N mu / sqrt(k m)`` here. A motion much smaller than these (a mass that the belt drags on one side) is not asked to
+    be known to `rtol` of itself.
+    """
     first = 1000
     cases = np.stack([drawn(first + seed, shape) for seed in range(number)])
     rtol = 10 ** np.random.default_rng(number).uniform(-8, -4, number)
@@ -101,7 +106,9 @@ def test_errors_are_of_the_order_of_the_tolerance(shape, number):
     wrong = {}
     for i in np.flatnonzero(status == ss.Status.FINISHED):
         exact, largest = by_radau(cases[i], shape, 1e-10)
-        error = np.max(np.abs(state[i] - exact) / largest) / rtol[i]
+        mass, stiffness, load, mu = cases[i, :4]
+        scale = load * mu / np.array([stiffness, math.sqrt(stiffness * mass)])
+        error = np.max(np.abs(state[i] - exact) / (largest + scale)) / rtol[i]
         if error > 30:
             wrong[first + int(i)] = error
     assert np.mean(status == ss.Status.FINISHED) > 0.9
