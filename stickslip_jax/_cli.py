@@ -16,7 +16,6 @@ from functools import partial
 from types import FrameType
 
 from . import _starting
-from ._sweep.errors import SweepError
 
 _starting.begin()
 
@@ -26,12 +25,13 @@ def main(tokens: Sequence[str] | None = None) -> int:
 
     Returns the exit code, except that an interrupted process ends here.
     """
-    code = _answer(sys.argv[1:] if tokens is None else tokens)
-    if tokens is None and code > 128:
-        # JAX may still compile in other threads, and crashes if the interpreter shuts down meanwhile.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+    with _stops_raised():
+        code = _answer(sys.argv[1:] if tokens is None else tokens)
+        if tokens is None and code > 128:
+            # JAX may still compile in other threads, and crashes if the interpreter shuts down meanwhile.
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
     return code
 
 
@@ -50,12 +50,13 @@ def _answer(tokens: Sequence[str]) -> int:
     is_stored = list(tokens[:1]) in (["sweep"], ["resume"])
     left = "what is done is kept, and the same command goes on from there." if is_stored else "no result was written."
     try:
-        with _stops_raised():
-            return _run_or_fail(tokens, left)
-    except KeyboardInterrupt as stop:
+        return _run_or_fail(tokens, left)
+    except (KeyboardInterrupt, _Terminated) as stop:
+        for number in _STOPS.values():  # impatient people press Ctrl-C again
+            signal.signal(number, signal.SIG_IGN)
+        if isinstance(stop, _Terminated):
+            return _fail(f"Terminated; {left}", 143)
         return _fail(str(stop) or f"Interrupted; {left}", 130)
-    except _Terminated:
-        return _fail(f"Terminated; {left}", 143)
     except SystemExit as stop:
         if stop.code == 1:  # of what prints the help, where nobody reads it
             return _PIPE_CLOSED
@@ -64,7 +65,9 @@ def _answer(tokens: Sequence[str]) -> int:
 
 def _run_or_fail(tokens: Sequence[str], left: str) -> int:
     try:
-        # Imported only here, so that help and errors in the arguments appear without loading the simulation.
+        # Imported only here, so that help and errors in the arguments appear without loading the simulation, and
+        # Ctrl-C is answered again at once after the package is loaded.
+        from ._sweep.errors import SweepError  # noqa: PLC0415
         from .study._errors import StudyError  # noqa: PLC0415 - says which extra is missing
     except ImportError as error:
         return _fail(error, 1)
@@ -116,8 +119,7 @@ def _stops_raised() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    _starting.end()
-    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    usual = {signal.SIGINT: _starting.usual(), signal.SIGTERM: signal.getsignal(signal.SIGTERM)}
     signal.signal(signal.SIGTERM, partial(_stop, _Terminated))
     if usual[signal.SIGINT] is signal.default_int_handler:  # not where Ctrl-C is ignored
         signal.signal(signal.SIGINT, partial(_stop, KeyboardInterrupt))

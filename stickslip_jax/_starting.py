@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+from typing import Any
 
 _FILES = ("stickslip", "stickslip.exe", "_cli.py")
 _MODULE = "stickslip_jax._cli"
@@ -24,6 +25,12 @@ def end() -> None:
     """Leave Ctrl-C to Python again."""
     if signal.getsignal(signal.SIGINT) is _interrupted:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def usual() -> Any:
+    """What answers Ctrl-C without this module."""
+    now = signal.getsignal(signal.SIGINT)
+    return signal.default_int_handler if now is _interrupted else now
 
 
 def _is_command() -> bool:

@@ -1,5 +1,5 @@
-"""Bounds of numbers on which the fitted motion does not depend, or that are near their own bound, by the profile of the
-likelihood.
+"""Bounds of numbers by the profile of the likelihood: of those on which the fitted motion does not depend, those near
+their own bound, and those whose standard error does not tell how far they can go.
 """
 
 from typing import NamedTuple
@@ -21,6 +21,7 @@ SHARE = 0.05  # of a direction, below which a number has no part in it
 _NEAR = 3.0  # standard errors from a bound: farther away the estimate is normal
 _NEAR_KINETIC = 10.0  # of static from kinetic friction, on whose square the motion depends there
 _AS_NORMAL = 5.0  # times its largest distance that a number can go, up to which its standard error is believed
+_AS_STRAIGHT = 1.1  # times the growth that the standard error promises, or one over it
 
 
 class Bounds(NamedTuple):
@@ -33,8 +34,10 @@ class Bounds(NamedTuple):
 def all_bounds(
     problem: Problem, sigma: np.ndarray, at: Point, free: Free, told: Information, freedom: float
 ) -> tuple[dict[int, Bounds], np.ndarray]:
-    """The bounds by the record of the numbers, by place, that it does not tell, each by itself, and of those near a
-    bound that they may have; and which numbers the record tells, (parameters,).
+    """The bounds by the record of the numbers, by place, that it does not tell, each by itself, of those near a bound
+    that they may have, and of those around which chi-squared is no parabola, because a slip or a stick appears within
+    their error; and which numbers the record tells, (parameters,). `freedom`: degrees of freedom of the noise, infinite
+    where it is known: chi-squared may grow by the square of the 95 % quantile of Student's t with so many.
 
     Near its bound a number need not be known to 30 % to be told: the record only has to say how far away it can be.
     """
@@ -48,27 +51,46 @@ def all_bounds(
     far = np.where(np.any(np.asarray(transform.added) > 0, axis=1), _NEAR_KINETIC, _NEAR)
     is_near = np.minimum(from_low, from_high) < far * slopes * errors
     is_tied = np.any(np.abs(told.tied) > SHARE, axis=0)
+    limit = float(stats.t.ppf(LEVEL, freedom))
+    is_bent = _is_bent(problem, sigma, at, free, told.covariance, limit) & ~told.untold
     bounds = {}
-    for i in np.flatnonzero((told.untold | is_near) & ~is_tied):
-        bounds[int(i)] = _bounds_of(problem, sigma, at, free, int(i), errors[i], freedom)
+    for i in np.flatnonzero((told.untold | is_near | is_bent) & ~is_tied):
+        bounds[int(i)] = _bounds_of(problem, sigma, at, free, int(i), errors[i], limit)
         end = bounds[int(i)][int(from_low[i] <= from_high[i])]
         if is_near[i] and end is not None:
             is_told[i] = slopes[i] * errors[i] < _AS_NORMAL * abs(end - own[i])
     return bounds, is_told
 
 
+def _is_bent(
+    problem: Problem, sigma: np.ndarray, at: Point, free: Free, covariance: np.ndarray, limit: float
+) -> np.ndarray:
+    """Whether the root of what chi-squared grows by up to `limit` standard errors of each number, to either side, is
+    another one than these promise, (parameters,). All others, and the starts, move along as they do to first order.
+    """
+    seen, number = problem.seen(at).over(sigma), len(at.x)
+    least, slopes = chi_squared(seen), seen.slopes.reshape(len(at.s), -1, seen.slopes.shape[-1])
+    found = np.zeros(number, bool)
+    for i in np.flatnonzero(free.x):
+        dx = np.where(free.x, limit * covariance[i] / np.sqrt(covariance[i, i]), 0)
+        ds = [-np.linalg.lstsq(one[:, number:], one[:, :number] @ dx)[0] if free.s else 0 for one in slopes]
+        for sign in (1.0, -1.0):
+            beside = Point(np.clip(at.x + sign * dx, *problem.model.transform.box), at.s + sign * np.stack(ds))
+            grown = chi_squared(problem.seen(beside).over(sigma)) - least
+            found[i] |= not 1 / _AS_STRAIGHT < np.sqrt(max(grown, 0)) / limit < _AS_STRAIGHT
+    return found
+
+
 def _bounds_of(
-    problem: Problem, sigma: np.ndarray, at: Point, free: Free, which: int, error: float, freedom: float
+    problem: Problem, sigma: np.ndarray, at: Point, free: Free, which: int, error: float, limit: float
 ) -> Bounds:
     """How far the number `which`, or how much it is above the one it is counted from, can go down and up until the
     record contradicts it, all others fitted again.
 
-    One-sided: chi-squared has then grown by the square of the 95 % quantile of Student's t with `freedom` degrees of
-    freedom, infinite where the noise is known. `error`: about the standard error of the coordinate.
+    One-sided: chi-squared has then grown by the square of `limit`. `error`: about the standard error of the coordinate.
     """
     others = Free(free.x & (np.arange(len(free.x)) != which), free.s)
     least = chi_squared(problem.search(sigma, at, others).seen.over(sigma))
-    limit = float(stats.t.ppf(LEVEL, freedom))
     first = min(2 * error, _FARTHEST_FIRST)
     ends = [float(end[which]) for end in problem.model.transform.box]
 

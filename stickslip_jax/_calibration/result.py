@@ -27,9 +27,11 @@ class Calibration:
       residuals that are not white.
     - `bounds`: the smallest and the largest value that the record allows, each with 95 % confidence by the profile of
       the likelihood, None where there is none, of each number on which the motion does not depend at its first guess,
-      such as the friction coefficient of a mass that never slips, and of each that is less than three standard errors
-      away from a bound of its own, such as a damping near zero: its error is to one side there. Static friction that
-      is fitted together with kinetic friction has bounds of the difference, "mu_static - mu", up to ten of them.
+      such as the friction coefficient of a mass that never slips, of each that is less than three standard errors
+      away from a bound of its own, such as a damping near zero: its error is to one side there; and of each whose
+      standard error does not tell how far it can go, because the motion changes within it (a slip appears). Static
+      friction that is fitted together with kinetic friction has bounds of the difference, "mu_static - mu", up to ten
+      standard errors away.
     - `system`, `base`: with the estimates in place; of a number that the record does not tell, its first guess.
     - `start`: the estimated state at the first measurement, by the names of the coordinates; None where `y0` was given,
       or where several windows were fitted.

@@ -159,7 +159,7 @@ def _extended(
     require_threads_of_jax()
     check_extendable(ensemble)
     first = ensemble.first_sample + ensemble.samples
-    _checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
+    samples = _checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
     model = Model(ensemble.system, ensemble.law, ensemble.y0)
     assert isinstance(ensemble.method, (Exact, Regularized))  # `check_extendable` saw to it
     options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)

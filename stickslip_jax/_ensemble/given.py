@@ -76,8 +76,10 @@ def fields_of_sticks(
     _checks.positive("t1", t1, "s")
     if period is not None:
         _checks.positive("period", period)
+        period = float(period)
     if position_unit is not None:
         _check_unit(position_unit)
+        position_unit = str(position_unit)
     sticks, unit = measured_sticks(table, float(t1), samples)
     if position_unit is not None and unit not in (None, position_unit):
         raise ValueError(

@@ -86,6 +86,8 @@ def identically_distributed(
 def _orders(orders: Any) -> tuple[int, ...]:
     if not hasattr(orders, "__len__") or _checks.dimensions(orders) == 0:
         return tuple(range(1, _checks.whole_number("orders", orders, minimum=2, maximum=MOST_ORDERS) + 1))
+    if isinstance(orders, (bytes, bytearray)):
+        raise _checks.refused("orders", "be whole numbers", orders)
     few = orders[: MOST_ORDERS + 1]
     chosen = sorted({_checks.whole_number(f"orders[{at}]", order) for at, order in enumerate(few)})
     if not 2 <= len(chosen) == len(orders):

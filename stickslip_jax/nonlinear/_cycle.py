@@ -86,6 +86,6 @@ def steps_in(
         return None
     try:
         excitation, step = arguments.checked_step()
-        return steps_for(system, excitation, duration, step)
+        return steps_for(system, excitation, duration, step, "period")
     except NotKnown:
         return None

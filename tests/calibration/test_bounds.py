@@ -1,6 +1,8 @@
 """Numbers at and near the bounds that they may have: they are found there, and the limits hold the truth."""
 
 import warnings
+from types import SimpleNamespace
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -8,6 +10,10 @@ import pytest
 from scipy import optimize, stats
 
 import stickslip_jax as ss
+from stickslip_jax._calibration.bounds import all_bounds
+from stickslip_jax._calibration.fit import Fit, Free, Point, Problem, Seen
+from stickslip_jax._calibration.information import information_of
+from stickslip_jax._calibration.transform import identity
 
 SETS = 200
 TIMES = np.linspace(0, 20, 401)
@@ -116,6 +122,35 @@ def test_friction_that_is_hardly_there(chi_squared):
         assert high is not None
         for end in [high] if low is None else [low, high]:
             assert abs(chi_squared(end, row) - chi_squared(best, row) - stats.norm.ppf(0.95) ** 2) < 0.02
+
+
+@pytest.mark.parametrize(("beyond", "high"), [(1.0, None), (1.05, None), (3.0, 1.215), (0.5, 2.29)])
+def test_errors_that_end_where_the_motion_changes(beyond, high):
+    """A number on which residuals depend `beyond` times as much, from one standard error above the estimate on.
+
+    Chi-squared has grown by 1.645 squared where ``1 + beyond (x - 1)`` is 1.645, and -x on the other side.
+    """
+    size = 100.0  # the loose hold of the search is nothing beside it
+
+    class Bent(Problem):
+        def seen(self, point):
+            x = size * point.x[0]
+            far = x > 1
+            residual, slope = np.where(far, 1 + beyond * (x - 1), x), size * np.where(far, beyond, 1.0)
+            return Seen(np.array([[[residual]]]), np.array([[[[slope]]]]))
+
+        def search(self, sigma, start, free):
+            assert not free.x.any()
+            return Fit(start, self.seen(start), True)
+
+    model: Any = SimpleNamespace(transform=identity(1, np.dtype(float)))
+    problem = Bent(model, cast(Any, None))
+    at, sigma, free = Point(np.zeros(1), np.zeros((1, 0))), np.ones(1), Free(np.ones(1, bool), False)
+    found, is_told = all_bounds(problem, sigma, at, free, information_of(problem.seen(at), 1), np.inf)
+    assert is_told.all()
+    assert bool(found) == (high is not None)
+    if high is not None:
+        np.testing.assert_allclose(np.array(found[0]) * size, [-1.645, high], rtol=1e-3)
 
 
 @pytest.mark.slow

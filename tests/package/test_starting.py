@@ -64,8 +64,9 @@ def test_ctrl_c_while_the_command_is_loaded(tmp_path, after):
 def test_ctrl_c_at_forty_moments_of_the_first_seconds(tmp_path):
     chance = random.Random(3)
     for _ in range(40):
-        code, err = interrupted(tmp_path, chance.uniform(0.05, 4.0))
-        assert code == 130
+        after = chance.uniform(0.05, 4.0)
+        code, err = interrupted(tmp_path, after)
+        assert code == 130, (after, err)
         assert "Traceback" not in err
         assert err.splitlines()[-1].startswith("stickslip: ")
 

@@ -271,7 +271,7 @@ def results() -> Iterator[Target]:
         bins=(4, "whole"), points=(3, "whole"),
     )  # fmt: skip
     yield fields(ss.first_stick, ensemble=ensemble, count_initial_rest=(False, "truth"))
-    tested = {"significance": (0.05, "positive"), "starts_before": (None, "any")}
+    tested = {"significance": (0.05, "share"), "starts_before": (None, "any")}
     yield fields(
         ss.identically_distributed, source=ensemble, quantity=("duration", "never | word"), orders=(2, "whole | array"),
         **tested,
@@ -325,7 +325,7 @@ def calibrations() -> Iterator[Target]:
     yield fields(
         likelihood.__call__,
         ("mu",),
-        values=({"mu": 0.5}, "mapping"),
+        values=({"mu": 0.5}, "mapping | array"),
         noise=({"position": 0.1}, "never"),
     )
     yield fields(lambda mu: likelihood({"mu": mu}, noise={"position": 0.1}), ("values",), mu=(0.5, "any"))

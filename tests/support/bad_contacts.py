@@ -81,5 +81,6 @@ def periods() -> Iterator[Target]:
     yield fields(nonlinear.lyapunov_exponents, **begun, **over, exponents=(1, "optional whole"))
     yield fields(
         nonlinear.periodic_orbit, **{name: driven[name] for name in ("system", "base", "period", "method")},
-        y0=((0.0, 1.0), "start"), periods=(1, "whole"), tolerance=(None, "optional positive"), iterations=(2, "whole"),
+        y0=((0.0, 1.0), "optional start"), periods=(1, "whole"), tolerance=(None, "optional positive"),
+        iterations=(2, "whole"),
     )  # fmt: skip

@@ -270,6 +270,7 @@ KINDS: dict[str, Callable[[Any], bool]] = {
     "number": is_number,
     "positive": lambda value: is_number(value, 1e-100),
     "not negative": lambda value: is_number(value, 0.0),
+    "share": lambda value: is_number(value) and 0 < value < 1,
     "field": is_field,
     "positive field": lambda value: is_field(value, 1e-100),
     "not negative field": lambda value: is_field(value, 0.0),

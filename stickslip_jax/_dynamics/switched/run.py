@@ -129,12 +129,12 @@ def state_in_step(model: SwitchedModel, begun: Beginnings, h: FloatArray) -> Sta
     return model.flow(model.forcing(begun.t, segments), y, h, sign)
 
 
-def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar) -> int:
+def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, name: str = "t1") -> int:
     """Number of loop steps that suffices for nearly every trajectory: by the time steps and segments until `t1`.
 
     Rounded up by `padded_length`, so that similar lengths share a compilation; the loop stops when the trajectory ends.
     Where a number that it depends on is traced, it follows from the lengths of records. Raises NotKnown where there are
-    none, ValueError for more steps than 32 bits can count.
+    none, ValueError for more steps than 32 bits can count: argument `name` is too long.
     """
     laws = SegmentLaws.of(system, excitation).all
     try:
@@ -145,7 +145,7 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar) 
     steps = 1.5 * (horizon / shortest) + 2 * segments + _ROOM
     if steps > MOST_STEPS:
         raise ValueError(
-            f"Argument t1 must be shorter: {horizon:g} s hold more than {MOST_STEPS} steps of {shortest:.3g} s or "
+            f"Argument {name} must be shorter: {horizon:g} s hold more than {MOST_STEPS} steps of {shortest:.3g} s or "
             "segments of the motion."
         )
     return padded_length(math.ceil(steps))

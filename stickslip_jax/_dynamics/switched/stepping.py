@@ -110,10 +110,15 @@ def advance(
     # The step ends where it began, on the event (one Newton step from its end), or at its end.
     stays, delta = verdict.again | verdict.at_once, jnp.where(at_event, verdict.to_event, 0)
     tau = jnp.where(stays, 0, trial.h + delta)
-    moving = zip(trial.reached, model.rates(forcing, trial.h, trial.reached, lane.sign), strict=True)
-    y = chosen_state(stays, lane.y, tuple(value + delta * rate for value, rate in moving))
+    rates = model.rates(forcing, trial.h, trial.reached, lane.sign)
+    y = chosen_state(
+        stays, lane.y, tuple(value + delta * rate for value, rate in zip(trial.reached, rates, strict=True))
+    )
     model, lane = given[0], before
-    ends_by = HowItEnds(~stays, _only_first(verdict.ends & at_event), at_stop)
+    at_first = _only_first(verdict.ends & at_event)
+    falling = jnp.where(at_first & (trial.d1 < 0), -trial.d1, jnp.inf)
+    back = jnp.minimum(sum_of(trial.noise / falling), _LANDED[tau.dtype.itemsize] * step)
+    ends_by = HowItEnds(~stays, at_first, at_stop, back, tuple(back * rate for rate in rates))
     tau, *y = carried(*given, time_left, lane.sign, ends_by, tau, y)
     # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
     t = jnp.where(at_stop, stop, lane.t + tau)
