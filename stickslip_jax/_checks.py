@@ -157,7 +157,8 @@ def tree(name: str, value: object) -> None:
     """Check that JAX can go through ``value``, whatever is in it."""
     if isinstance(value, Iterator):
         raise refused(name, "be no iterator, which can be read only once", value)
-    if isinstance(value, (list, tuple)) and _holds_masked(value):  # of which NumPy would make NaN
+    rows = [one for one in value if isinstance(one, (list, tuple))] if isinstance(value, (list, tuple)) else []
+    if any(map(_holds_masked, rows)):  # of which NumPy would make NaN
         raise refused(name, "hold no masked entries", value, "leave them out, or fill them")
     if not is_tree(value):
         raise refused(name, f"be no list within {_MOST_LEVELS} others, and no dict whose keys have no order", value)

@@ -79,6 +79,7 @@ def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
 def _column(given: Any) -> np.ndarray:
     """A column of the table; masked entries are not numbers. Raises ValueError for rows of different lengths."""
     _checks.tree("table", given)
+    _checks.tree("table", [given])  # as a row: of a masked number in it NumPy would make NaN
     if np.ma.is_masked(given):
         return given.astype(object).filled(None)
     if isinstance(given, range):
