@@ -52,8 +52,8 @@ def _answer(tokens: Sequence[str]) -> int:
     try:
         return _run_or_fail(tokens, left)
     except (KeyboardInterrupt, _Terminated) as stop:
-        for number in _STOPS.values():  # impatient people press Ctrl-C again
-            signal.signal(number, signal.SIG_IGN)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # impatient people press Ctrl-C again
         if isinstance(stop, _Terminated):
             return _fail(f"Terminated; {left}", 143)
         return _fail(str(stop) or f"Interrupted; {left}", 130)

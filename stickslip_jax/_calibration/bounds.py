@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, stats
 
-from .fit import Free, Point, Problem, chi_squared
+from .fit import Fit, Free, Point, Problem, chi_squared
 from .information import Information
 
 LEVEL = 0.95
@@ -32,16 +32,16 @@ class Bounds(NamedTuple):
 
 
 def all_bounds(
-    problem: Problem, sigma: np.ndarray, at: Point, free: Free, told: Information, freedom: float
+    problem: Problem, sigma: np.ndarray, fit: Fit, free: Free, told: Information, freedom: float
 ) -> tuple[dict[int, Bounds], np.ndarray]:
     """The bounds by the record of the numbers, by place, that it does not tell, each by itself, of those near a bound
-    that they may have, and of those around which chi-squared is no parabola, because a slip or a stick appears within
-    their error; and which numbers the record tells, (parameters,). `freedom`: degrees of freedom of the noise, infinite
-    where it is known: chi-squared may grow by the square of the 95 % quantile of Student's t with so many.
+    that they may have, and of those around which chi-squared is no parabola; and which numbers the record tells,
+    (parameters,). `freedom`: degrees of freedom of the noise, infinite where it is known: chi-squared may grow by the
+    square of the 95 % quantile of Student's t with so many.
 
     Near its bound a number need not be known to 30 % to be told: the record only has to say how far away it can be.
     """
-    transform, is_told = problem.model.transform, ~told.untold
+    at, transform, is_told = fit.point, problem.model.transform, ~told.untold
     errors = np.sqrt(np.diag(told.covariance))
     slopes, own = np.diag(transform.slopes(transform.numbers(at.x))), transform.own(at.x)
     from_low, from_high = (
@@ -52,9 +52,12 @@ def all_bounds(
     is_near = np.minimum(from_low, from_high) < far * slopes * errors
     is_tied = np.any(np.abs(told.tied) > SHARE, axis=0)
     limit = float(stats.t.ppf(LEVEL, freedom))
-    is_bent = _is_bent(problem, sigma, at, free, told.covariance, limit) & ~told.untold
     bounds = {}
-    for i in np.flatnonzero((told.untold | is_near | is_bent) & ~is_tied):
+    for i in np.flatnonzero(~is_tied):
+        if not (told.untold[i] or is_near[i]):
+            change = limit * told.covariance[i] / errors[i]
+            if not fit.converged or not _is_bent(problem, sigma, fit, free, int(i), slopes[i] * errors[i], change):
+                continue
         bounds[int(i)] = _bounds_of(problem, sigma, at, free, int(i), errors[i], limit)
         end = bounds[int(i)][int(from_low[i] <= from_high[i])]
         if is_near[i] and end is not None:
@@ -63,22 +66,26 @@ def all_bounds(
 
 
 def _is_bent(
-    problem: Problem, sigma: np.ndarray, at: Point, free: Free, covariance: np.ndarray, limit: float
-) -> np.ndarray:
-    """Whether the root of what chi-squared grows by up to `limit` standard errors of each number, to either side, is
-    another one than these promise, (parameters,). All others, and the starts, move along as they do to first order.
+    problem: Problem, sigma: np.ndarray, fit: Fit, free: Free, which: int, error: float, change: np.ndarray
+) -> bool:
+    """Whether the root of what chi-squared grows by is another one than the standard `error` of a number promises.
+
+    So it is where a slip or a stick appears within the error, or where this is large. Looked at on both sides of the
+    number `which`, where the coordinates `change` so, to first order to keep chi-squared least; the starts too.
     """
-    seen, number = problem.seen(at).over(sigma), len(at.x)
-    least, slopes = chi_squared(seen), seen.slopes.reshape(len(at.s), -1, seen.slopes.shape[-1])
-    found = np.zeros(number, bool)
-    for i in np.flatnonzero(free.x):
-        dx = np.where(free.x, limit * covariance[i] / np.sqrt(covariance[i, i]), 0)
-        ds = [-np.linalg.lstsq(one[:, number:], one[:, :number] @ dx)[0] if free.s else 0 for one in slopes]
-        for sign in (1.0, -1.0):
-            beside = Point(np.clip(at.x + sign * dx, *problem.model.transform.box), at.s + sign * np.stack(ds))
-            grown = chi_squared(problem.seen(beside).over(sigma)) - least
-            found[i] |= not 1 / _AS_STRAIGHT < np.sqrt(max(grown, 0)) / limit < _AS_STRAIGHT
-    return found
+    at, seen, transform = fit.point, fit.seen.over(sigma), problem.model.transform
+    number, least = len(at.x), chi_squared(seen)
+    slopes = seen.slopes.reshape(len(at.s), -1, seen.slopes.shape[-1])
+    starts = np.zeros_like(at.s)
+    if free.s:
+        starts = np.stack([-np.linalg.lstsq(one[:, number:], one[:, :number] @ change)[0] for one in slopes])
+    for sign in (1.0, -1.0):
+        beside = Point(np.clip(at.x + sign * change, *transform.box), at.s + sign * starts)
+        promised = abs(transform.own(beside.x)[which] - transform.own(at.x)[which]) / error
+        grown = np.sqrt(max(chi_squared(problem.seen(beside).over(sigma)) - least, 0))
+        if not promised / _AS_STRAIGHT < grown < promised * _AS_STRAIGHT:
+            return True
+    return False
 
 
 def _bounds_of(

@@ -54,7 +54,7 @@ def result_of(
     freedom = int(record.counts.sum()) - number - states_searched + told.lost
     known = {channel.name: bool(np.isfinite(one)) for channel, one in zip(record.channels, record.noise, strict=True)}
     found_bounds, is_told = all_bounds(
-        problem, sigma, fit.point, found.free, told, np.inf if all(known.values()) else float(max(freedom, 1))
+        problem, sigma, fit, found.free, told, np.inf if all(known.values()) else float(max(freedom, 1))
     )
     is_told = np.concatenate([is_told, np.diag(joint.covariance)[number:] < _VAGUE**2])
     covariance, by_blocks = (covariance_of(slope, matrix, is_told) for matrix in (joint.covariance, joint.by_blocks))

@@ -29,7 +29,7 @@ class Calibration:
       the likelihood, None where there is none, of each number on which the motion does not depend at its first guess,
       such as the friction coefficient of a mass that never slips, of each that is less than three standard errors
       away from a bound of its own, such as a damping near zero: its error is to one side there; and of each whose
-      standard error does not tell how far it can go, because the motion changes within it (a slip appears). Static
+      standard error does not tell how far it can go, because a slip appears within it, or because it is large. Static
       friction that is fitted together with kinetic friction has bounds of the difference, "mu_static - mu", up to ten
       standard errors away.
     - `system`, `base`: with the estimates in place; of a number that the record does not tell, its first guess.
@@ -95,6 +95,10 @@ class Calibration:
             ]
             said = f" ({' and '.join(limits)}, 95 % confidence each)" if limits else ""
             lines.append(f"  {name} = {one.without_name()}{said}")
+        for name in [name for name in self.bounds if name not in self.estimates]:  # differences
+            ends = zip(("at least", "at most"), self.bounds[name], strict=True)
+            limits = [f"{word} {end:.4g}" for word, end in ends if end is not None]
+            lines.append(f"  {name}: {' and '.join(limits) or 'no bounds'}, 95 % confidence each")
         for name in self.channels:
             kind = "given" if self.noise_is_known[name] else "estimated"
             test = self.whiteness[name]

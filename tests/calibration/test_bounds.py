@@ -13,7 +13,7 @@ import stickslip_jax as ss
 from stickslip_jax._calibration.bounds import all_bounds
 from stickslip_jax._calibration.fit import Fit, Free, Point, Problem, Seen
 from stickslip_jax._calibration.information import information_of
-from stickslip_jax._calibration.transform import identity
+from stickslip_jax._calibration.transform import Transform, identity
 
 SETS = 200
 TIMES = np.linspace(0, 20, 401)
@@ -146,11 +146,42 @@ def test_errors_that_end_where_the_motion_changes(beyond, high):
     model: Any = SimpleNamespace(transform=identity(1, np.dtype(float)))
     problem = Bent(model, cast(Any, None))
     at, sigma, free = Point(np.zeros(1), np.zeros((1, 0))), np.ones(1), Free(np.ones(1, bool), False)
-    found, is_told = all_bounds(problem, sigma, at, free, information_of(problem.seen(at), 1), np.inf)
+    fit = Fit(at, problem.seen(at), True)
+    told = information_of(fit.seen, 1)
+    found, is_told = all_bounds(problem, sigma, fit, free, told, np.inf)
     assert is_told.all()
     assert bool(found) == (high is not None)
     if high is not None:
         np.testing.assert_allclose(np.array(found[0]) * size, [-1.645, high], rtol=1e-3)
+    # Of a search that did not end nothing more is computed.
+    assert not all_bounds(problem, sigma, fit._replace(converged=False), free, told, np.inf)[0]
+
+
+@pytest.mark.parametrize(("straight_in", "ends"), [("number", None), ("logarithm", (0.7197, 1.3895))])
+def test_errors_are_those_of_the_number_not_of_its_logarithm(straight_in, ends):
+    """A positive number, searched by its logarithm, of 1 with an error of 0.2 of the number or of its logarithm.
+
+    Where residuals are straight in the number, its standard error is right. Else it ends at ``exp(+-1.645 0.2)``.
+    """
+
+    class Straight(Problem):
+        def seen(self, point):
+            q = np.exp(point.x[0])
+            residual, slope = (q - 1, q) if straight_in == "number" else (point.x[0], 1.0)
+            return Seen(np.array([[[residual / 0.2]]]), np.array([[[[slope / 0.2]]]]))
+
+        def search(self, sigma, start, free):
+            return Fit(start, self.seen(start), True)
+
+    one, none = np.ones(1), np.zeros(1)
+    transform = Transform(one, none, one * np.inf, none, one, np.zeros((1, 1)))
+    problem = Straight(cast(Any, SimpleNamespace(transform=transform)), cast(Any, None))
+    at, free = Point(none, np.zeros((1, 0))), Free(np.ones(1, bool), False)
+    fit = Fit(at, problem.seen(at), True)
+    found, _ = all_bounds(problem, one, fit, free, information_of(fit.seen, 1), np.inf)
+    assert bool(found) == (ends is not None)
+    if ends is not None:
+        np.testing.assert_allclose(np.array(found[0]), ends, rtol=1e-3)
 
 
 @pytest.mark.slow

@@ -178,8 +178,8 @@ def test_second_and_third_derivatives(name):
     assert_close(third(at), differences(second, at, direction, case.step))
 
 
-def test_a_last_step_that_ends_beyond_its_event_has_the_slopes_of_this_side():
-    """Friction of `Pendulum` has a kink at rest, and round-off ends every fifth last step behind it.
+def test_a_last_step_that_ends_on_a_kink_has_the_slopes_of_this_side():
+    """Friction of `Pendulum` has a kink at rest, and every fifth last step ends exactly there.
 
     There the first derivative was wrong by 1e-8, and the second by 1e-3 (`test_second_and_third_derivatives`).
     """
@@ -194,6 +194,42 @@ def test_a_last_step_that_ends_beyond_its_event_has_the_slopes_of_this_side():
     found = jax.jit(jax.vmap(jax.jacfwd(start)))(shifts)
     smooth = np.polynomial.Polynomial.fit(shifts, found, 4)
     np.testing.assert_allclose(found, smooth(shifts), rtol=1e-11)
+
+
+class Duffing(ss.SwitchedSystem):
+    """A spring that is so stiff at large elongations that steps as long as allowed overflow."""
+
+    @property
+    def state_names(self):
+        return "position in m", "velocity in m/s"
+
+    def rates(self, t, y, base, friction):
+        return y[1], -y[0] - y[0] ** 3 - 0.3 * friction
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+
+    @property
+    def shortest_time(self):
+        return 2 * np.pi
+
+
+def test_steps_that_overflow_and_are_tried_again_leave_no_trace():
+    """The integral ``v^2 / 2 + x^2 / 2 + x^4 / 4 - 0.3 x`` is constant, the base is always faster."""
+
+    def energy_at_end(x0):
+        method = ss.Exact(max_steps=1024)
+        one = ss.simulate(Duffing(), ss.Constant(1e6), t1=0.2, y0=(x0, 0.0), method=method)
+        x, v = one.final_state
+        return v * v / 2 + x * x / 2 + x**4 / 4 - 0.3 * x, one.status
+
+    starts = jnp.asarray([60.0, 130.0, 150.0])
+    (energy, status), (slope, _) = jax.jit(jax.vmap(lambda x: jax.jvp(energy_at_end, (x,), (jnp.ones_like(x),))))(
+        starts
+    )
+    assert np.all(status == ss.Status.FINISHED)
+    np.testing.assert_allclose(energy, starts**2 / 2 + starts**4 / 4 - 0.3 * starts, rtol=1e-8)
+    np.testing.assert_allclose(slope, starts + starts**3 - 0.3, rtol=1e-7)
 
 
 WHICH = [(name, mode) for name in ("harmonic base", "regularised") for mode in MODES]

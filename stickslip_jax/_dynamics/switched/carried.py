@@ -9,9 +9,9 @@ trial; its derivative comes from what defines it. The event time `tau` solves ``
 (the implicit function theorem). Both hold for all parameters, with `tau` and `y` functions of them: differentiated
 again, by the same rule for `tau` and `y`, they give the second derivatives, and so on.
 
-All are evaluated a little before the event, where round-off cannot have ended the mode: a friction force written with
-the absolute value of the relative velocity has its kink there, and the slopes of the wrong side in every last step that
-ends beyond (an error of the size of the round-off in `tau`, but of 1 in its derivative).
+All are evaluated a little before the event, where round-off cannot have ended the mode: where the relative velocity is
+exactly zero, a friction force written with its absolute value has a kink, and may have the slope of the other side. In
+the last step, however short it is, that is an error in the derivatives of `tau` of the second order.
 """
 
 from typing import Any, NamedTuple

@@ -115,10 +115,13 @@ def advance(
         stays, lane.y, tuple(value + delta * rate for value, rate in zip(trial.reached, rates, strict=True))
     )
     model, lane = given[0], before
-    at_first = _only_first(verdict.ends & at_event)
-    falling = jnp.where(at_first & (trial.d1 < 0), -trial.d1, jnp.inf)
-    back = jnp.minimum(sum_of(trial.noise / falling), _LANDED[tau.dtype.itemsize] * step)
-    ends_by = HowItEnds(~stays, at_first, at_stop, back, tuple(back * rate for rate in rates))
+    at_events = verdict.ends & at_event
+    falls = at_events & (trial.d1 < 0)
+    back = jnp.where(falls, trial.noise, 0) / jnp.where(falls, -trial.d1, 1)
+    back = jnp.minimum(largest_of(back), _LANDED[tau.dtype.itemsize] * step)
+    # (The rates of a step that is tried again may be infinite.)
+    change = tuple(jnp.where(at_event, back * rate, 0) for rate in rates)
+    ends_by = HowItEnds(~stays, _only_first(at_events), at_stop, back, change)
     tau, *y = carried(*given, time_left, lane.sign, ends_by, tau, y)
     # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
     t = jnp.where(at_stop, stop, lane.t + tau)

@@ -88,7 +88,7 @@ def exact_under_loads(mu, x, p, twelfths, velocities, loads):
 
 @pytest.mark.parametrize("lanes", [40, pytest.param(400, marks=pytest.mark.slow)])
 def test_steps_of_the_normal_force_on_one_lattice(lanes):
-    """The contact opens, closes, and presses more or less where the base jumps, where the mass arrives or is released."""
+    """The contact opens, closes, presses more or less where the base jumps, where the mass arrives or is released."""
     source = np.random.default_rng(3)
     mu, many = source.choice([0.25, 0.5, 1.0], lanes), (lanes, SLOTS)
     x, p = source.integers(-4, 5, lanes) / 2 * mu, source.integers(-2, 3, lanes) / 2
@@ -96,9 +96,7 @@ def test_steps_of_the_normal_force_on_one_lattice(lanes):
     velocities[:, 1::2] = velocities[:, ::2]  # at half of the instants only the normal force changes
     loads, t1, durations = source.choice([0.0, 1.0, 2.0], many), twelfths.sum(1), twelfths * np.pi / TURN
     durations[:, -1] += 1.0
-    status, start, end, mask, near = map(
-        np.asarray, loaded(mu, x, p, durations, velocities, loads, t1 * np.pi / TURN)
-    )
+    status, start, end, mask, near = map(np.asarray, loaded(mu, x, p, durations, velocities, loads, t1 * np.pi / TURN))
     assert np.all(status == ss.Status.FINISHED)
     wrong = []
     for lane in range(lanes):
