@@ -41,6 +41,7 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
     system: Any  # a MassSpring, which makes this model
     smooth: Signal | None
     steps_may_be_long: ClassVar[bool] = True
+    has_kinks: ClassVar[bool] = False
 
     def forcing(self, t: FloatScalar, segments: Segments) -> OscillatorForcing:
         base, base_slope = added(t, segments.base)
@@ -185,6 +186,7 @@ class SolverOscillatorModel(OscillatorModel):
     solver: ExplicitSolver
     controlled: bool = eqx.field(static=True)
     steps_may_be_long: ClassVar[bool] = False
+    has_kinks: ClassVar[bool] = True
 
     def slip(self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
         return self.slip_and_error(forcing, y, h, sign)[0]

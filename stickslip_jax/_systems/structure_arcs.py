@@ -2,7 +2,7 @@
 
 from functools import reduce
 from operator import add
-from typing import NamedTuple, cast
+from typing import ClassVar, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +26,8 @@ class ArcsModel(StructureModel):
     Each mode is linear then, with constant coefficients: a step is the power series of its solution, summed to
     round-off, for any damping and with masses that no spring holds.
     """
+
+    has_kinks: ClassVar[bool] = False
 
     def flow_and_error(
         self, forcing: StructureForcing, y: State, h: FloatScalar, sign: FloatArray

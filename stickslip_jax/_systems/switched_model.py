@@ -107,9 +107,11 @@ class SwitchedModel(eqx.Module, Generic[F]):
 
     Attributes:
         steps_may_be_long: Whether `slip` and `stick` are as exact over a long time as over a short step.
+        has_kinks: Whether friction in a slip may have a kink where the relative velocity is zero, as users write it.
     """
 
     steps_may_be_long: ClassVar[bool] = False
+    has_kinks: ClassVar[bool] = True
 
     @property
     def contacts(self) -> int | None:

@@ -9,9 +9,9 @@ trial; its derivative comes from what defines it. The event time `tau` solves ``
 (the implicit function theorem). Both hold for all parameters, with `tau` and `y` functions of them: differentiated
 again, by the same rule for `tau` and `y`, they give the second derivatives, and so on.
 
-All are evaluated a little before the event, where round-off cannot have ended the mode: where the relative velocity is
-exactly zero, a friction force written with its absolute value has a kink, and may have the slope of the other side. In
-the last step, however short it is, that is an error in the derivatives of `tau` of the second order.
+All are evaluated a little before the event (`Before`), where round-off cannot have ended the mode, if friction may have
+a kink there: where the relative velocity is exactly zero, a force written with its absolute value may have the slope
+of the other side. In the last step, however short it is, that is an error in second derivatives of `tau`.
 """
 
 from typing import Any, NamedTuple
@@ -28,14 +28,18 @@ from ..._types import BoolArray, FloatArray
 
 class HowItEnds(NamedTuple):
     """Whether a step moves at all; if so, of which contact's mode the end ends it (`at_event`; of one at most), or
-    whether the end of a segment or the horizon does. `before` an event, by so much time (s), round-off cannot have
-    ended the mode; `change`: of the state in that time.
+    whether the end of a segment or the horizon does.
     """
 
     moves: BoolArray
     at_event: BoolArray
     at_stop: BoolArray
-    before: FloatArray
+
+
+class Before(NamedTuple):
+    """The `time` (s) before an event by which round-off cannot have ended the mode, and the `change` of state in it."""
+
+    time: FloatArray
     change: State
 
 
@@ -47,12 +51,14 @@ def carried(
     left: FloatArray,
     sign: FloatArray,
     ends: HowItEnds,
+    before: Before | None,
     tau: FloatArray,
     reached: State,
 ) -> tuple[FloatArray, ...]:
     """The length `tau` (s) of a step from `y` and the state `reached` in it, with their derivatives of every order.
 
-    `left`: time from the beginning of the step to the end of the segment or the horizon, s. `tau` and `reached` are
+    `left`: time from the beginning of the step to the end of the segment or the horizon, s. `before`: None for friction
+    without kinks. `tau` and `reached` are
     taken as they are; their derivatives are those of what they were found to be.
     """
     return tau, *reached
@@ -60,11 +66,13 @@ def carried(
 
 @carried.def_jvp
 def _carried_jvp(primals, tangents):
-    model, forcing, y, left, sign, ends, tau, reached = primals
-    tau, *reached = carried(model, forcing, y, left, sign, ends, *lax.stop_gradient((tau, reached)))
+    model, forcing, y, left, sign, ends, before, tau, reached = primals
+    tau, *reached = carried(model, forcing, y, left, sign, ends, before, *lax.stop_gradient((tau, reached)))
     by = (tangents[0], tangents[1], tangents[2])
-    inside = tau - ends.before
-    there = tuple(value - change for value, change in zip(reached, ends.change, strict=True))
+    inside, there = tau, tuple(reached)
+    if before is not None:
+        inside = tau - before.time
+        there = tuple(value - change for value, change in zip(reached, before.change, strict=True))
 
     def flow(model, forcing, y):
         moved = chosen_state(ends.moves, model.flow(forcing, y, inside, sign), y)

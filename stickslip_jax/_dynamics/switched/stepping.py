@@ -36,7 +36,7 @@ from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel, chosen_
 from ..._types import BoolArray, BoolScalar, FloatArray, FloatScalar, Number
 from ..common.ending import is_spent
 from ..common.segments import SegmentLaws, to_digits
-from .carried import HowItEnds, carried
+from .carried import Before, HowItEnds, carried
 from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
 from .mode import Stop, is_tie, mode_at_start, switched
 
@@ -115,14 +115,9 @@ def advance(
         stays, lane.y, tuple(value + delta * rate for value, rate in zip(trial.reached, rates, strict=True))
     )
     model, lane = given[0], before
-    at_events = verdict.ends & at_event
-    falls = at_events & (trial.d1 < 0)
-    back = jnp.where(falls, trial.noise, 0) / jnp.where(falls, -trial.d1, 1)
-    back = jnp.minimum(largest_of(back), _LANDED[tau.dtype.itemsize] * step)
-    # (The rates of a step that is tried again may be infinite.)
-    change = tuple(jnp.where(at_event, back * rate, 0) for rate in rates)
-    ends_by = HowItEnds(~stays, _only_first(at_events), at_stop, back, change)
-    tau, *y = carried(*given, time_left, lane.sign, ends_by, tau, y)
+    ends_by = HowItEnds(~stays, _only_first(verdict.ends & at_event), at_stop)
+    just_before = _just_before(trial, verdict.ends & at_event, step, rates) if model.has_kinks else None
+    tau, *y = carried(*given, time_left, lane.sign, ends_by, just_before, tau, y)
     # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
     t = jnp.where(at_stop, stop, lane.t + tau)
 
@@ -238,6 +233,14 @@ def _earliest(
     first = jnp.min(jnp.where(ends, to_event, jnp.inf))
     ends = jnp.where(now, ends, ends & (to_event <= first + clock))
     return ends, inside & ~now, first, jnp.min(jnp.where(again, guess, jnp.inf))
+
+
+def _just_before(trial: _Trial, at_event: BoolArray, step: FloatArray, rates: State) -> Before:
+    falls = at_event & (trial.d1 < 0)
+    time = jnp.where(falls, trial.noise, 0) / jnp.where(falls, -trial.d1, 1)
+    time = jnp.minimum(largest_of(time), _LANDED[step.dtype.itemsize] * step)
+    # The rates of a step that is tried again may be infinite.
+    return Before(time, tuple(jnp.where(any_of(at_event), time * rate, 0) for rate in rates))
 
 
 def _known(y: State, guard: FloatArray, again: BoolArray) -> State:
