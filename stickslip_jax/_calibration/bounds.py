@@ -30,6 +30,12 @@ class Bounds(NamedTuple):
     low: float | None
     high: float | None
 
+    @property
+    def in_words(self) -> str:
+        """Such as "at least 1 and at most 2"; "" without any."""
+        ends = zip(("at least", "at most"), self, strict=True)
+        return " and ".join(f"{word} {one:.4g}" for word, one in ends if one is not None)
+
 
 def all_bounds(
     problem: Problem, sigma: np.ndarray, fit: Fit, free: Free, told: Information, freedom: float

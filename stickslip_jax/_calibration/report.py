@@ -132,9 +132,9 @@ def _about_bounds(
 ) -> list[str]:
     """Sentences on numbers that the record does not tell, and on those at their bounds."""
     said, own = [], transform.own(x)
-    for i, (low, high) in bounds.items():
-        ends = [f"{word} {one:.4g}" for word, one in (("at least", low), ("at most", high)) if one is not None]
-        limit = f"it is {' and '.join(ends)} (95 % confidence each)" if ends else "it gives no bound either"
+    for i, of in bounds.items():
+        ends = of.in_words
+        limit = f"it is {ends} (95 % confidence each)" if ends else "it gives no bound either"
         if ends and any(x[i] == end[i] for end in transform.box):
             said.append(f"{names[i]} is at its bound, {own[i]:.4g}, where its error is to one side only: {limit}.")
         elif not is_told[i]:

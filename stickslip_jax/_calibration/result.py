@@ -89,16 +89,12 @@ class Calibration:
             + ("" if self.converged else ", NOT CONVERGED")
         ]
         for name, one in self.estimates.items():
-            ends = zip(("at least", "at most"), self.bounds.get(name, (None, None)), strict=True)
-            limits = [
-                f"{word} {end:.4g}" for word, end in ends if end is not None and math.isfinite(one.standard_error)
-            ]
-            said = f" ({' and '.join(limits)}, 95 % confidence each)" if limits else ""
+            limits = self.bounds[name].in_words if name in self.bounds and math.isfinite(one.standard_error) else ""
+            said = f" ({limits}, 95 % confidence each)" if limits else ""
             lines.append(f"  {name} = {one.without_name()}{said}")
-        for name in [name for name in self.bounds if name not in self.estimates]:  # differences
-            ends = zip(("at least", "at most"), self.bounds[name], strict=True)
-            limits = [f"{word} {end:.4g}" for word, end in ends if end is not None]
-            lines.append(f"  {name}: {' and '.join(limits) or 'no bounds'}, 95 % confidence each")
+        for name, bounds in self.bounds.items():
+            if name not in self.estimates:  # a difference
+                lines.append(f"  {name}: {bounds.in_words or 'no bounds'}, 95 % confidence each")
         for name in self.channels:
             kind = "given" if self.noise_is_known[name] else "estimated"
             test = self.whiteness[name]

@@ -236,6 +236,10 @@ def _earliest(
 
 
 def _just_before(trial: _Trial, at_event: BoolArray, step: FloatArray, rates: State) -> Before:
+    """How long before an event its guard is above its round-off, and how the state changes at these rates in that time.
+
+    At a grazing event, which ensembles count, not longer than the event is exact to.
+    """
     falls = at_event & (trial.d1 < 0)
     time = jnp.where(falls, trial.noise, 0) / jnp.where(falls, -trial.d1, 1)
     time = jnp.minimum(largest_of(time), _LANDED[step.dtype.itemsize] * step)
