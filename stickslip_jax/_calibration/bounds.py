@@ -34,7 +34,7 @@ class Bounds(NamedTuple):
     def in_words(self) -> str:
         """Such as "at least 1 and at most 2"; "" without any."""
         ends = zip(("at least", "at most"), self, strict=True)
-        return " and ".join(f"{word} {one:.4g}" for word, one in ends if one is not None)
+        return " and ".join(f"{word} {one:.3g}" for word, one in ends if one is not None)
 
 
 def all_bounds(

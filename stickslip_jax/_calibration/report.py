@@ -139,7 +139,7 @@ def _about_bounds(
             said.append(f"{names[i]} is at its bound, {own[i]:.4g}, where its error is to one side only: {limit}.")
         elif not is_told[i]:
             said.append(
-                f"The motion hardly depends on {names[i]} near {own[i]:.4g}, so the record does not tell it: {limit}."
+                f"The motion hardly depends on {names[i]} near {own[i]:.2g}, so the record does not tell it: {limit}."
             )
     return said
 

@@ -106,7 +106,7 @@ def test_friction_that_is_not_there(chi_squared):
         assert high is not None
         np.testing.assert_allclose(high, limit, rtol=1e-3)
         assert limit / 1.645 < found["mu"].standard_error < 5 * limit
-        assert f" (at most {high:.4g}, 95 % confidence each)" in repr(found)
+        assert f" (at most {high:.3g}, 95 % confidence each)" in repr(found)
 
 
 def test_friction_that_is_hardly_there(chi_squared):

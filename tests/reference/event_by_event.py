@@ -19,8 +19,8 @@ At ``x' = v``, with ``a = mu n / k``, the mass
 
 Conventions: a stick has positive length; consecutive intervals of equal velocity are one interval, intervals
 of zero length do not exist; an event exactly on the end of an interval gives way to that end; a base jump at
-``t1`` or later is not seen (``HORIZON``). Without friction (``mu = 0``) the only possible stick is a mass at
-rest at ``x = 0`` on a base at rest.
+``t1`` or later is not seen (``HORIZON``). Without friction (``mu = 0``) nothing sticks, not even a mass
+at rest at ``x = 0`` on a base at rest.
 
 Inputs may be ``float``, ``int``, ``mpf`` or decimal strings (``"0.1"`` is then exact). Results carry guard
 digits: do arithmetic on them inside ``mp.workdps(40)``, since mpmath rounds to the ambient precision.
@@ -329,13 +329,16 @@ def _side_on_base(oscillator: _Oscillator, position: mpf, base: mpf) -> int:
     edge that the base moves towards, the mass leaves tangentially: below for ``v > 0``, above for ``v < 0``.
     """
     if _is_release_point(oscillator, position, base):
-        return _sign(base)
+        return _sign(base) or 1
     return 0 if abs(position) <= oscillator.half_width else _sign(position)
 
 
 def _is_release_point(oscillator: _Oscillator, position: mpf, base: mpf) -> bool:
-    """Whether a mass on ``x' = v`` sits on the band edge that the moving base carries it towards."""
-    return base != 0 and position == _sign(base) * oscillator.half_width
+    """Whether a mass on ``x' = v`` sits on the band edge that the moving base carries it towards.
+
+    Without friction there is no band on a base at rest either: the mass stays, on a circle without radius.
+    """
+    return position == _sign(base) * oscillator.half_width and (base != 0 or oscillator.half_width == 0)
 
 
 def _snap_to_band_edge(oscillator: _Oscillator, position: mpf) -> mpf:

@@ -234,10 +234,12 @@ def sticks_from_start(x: FloatArray, v: FloatArray, base: FloatArray, scales: Sc
 def _rests(pull, v, base, scales):
     """Whether the mass rests inside the stick band on a base at rest; `pull`: ``w2 x``.
 
-    The edge of the band is included: the slip circle there has radius 0, which is no motion.
+    The edge of the band is included: the slip circle there has radius 0, which is no motion. Without friction there is
+    no band: a mass that does not move does not stick.
     """
-    most = (1 + _REST_ULPS * float(jnp.finfo(v.dtype).eps)) * scales.deceleration
-    return (base == 0) & (jnp.abs(v) <= scales.rest_speed) & (jnp.abs(pull) <= most)
+    alpha = scales.deceleration
+    most = (1 + _REST_ULPS * float(jnp.finfo(v.dtype).eps)) * alpha
+    return (base == 0) & (jnp.abs(v) <= scales.rest_speed) & (jnp.abs(pull) <= most) & (alpha > 0)
 
 
 def first_arc(

@@ -52,7 +52,8 @@ def is_tie(scales: Scales, began: Motion, duration: FloatArray, velocity: FloatA
     """Whether round-off decided about an event in the interval of the base that began so. No derivative."""
     scales, began, duration, velocity = lax.stop_gradient((scales, began, duration, velocity))
     arc = _arc(scales, began, duration, velocity)
-    return (arc.span > 0) & (_ties_at_first(scales, began, arc) | _ties_later(scales, began, arc))
+    has_events = (arc.span > 0) & (scales.deceleration > 0)  # without friction there is none
+    return has_events & (_ties_at_first(scales, began, arc) | _ties_later(scales, began, arc))
 
 
 def starts_at_edge(scales: Scales, start: Motion, velocity: FloatArray) -> BoolArray:
@@ -60,7 +61,7 @@ def starts_at_edge(scales: Scales, start: Motion, velocity: FloatArray) -> BoolA
     which alone costs nearly nothing.
     """
     pull, alpha = scales.spring.squared * jnp.abs(start.x), scales.deceleration
-    return (jnp.abs(pull - alpha) <= few(pull) * (pull + alpha)) & (start.v == velocity)
+    return (jnp.abs(pull - alpha) <= few(pull) * (pull + alpha)) & (start.v == velocity) & (alpha > 0)
 
 
 def _arc(scales, began, duration, velocity) -> _Arc:

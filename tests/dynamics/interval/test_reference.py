@@ -173,8 +173,9 @@ def test_without_friction_at_rest_on_the_base():
     )
     assert_agrees(setup, setup.simulate(SLOTS), tolerance=1e-13)
     still = setup._replace(velocities=(0.0, -1.0), velocity0=0.0)
-    final = still.simulate(SLOTS).final_state
-    assert [float(value) for value in final] == [0.0, 0.0]
+    simulation = still.simulate(SLOTS)
+    assert (still.reference().sticks, int(simulation.sticks.count)) == ([], 0)
+    assert [float(value) for value in simulation.final_state] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("horizon", [4.0, 6.0])

@@ -17,6 +17,7 @@ LAWS = {
     "Stribeck": ss.Stribeck(0.0, 0.0, 0.3),
 }
 METHOD = ss.Exact(max_steps=1024)
+METHODS = [ss.Exact(), ss.Exact(step=0.1), ss.Regularized(width=1e-3), ss.Regularized(width=1e-3, step=0.01)]
 
 
 def system_of(law=LAWS["Coulomb"]):
@@ -80,3 +81,25 @@ def test_ensembles_and_intervals_do_not_stick():
     for method in (ss.Exact(), ss.Exact(step=0.1)):
         many = ss.simulate_ensemble(system_of(), law, samples=16, key=jax.random.key(0), method=method, **run)
         assert (many.finished, float(many.statistics.stick_count.mean)) == (16, 0)
+
+
+@pytest.mark.parametrize("name", ["Coulomb", "Stribeck"])
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("base", [ss.Constant(0.0), ss.Harmonic(0.0, 1.0)])
+def test_a_mass_that_stays_at_rest_does_not_stick(name, method, base):
+    """At its equilibrium on a base at rest, in every method; nothing else could be decided by the last digits."""
+    run = {"t1": 5.0, "method": method, "y0": (0.0, 0.0)}
+    one = ss.simulate(system_of(LAWS[name]), base, **run)
+    assert (one.status, int(one.sticks.count), int(one.near_grazing_count)) == (ss.Status.FINISHED, 0, 0)
+    np.testing.assert_array_equal(one.final_state, [0.0, 0.0])
+    many = ss.simulate_ensemble(system_of(LAWS[name]), base, samples=2, key=jax.random.key(0), **run)
+    assert (many.finished, float(many.statistics.stick_count.mean), many.near_grazing_samples) == (2, 0, 0)
+
+
+@pytest.mark.parametrize("method", [METHODS[0], *METHODS[2:]])
+def test_of_two_contacts_at_rest_only_the_one_with_friction_sticks(method):
+    contacts = [ss.Contact.of_mass(i, 2, 1.0, ss.Coulomb(mu)) for i, mu in enumerate([0.0, 0.3])]
+    pair = ss.LinearStructure(np.eye(2), [[2.0, -1.0], [-1.0, 2.0]], contacts=contacts)
+    one = ss.simulate(pair, ss.Harmonic(0.0, 1.0), t1=5.0, method=method)
+    assert one.status == ss.Status.FINISHED
+    assert [int(one.of_contact(i).sticks.count) for i in range(2)] == [0, 1]
