@@ -4,8 +4,8 @@ Type checkers read this file; `__init__.py` reads it too, and loads a name when 
 """
 
 from . import design as design, nonlinear as nonlinear, papers as papers, plot as plot, study as study
-from ._types import InitialState as InitialState
-from ._uncertainty.copula import GaussianCopula as GaussianCopula
+from ._foundation.types import InitialState as InitialState
+from ._uncertainty.inputs import GaussianCopula as GaussianCopula
 from ._uncertainty.families import (
     Beta as Beta,
     Discrete as Discrete,
@@ -16,41 +16,38 @@ from ._uncertainty.families import (
     Uniform as Uniform,
     Weibull as Weibull,
 )
-from ._uncertainty.random_number import RandomNumber as RandomNumber, Truncated as Truncated
+from ._uncertainty.families import RandomNumber as RandomNumber, Truncated as Truncated
 from ._calibration.call import calibrate as calibrate
-from ._calibration.likelihood import LogLikelihood as LogLikelihood, log_likelihood as log_likelihood
-from ._calibration.result import Calibration as Calibration
-from ._calibration.stick_result import (
+from ._calibration.samplers import LogLikelihood as LogLikelihood, log_likelihood as log_likelihood
+from ._calibration.call import Calibration as Calibration
+from ._calibration.sticks import (
     MomentFit as MomentFit,
     Overidentification as Overidentification,
     StickCalibration as StickCalibration,
 )
 from ._calibration.sticks import calibrate_sticks as calibrate_sticks
-from ._calibration.simulator import StickSimulator as StickSimulator, stick_simulator as stick_simulator
+from ._calibration.samplers import StickSimulator as StickSimulator, stick_simulator as stick_simulator
 from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.call import simulate_ensemble as simulate_ensemble
-from ._ensemble.contacts import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts
-from ._ensemble.collecting import concatenate as concatenate, load as load
+from ._ensemble.call import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts
+from ._ensemble.call import concatenate as concatenate, load as load
 from ._ensemble.data import Keep as Keep
 from ._ensemble.result import Ensemble as Ensemble
 from ._events.sticks import Slips as Slips, Sticks as Sticks
 from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps
-from ._excitation.force_steps import ForceSteps as ForceSteps
+from ._excitation.recorded import ForceSteps as ForceSteps
 from ._excitation.gaussian import GaussianProcess as GaussianProcess
-from ._excitation.ground import GroundAcceleration as GroundAcceleration, GroundMotion as GroundMotion
-from ._excitation.kanai_tajimi import KanaiTajimi as KanaiTajimi
+from ._excitation.recorded import GroundAcceleration as GroundAcceleration, GroundMotion as GroundMotion
+from ._excitation.gaussian import KanaiTajimi as KanaiTajimi
+from ._excitation.piecewise_constant import PiecewiseConstantLaw as PiecewiseConstantLaw, VelocitySteps as VelocitySteps
 from ._excitation.piecewise_constant import (
-    PiecewiseConstantLaw as PiecewiseConstantLaw,
-    VelocitySteps as VelocitySteps,
-)
-from ._excitation.piecewise_constant_laws import (
     Constant as Constant,
     PiecewiseConstant as PiecewiseConstant,
     PoissonSwitching as PoissonSwitching,
     RandomSteps as RandomSteps,
     SquareWave as SquareWave,
 )
-from ._excitation.random import RandomPhase as RandomPhase
+from ._excitation.motion import RandomPhase as RandomPhase
 from ._excitation.reading import (
     read_acceleration_csv as read_acceleration_csv,
     read_at2 as read_at2,
@@ -58,19 +55,19 @@ from ._excitation.reading import (
 )
 from ._excitation.recorded import Recorded as Recorded
 from ._excitation.segments import SegmentLaw as SegmentLaw, VelocitySegments as VelocitySegments
-from ._excitation.semi_markov import SemiMarkovSwitching as SemiMarkovSwitching
-from ._excitation.smooth import Harmonic as Harmonic, Signal as Signal, SumOfHarmonics as SumOfHarmonics
-from ._excitation.spectra import (
+from ._excitation.piecewise_constant import SemiMarkovSwitching as SemiMarkovSwitching
+from ._excitation.motion import Harmonic as Harmonic, Signal as Signal, SumOfHarmonics as SumOfHarmonics
+from ._excitation.gaussian import (
     CloughPenzienSpectrum as CloughPenzienSpectrum,
     KanaiTajimiSpectrum as KanaiTajimiSpectrum,
     PowerSpectrum as PowerSpectrum,
     TabulatedSpectrum as TabulatedSpectrum,
     VelocitySpectrum as VelocitySpectrum,
 )
-from ._excitation.velocity import base_velocity as base_velocity
-from ._excitation.voltage import SourceVoltage as SourceVoltage
+from ._excitation.excitation import base_velocity as base_velocity
+from ._excitation.motion import SourceVoltage as SourceVoltage
 from ._explore.call import explore as explore
-from ._fields import Quantity as Quantity
+from ._foundation.fields import Quantity as Quantity
 from ._sensitivity import (
     RealizationMeanDuration as RealizationMeanDuration,
     Sensitivities as Sensitivities,
@@ -86,11 +83,11 @@ from ._sensitivity import (
     sensitivity as sensitivity,
 )
 from ._simulation.call import simulate as simulate
-from ._simulation.outputs import Output as Output
-from ._simulation.energy import Energies as Energies
+from ._simulation.call import Output as Output
+from ._simulation.result import Energies as Energies
 from ._simulation.result import Simulation as Simulation
-from ._statistics.bootstrap import bootstrap_interval as bootstrap_interval
-from ._statistics.convergence import (
+from ._statistics.estimate import bootstrap_interval as bootstrap_interval
+from ._statistics.totals import (
     Convergence as Convergence,
     HistogramConvergence as HistogramConvergence,
     convergence as convergence,
@@ -102,8 +99,8 @@ from ._statistics.ensemble_statistics import (
     OrderStatistics as OrderStatistics,
 )
 from ._statistics.estimate import Estimate as Estimate
-from ._statistics.first_sticks import FirstSticks as FirstSticks, first_stick as first_stick
-from ._statistics.identical import identically_distributed as identically_distributed
+from ._statistics.quantities import FirstSticks as FirstSticks, first_stick as first_stick
+from ._statistics.independence import identically_distributed as identically_distributed
 from ._statistics.independence import independent as independent, independent_and_identical as independent_and_identical
 from ._statistics.joint import (
     ConditionalMeans as ConditionalMeans,
@@ -124,9 +121,9 @@ from ._statistics.totals import (
     mean_total_stick_time as mean_total_stick_time,
     stick_fraction as stick_fraction,
 )
-from ._statistics.verdicts import HypothesisTest as HypothesisTest, Verdict as Verdict
-from ._status import Ending as Ending, Status as Status
-from ._sweep.errors import SweepError as SweepError
+from ._statistics.independence import HypothesisTest as HypothesisTest, Verdict as Verdict
+from ._foundation.types import Ending as Ending, Status as Status
+from ._sweep.plan import SweepError as SweepError
 from ._sweep.sweep import Sweep as Sweep
 from ._systems.composed_friction import (
     Ageing as Ageing,
@@ -151,9 +148,9 @@ from ._systems.friction import (
 )
 from ._systems.mass_spring import MassSpring as MassSpring
 from ._systems.motor_cart import MotorCart as MotorCart, stick_duration_bound as stick_duration_bound
-from ._systems.contact import Contact as Contact
+from ._systems.contacts import Contact as Contact
 from ._systems.builders import block_row as block_row, storeys_on_bearing as storeys_on_bearing
-from ._systems.drivetrain import FrictionDisk as FrictionDisk, drill_string as drill_string, drivetrain as drivetrain
+from ._systems.builders import FrictionDisk as FrictionDisk, drill_string as drill_string, drivetrain as drivetrain
 from ._systems.structure import LinearStructure as LinearStructure
 from ._systems.switched_system import SwitchedSystem as SwitchedSystem
 from ._systems.system import Coordinate as Coordinate, System as System

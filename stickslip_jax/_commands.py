@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Annotated
 import jax
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
-from . import __version__, _compilation_cache
+from . import __version__
+from ._foundation import compilation_cache
 from .study._errors import StudyError
-from .study._options import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
+from .study._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
 
 if TYPE_CHECKING:
     import xarray
@@ -57,7 +58,7 @@ def run(tokens: Sequence[str]) -> None:
 def prepare_jax(dtype: str) -> None:
     """Set the precision, "float64" or "float32", before JAX starts, and switch the compilation cache on."""
     jax.config.update("jax_enable_x64", dtype == "float64")
-    problem = _compilation_cache.use()
+    problem = compilation_cache.use()
     if problem:
         print("stickslip:", problem, file=sys.stderr)
 
@@ -95,8 +96,11 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
         return
     prepare_jax(described.run.dtype)
 
-    from .study._report import as_json, table  # noqa: PLC0415
-    from .study._run import run_study  # noqa: PLC0415
+    from .study._run import (  # noqa: PLC0415
+        as_json,
+        run_study,
+        table,
+    )
 
     result = run_study(described, force=options.force, progress=False if options.quiet else options.progress)
     if not options.quiet:
@@ -168,7 +172,7 @@ def status(folder: Path, /) -> None:
         Folder of the sweep.
     """
     from ._sweep.dataset import status_of  # noqa: PLC0415
-    from .study._sweep_report import status_text  # noqa: PLC0415
+    from .study._sweep_run import status_text  # noqa: PLC0415
 
     print(status_text(folder, status_of(folder)))
 
@@ -225,8 +229,8 @@ def explore(
     require_panel()
     described = read_config(config, {"samples": samples})
     prepare_jax(described.run.dtype)
-    from ._explore.catalogue import scene_of  # noqa: PLC0415
-    from ._explore.server import serve  # noqa: PLC0415
+    from ._explore.page import serve  # noqa: PLC0415
+    from ._explore.scene import scene_of  # noqa: PLC0415
 
     try:
         scene = scene_of(described)
@@ -248,7 +252,7 @@ def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None
 
 
 def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[str]:
-    from .study._sweep_report import chosen_statistics, sweep_table  # noqa: PLC0415
+    from .study._sweep_run import chosen_statistics, sweep_table  # noqa: PLC0415
 
     names = chosen_statistics(dataset, wanted)
     print(sweep_table(dataset, names))
@@ -269,7 +273,7 @@ def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) 
 
 def _check_figure(path: Path, force: bool) -> None:
     """Raise StudyError where no figure can be written."""
-    from ._files import file_to_write  # noqa: PLC0415
+    from ._foundation.files import file_to_write  # noqa: PLC0415
 
     try:
         file_to_write(path, overwrite=force)

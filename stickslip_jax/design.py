@@ -12,8 +12,6 @@ In designs of values, these take the place of the numbers that stand there:
 - `grid`: all combinations. `table`: any table, such as a DataFrame or the design matrix of another program.
 """
 
-from ._uncertainty.design import Design
-from ._uncertainty.uniform_designs import latin_hypercube, random, saltelli, sobol
-from ._uncertainty.value_designs import grid, table
+from ._uncertainty.design import Design, grid, latin_hypercube, random, saltelli, sobol, table
 
 __all__ = ["Design", "grid", "latin_hypercube", "random", "saltelli", "sobol", "table"]

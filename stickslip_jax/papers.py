@@ -15,21 +15,19 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
-from . import _checks
-from ._excitation.piecewise_constant import PiecewiseConstantLaw
-from ._excitation.piecewise_constant_laws import Constant, PoissonSwitching, RandomSteps, SquareWave
-from ._excitation.random import RandomPhase
-from ._excitation.smooth import Harmonic
-from ._excitation.voltage import SourceVoltage
-from ._forks import require_threads_of_jax
+from ._excitation.motion import Harmonic, RandomPhase, SourceVoltage
+from ._excitation.piecewise_constant import Constant, PiecewiseConstantLaw, PoissonSwitching, RandomSteps, SquareWave
+from ._foundation import checks
+from ._foundation.processes import require_threads_of_jax
+from ._foundation.types import Scalar
 from ._simulation.call import simulate
 from ._sweep.sweep import Sweep
 from ._systems.friction import Coulomb
 from ._systems.mass_spring import MassSpring
 from ._systems.motor_cart import MotorCart
 from ._systems.system import System
-from ._types import Array, Float, Scalar
 from ._uncertainty.families import Uniform
 
 BELT_SPEED = 1.0
@@ -162,9 +160,9 @@ def motor_cart(mu: Scalar = 0.2, t1: float = 2.0) -> SetUp:
     Raises:
         ValueError: For numbers outside these bounds.
     """
-    _checks.positive("t1", t1, "s")
+    checks.positive("t1", t1, "s")
     if mu is None:  # which a cart with a friction law has
-        raise _checks.refused("mu", "be zero or positive", mu)
+        raise checks.refused("mu", "be zero or positive", mu)
     return SetUp(MotorCart(mu=mu), RandomPhase(SourceVoltage()), t1, (Uniform(0.0, 2 * math.pi), 0.0, 0.0))
 
 
@@ -188,7 +186,7 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     36.43 %
     """
     require_threads_of_jax()
-    periods = _checks.whole_number("periods", periods)
+    periods = checks.whole_number("periods", periods)
     setup = square_wave_belt(ratio)
     period = jnp.asarray(_belt_period(ratio))
     t1 = periods * period
@@ -251,7 +249,7 @@ def stick_share_map(
     Raises:
         ValueError: For another belt, and for arguments that `Sweep` refuses.
     """
-    _checks.chosen("belt", belt, get_args(Belt))
+    checks.chosen("belt", belt, get_args(Belt))
     laws = {
         "constant": constant_belt().law,
         "square": square_wave_belt(1.0).law,
@@ -270,11 +268,11 @@ def stick_share_map(
 
 
 def _key(seed: int) -> Array:
-    return jax.random.key(_checks.whole_number("seed", seed, minimum=0, maximum=2**63 - 1))
+    return jax.random.key(checks.whole_number("seed", seed, minimum=0, maximum=2**63 - 1))
 
 
 def _belt_period(ratio: Scalar) -> Scalar:
     """The period ``1 / f_b = 2 pi / (r omega)`` of the belt, s, with ``omega = sqrt(stiffness / mass)``."""
-    _checks.positive("ratio", ratio)
+    checks.positive("ratio", ratio)
     system = belt_oscillator()
     return 2 * math.pi / (ratio * math.sqrt(system.stiffness / system.mass))

@@ -35,7 +35,7 @@ _parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name != "
 jaxtyping.install_import_hook([f"stickslip_jax.{part}" for part in _parts], "beartype.beartype")
 
 # The package's first import, annotations checked. Processes of pytest-xdist share what one of them has compiled.
-_compilation_cache = import_module("stickslip_jax._compilation_cache")
+_compilation_cache = import_module("stickslip_jax._foundation.compilation_cache")
 if problem := _compilation_cache.use():
     sys.stderr.write(f"{problem}\n")
 

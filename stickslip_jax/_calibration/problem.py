@@ -5,24 +5,22 @@ from typing import Annotated, Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.common.segments import SegmentLaws
-from .._dynamics.common.validation import Arguments
-from .._dynamics.switched.path import run_of
-from .._dynamics.switched.run import run_trajectory
-from .._excitation.excitation import BaseMotion, excitation_of
-from .._excitation.merged import merged
+from .._dynamics.common.method import Arguments, Exact, Regularized
+from .._dynamics.common.path import SegmentLaws
+from .._dynamics.switched.engine import run_of, run_trajectory
+from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.segments import first_segment, segment_at
-from .._fields import Quantity, modules_in
+from .._foundation.fields import Quantity, modules_in
+from .._foundation.types import BoolArray, FloatArray, Scalar
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.friction import FrictionLaw
 from .._systems.system import System
-from .._types import Array, BoolArray, FloatArray, Scalar
 from .._uncertainty.numbers import Path, with_numbers
+from .parameters import Transform
 from .record import Observer, Windows
-from .transform import Transform
 
 _ROUND_OFF = 1e-12  # relative, of static friction below kinetic
 

@@ -1,18 +1,29 @@
-"""A measured motion: its channels, their noise, and its cut into windows."""
+"""A measured motion: its channels, their noise and its cut into windows; the arguments about it, checked; and
+whether what is left of it is white noise.
+"""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
-from .. import _checks
-from .._dynamics.common.stopping_scan import padded_length
-from .._dynamics.switched.path import StepPath
+from .._dynamics.common.method import Arguments, Exact, Regularized
+from .._dynamics.common.path import padded_length
+from .._dynamics.switched.engine import StepPath
+from .._excitation.excitation import BaseMotion
+from .._foundation import checks
+from .._foundation import lazy_diffrax as diffrax
+from .._foundation.types import AnyArray, FloatArray, InitialState
 from .._simulation.result import Simulation
+from .._statistics.independence import HypothesisTest
 from .._systems.system import System
-from .._types import AnyArray, FloatArray
+
+# A measured motion: its channels, their noise, and its cut into windows.
+
 
 Observer: TypeAlias = Callable[[Simulation, FloatArray], FloatArray]
 """What a channel measures: a function of a simulation and of times (s, (times,)), with one number for each time."""
@@ -56,15 +67,15 @@ class Record(NamedTuple):
         Raises:
             ValueError: For what `calibrate` does not take.
         """
-        at = np.asarray(_checks.numbers("times", times, ndim=1), float)
+        at = np.asarray(checks.numbers("times", times, ndim=1), float)
         if len(at) < 2 or not np.all(np.diff(at) > 0) or at[0] < 0:
-            raise _checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
+            raise checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
         if not isinstance(measured, Mapping) or not measured:
             hint = 'such as {"position": x}'
-            raise _checks.refused("measured", "be a dict with an array for each channel", measured, hint)
+            raise checks.refused("measured", "be a dict with an array for each channel", measured, hint)
         own = {} if observe is None else observe
         if not isinstance(own, Mapping) or not all(callable(function) for function in own.values()):
-            raise _checks.refused("observe", "be a dict with a function of simulation and times for each name", observe)
+            raise checks.refused("observe", "be a dict with a function of simulation and times for each name", observe)
         channels = tuple(_channel(system, name, own) for name in measured)
         values = np.stack([_values(name, column, len(at)) for name, column in measured.items()])
         if unused := [name for name in own if name not in measured]:
@@ -133,19 +144,19 @@ class Windows(NamedTuple):
 
 
 def _values(name: str, column: npt.ArrayLike, number: int) -> np.ndarray:
-    values = np.asarray(_checks.numbers(f"measured[{name!r}]", column), float)
+    values = np.asarray(checks.numbers(f"measured[{name!r}]", column), float)
     if values.shape != (number,) or np.any(np.isinf(values)):
         demand = f"hold one number for each of the {number} times, NaN where nothing was measured"
-        raise _checks.refused(f"measured[{name!r}]", demand, column)
+        raise checks.refused(f"measured[{name!r}]", demand, column)
     return values
 
 
 def _noise(name: str, noise: Mapping[str, float] | None) -> float:
     if noise is not None and not isinstance(noise, Mapping):
-        raise _checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
+        raise checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
     if noise is None or name not in noise:
         return np.nan
-    _checks.positive(f"noise[{name!r}]", noise[name])
+    checks.positive(f"noise[{name!r}]", noise[name])
     return float(noise[name])
 
 
@@ -164,7 +175,7 @@ def _channel(system: System, name: str, own: Mapping[str, Observer]) -> Channel:
         return Channel(name, coordinates[number].unit + "^2", Rate(number))
     if name == FORCE:
         return Channel(name, "N", friction_force)
-    known = _checks.one_of(map(repr, [*names, *rates, FORCE]))
+    known = checks.one_of(map(repr, [*names, *rates, FORCE]))
     raise ValueError(
         f"Argument measured must have channels called {known}, or names of functions in observe, but {name!r} was "
         "given."
@@ -223,3 +234,69 @@ def start_guess(record: Record, system: System, at: float, span: float) -> np.nd
         *_, slope, level = np.polyfit(record.times[near] - at, values[near], min(2, len(near) - 1))
         guess[number] = level if is_own else slope
     return guess
+
+
+# The arguments that `calibrate` and `log_likelihood` share, checked.
+
+
+class Asked(NamedTuple):
+    """What is simulated, with a method that has derivatives; the state at t = 0; and what was measured."""
+
+    arguments: Arguments
+    start: np.ndarray
+    record: Record
+
+
+def asked(
+    system: System,
+    base: BaseMotion,
+    times: npt.ArrayLike,
+    measured: Mapping[str, npt.ArrayLike],
+    noise: Mapping[str, float] | None,
+    y0: InitialState | None,
+    observe: Mapping[str, Observer] | None,
+    method: Exact | Regularized,
+) -> Asked:
+    """The checked arguments. Raises ValueError for those that do not fit."""
+    checks.bounded("times", times, "s", at_least=0, ndim=1)
+    ends = np.asarray(times, float)
+    if not len(ends) or not ends[-1] > 0:
+        raise checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
+    arguments, start = Arguments.of_one(system, base, method, float(ends[-1]), y0)
+    if isinstance(method, Exact):  # smoothed friction follows a realisation, which has no numbers to estimate
+        arguments = arguments._replace(base=base)
+    elif method.step is None and method.adjoint is None:
+        arguments = arguments._replace(method=dataclasses.replace(method, adjoint=diffrax.ForwardMode()))
+    return Asked(arguments, np.array(start, float), Record.of(system, times, measured, noise, observe))
+
+
+# Whether residuals are white noise.
+
+
+_MOST_LAGS = 20
+_FEWEST = 20  # residuals
+
+
+def whiteness(name: str, residuals: np.ndarray) -> HypothesisTest:
+    """Test of Ljung and Box (1978, Biometrika 65, 297): whether residuals in the order of time are uncorrelated.
+
+    Args:
+        name: Of the channel.
+        residuals: (times,); NaN, where nothing was measured, is left out.
+
+    Returns:
+        The test; its effect is the largest autocorrelation.
+    """
+    there = residuals[np.isfinite(residuals)]
+    number = len(there)
+    if number < _FEWEST or not np.any(there):
+        return HypothesisTest(f"Ljung-Box, {name}", sizes=(number,), reason=f"fewer than {_FEWEST} residuals")
+    lags = min(_MOST_LAGS, number // 5)
+    centred = there - there.mean()
+    power = centred @ centred
+    correlation = np.array([centred[lag:] @ centred[:-lag] for lag in range(1, lags + 1)]) / power
+    statistic = number * (number + 2) * np.sum(correlation**2 / (number - np.arange(1, lags + 1)))
+    largest = correlation[np.argmax(np.abs(correlation))]
+    p_value = float(stats.chi2.sf(statistic, lags))
+    title = f"Ljung-Box over {lags} lags, {name}"
+    return HypothesisTest(title, float(statistic), p_value, float(largest), "largest autocorrelation", sizes=(number,))

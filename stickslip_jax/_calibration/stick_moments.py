@@ -1,16 +1,41 @@
-"""Moments of stick sequences: which, what was observed of them, and how the observed ones scatter."""
+"""Moments of stick sequences: which, what was observed of them, how a model has them, and how both are weighed."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
-from .. import _checks
+from .._dynamics.common.method import Exact, Regularized
 from .._ensemble.result import Ensemble
-from .._sensitivity.differences import parts_of_sequences
+from .._foundation import checks
+from .._foundation.types import InitialState, Scalar, Status
+from .._sensitivity import estimate
+from .._sensitivity.call import cheaper, products_among, source_of
+from .._sensitivity.estimate import Estimator
+from .._sensitivity.estimators import (
+    Accumulator,
+    DerivativeColumns,
+    JointAccumulator,
+    Source,
+    differenced,
+    parts_of_sequences,
+    run_chunks,
+)
+from .._sensitivity.problem import (
+    Pilot,
+    Problem,
+    buffer_sizes_for,
+    problem_of,
+    relative_bandwidth_of,
+    require_correctable,
+    require_precision,
+)
 from .._sensitivity.statistic import (
+    BufferSizes,
     OfOutput,
     OfTotals,
     StickSequence,
@@ -20,8 +45,11 @@ from .._sensitivity.statistic import (
     statistics_of,
 )
 from .._statistics.totals import mean_stick_count, mean_total_stick_time
-from .._status import Status
-from .._types import Array, Scalar
+from .._systems.system import unit_at
+from .._uncertainty.inputs import Model
+
+# Moments of stick sequences: which, what was observed of them, and how the observed ones scatter.
+
 
 _ROUND_OFF = 1e-12
 _DEPENDENT = 1e-9  # smallest eigenvalue of the correlations of moments that do not determine each other
@@ -108,7 +136,7 @@ def moments_of(moments: object) -> tuple[StickStatistic, ...]:
         raise ValueError(str(error).replace("Argument statistic", "Argument moments", 1)) from error
     for one in found:
         if isinstance(one, OfOutput) or (isinstance(one, OfTotals) and one.counts_slips):
-            raise _checks.refused(
+            raise checks.refused(
                 "moments", "hold statistics of sticks, of which recordings of sticks tell", one.name,
                 "of slips take a StickFunctional of what lies between the sticks",
             )  # fmt: skip
@@ -122,7 +150,7 @@ def observed_ensembles(observed: object) -> list[Ensemble]:
     for number, one in enumerate(several):
         name = "observed" if len(several) == 1 else f"observed[{number}]"
         if not isinstance(one, Ensemble):
-            raise _checks.refused(name, "be an Ensemble, as Ensemble.from_sticks makes one of measured sticks", one)
+            raise checks.refused(name, "be an Ensemble, as Ensemble.from_sticks makes one of measured sticks", one)
         unfinished = sum(count for status, count in one.status_counts.items() if status != Status.FINISHED)
         if unfinished:
             raise ValueError(
@@ -141,7 +169,7 @@ def observed_ensembles(observed: object) -> list[Ensemble]:
             )
         found.append(one)
     if not found:
-        raise _checks.refused("observed", "be an Ensemble or a list of them, at least one", observed)
+        raise checks.refused("observed", "be an Ensemble or a list of them, at least one", observed)
     return found
 
 
@@ -191,3 +219,265 @@ def check_covariance(observed: Observed, name: str) -> None:
             f"Argument moments must not determine each other, but in {name} one of {names} follows from the others; "
             "leave it out."
         )
+
+
+# Simulated moments of stick sequences and their derivatives by parameters, with the errors of both.
+
+
+_STEP = 0.1
+"""Half the width of central differences, relative to the parameter. A fit needs derivatives with little noise: what is
+noise in them passes for information. Their bias, of the order of the squared step, only shifts weights."""
+
+
+class Simulated(NamedTuple):
+    """Moments from simulated realisations at some parameters.
+
+    - `mean`: (moments,). `slope`: their derivatives, (moments, parameters).
+    - `error`: the covariance of `mean` and, behind it, of `slope` row by row.
+    - `samples`: how many realisations finished. `unfinished`: how many did not.
+    """
+
+    mean: Float[np.ndarray, " moments"]
+    slope: Float[np.ndarray, "moments parameters"]
+    error: Float[np.ndarray, "columns columns"]
+    samples: int
+    unfinished: int
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "moments moments"]:
+        """That of the mean."""
+        return self.error[: len(self.mean), : len(self.mean)]
+
+    def covariance_of_one(self, moments: int) -> Float[np.ndarray, "moments moments"]:
+        """That of one realisation's numbers, of the first `moments`."""
+        return self.covariance[:moments, :moments] * self.samples
+
+    @property
+    def is_known(self) -> bool:
+        """Whether all moments and derivatives are numbers."""
+        return bool(np.all(np.isfinite(self.mean)) and np.all(np.isfinite(self.slope)))
+
+    def scaled(self, by: Float[np.ndarray, "parameters coordinates"]) -> "Simulated":
+        """With derivatives by coordinates; `by`: those of the parameters by the coordinates."""
+        moments = len(self.mean)
+        factor = np.zeros_like(self.error)
+        factor[:moments, :moments] = np.eye(moments)
+        factor[moments:, moments:] = np.kron(np.eye(moments), by.T)
+        return self._replace(slope=self.slope @ by, error=factor @ self.error @ factor.T)
+
+    def noise(self, weight: Float[np.ndarray, "moments moments"]) -> Float[np.ndarray, "parameters parameters"]:
+        """What the errors of the derivatives alone add to ``slope' weight slope``, on average."""
+        moments, parameters = self.slope.shape
+        of_slopes = self.error[moments:, moments:].reshape(moments, parameters, moments, parameters)
+        return np.einsum("ij,iajb->ab", weight, np.nan_to_num(of_slopes))
+
+
+class Simulator:
+    """Simulates the moments of one experiment, at any parameters with the same random numbers.
+
+    - `statistics`, `t1` (s), `samples`, `key`, `wrt`: as for `sensitivity`.
+    - `units`: of the parameters, and `products`: sentences about those that act together only, both once it was called.
+    - `estimator`: that of the derivatives; by default for each kind of statistic the cheaper one.
+    """
+
+    def __init__(
+        self, statistics: tuple[StickStatistic, ...], t1: float, samples: int, key: Array | None,
+        wrt: tuple[str, ...], method: Exact | Regularized, threads: int | None, estimator: Estimator | None,
+    ):  # fmt: skip
+        self.statistics, self.t1, self.samples, self.key, self.wrt = statistics, t1, samples, key, wrt
+        self.options: dict[str, Any] = {"method": method, "threads": threads}
+        self.estimator: Estimator | None = estimator
+        self.fewest = BufferSizes(0, 0, 0)
+        self.units: tuple[str, ...] = ()
+        self.products: set[str] = set()
+
+    def __call__(self, model: Model) -> Simulated:
+        """The moments of `model`. Raises ValueError for what `sensitivity` refuses."""
+        y0: InitialState | None = model.y0
+        problem, pilot = problem_of(
+            self.statistics, model.system, model.law, self.wrt, self.t1, self.samples, self.key, y0, **self.options
+        )
+        pilot = self._with_room(problem, pilot)
+        kinds = problem.kinds()
+        self.units = tuple(unit_at(problem.model, parameter.path) for parameter in problem.parameters)
+        sources = [self._source(kind, pilot, relative_bandwidth_of(problem, pilot)) for kind in kinds]
+        accumulated = run_chunks(sources, problem.samples, problem.threads)
+        self.products = set(products_among(problem, accumulated))
+        order = [one for kind in kinds for one in kind.statistics]
+        return _simulated(accumulated, [order.index(one) for one in self.statistics], len(self.wrt), self.samples)
+
+    def _source(self, kind: Problem, pilot: Pilot, widest: float) -> Source:
+        """How the moments of one kind, and their derivatives, are found."""
+        if (self.estimator or cheaper(kind)) == "finite-difference":
+            return differenced(kind, pilot, np.array([max(widest, _STEP)]), with_pathwise=False)
+        kind = kind.in_closed_form()
+        require_precision(kind)
+        require_correctable(kind)
+        return source_of(kind, pilot, widest)
+
+    def _with_room(self, problem: Problem, pilot: Pilot) -> Pilot:
+        """The pilot, with buffers of a size that suffices nearby too: each size is compiled anew."""
+        if pilot.most is None or problem.needs_ensembles:
+            return pilot
+        needed = buffer_sizes_for(problem, pilot)
+        if any(size > room for size, room in zip(needed, self.fewest, strict=True)):
+            self.fewest = BufferSizes(*(2 ** math.ceil(math.log2(1.2 * size + 1)) for size in needed))
+        return pilot._replace(fewest=self.fewest)
+
+
+def key_of(key: Array | None, experiment: int) -> Array | None:
+    """The key of an experiment: its simulations are independent of those of the others."""
+    return key if key is None or experiment == 0 else jax.random.fold_in(key, experiment)
+
+
+def _simulated(accumulated: JointAccumulator, order: list[int], parameters: int, asked: int) -> Simulated:
+    """The moments in this order, their derivatives, and the covariance of all (delta method)."""
+    means, slopes, of_means, of_slopes = [], [], [], []
+    for number in order:
+        one, own = accumulated.single(number), accumulated.slice_of(number)
+
+        def placed(weights: tuple[np.ndarray, np.ndarray], own: slice = own) -> list[np.ndarray]:
+            whole = [np.zeros(len(half.mean)) for half in accumulated.halves]
+            for all_columns, mine in zip(whole, weights, strict=True):
+                all_columns[own] = mine
+            return whole
+
+        moments = one.moments
+        above, below = moments.mean[:2]
+        mean, weight = math.nan, np.zeros(len(moments.mean))
+        if moments.number and below > 0:
+            mean = above / below
+            weight[:2] = 1 / below, -mean / below
+        share = one.halves[0].number / max(moments.number, 1)
+        means.append(mean)
+        of_means.append(placed((share * weight, (1 - share) * weight)))
+        for columns, in_window in zip(one.columns, one.in_window, strict=True):
+            found, influence = _derivative(one, columns, in_window)
+            slopes.append(found)
+            of_slopes.append(placed(influence))
+    size, error = len(of_means) + len(of_slopes), 0.0
+    for half, sums in enumerate(accumulated.halves):
+        of = np.array([weights[half] for weights in (*of_means, *of_slopes)])
+        error = error + of @ sums.covariance_of_mean @ of.T
+    finished = sum(half.number for half in accumulated.halves)
+    slope = np.reshape(slopes, (len(order), parameters))
+    return Simulated(np.array(means), slope, np.reshape(error, (size, size)), finished, asked - finished)
+
+
+def _derivative(
+    one: Accumulator, columns: DerivativeColumns, in_window: np.ndarray
+) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
+    """A derivative and its own derivatives by the means of the columns in both halves (0 where not known)."""
+    found, _ = estimate.estimate_by_windows(one, columns, in_window, None)
+    first, second = estimate.influence_by_windows(one, columns, in_window, None)
+    return found.derivative, (np.nan_to_num(first), np.nan_to_num(second))
+
+
+# Weights of the misfits of moments: from the recordings' covariance, or from the model (synthetic likelihood).
+#
+# Both methods compare means over recordings with simulated means. Near the estimate either is a sum of squares of the
+# misfits: of moments weighted by the inverse of their covariance (Hansen 1982), or of means and mean products weighted
+# by their Fisher information, if a recording's numbers were jointly normal.
+
+
+_Square = Float[np.ndarray, "parameters parameters"]
+
+
+class Part(NamedTuple):
+    """What one experiment, or several, add to a fit.
+
+    - `value`: half of the weighted sum of squares, or the negative logarithm of the likelihood but for a constant.
+    - `gradient`, `hessian`: its derivatives by the parameters; the second by Gauss and Newton.
+    - `noise`: what errors of the simulated derivatives add to `hessian`, on average.
+    - `scores`: the covariance of `gradient`, from recordings and simulations.
+    """
+
+    value: float
+    gradient: Float[np.ndarray, " parameters"]
+    hessian: _Square
+    noise: _Square
+    scores: _Square
+
+    @classmethod
+    def total(cls, parts: "list[Part]") -> "Part":
+        """The sum of independent parts."""
+        return cls(*(sum(each) for each in zip(*parts, strict=True)))  # pyright: ignore[reportArgumentType]
+
+
+def covariance_of_misfit(
+    observed: Observed, simulated: Simulated, of_simulation: Float[np.ndarray, "moments moments"] | None = None
+) -> Float[np.ndarray, "moments moments"]:
+    """The covariance of the difference of observed and simulated means.
+
+    `of_simulation`: that of one realisation's numbers; by default those of the recordings.
+    """
+    per_sample = observed.covariance if of_simulation is None else of_simulation
+    return observed.covariance / observed.recordings + per_sample / simulated.samples
+
+
+def by_moments(observed: Observed, simulated: Simulated, covariance: Float[np.ndarray, "moments moments"]) -> Part:
+    """The weighted sum of squares of an experiment; `covariance` is that of the misfit."""
+    weight = np.linalg.inv(covariance)
+    misfit = observed.mean - simulated.mean
+    weighted = simulated.slope.T @ weight
+    hessian = weighted @ simulated.slope
+    return Part(
+        0.5 * float(misfit @ weight @ misfit), -weighted @ misfit, hessian, simulated.noise(weight), hessian
+    )  # fmt: skip
+
+
+def with_products(statistics: tuple[StickStatistic, ...]) -> tuple[StickStatistic, ...]:
+    """The statistics and behind them their products with themselves and each other, as the normal likelihood needs."""
+    one, other = np.triu_indices(len(statistics))
+    return (*statistics, *(Product(statistics[i], statistics[j]) for i, j in zip(one, other, strict=True)))
+
+
+def by_likelihood(observed: Observed, simulated: Simulated) -> Part:
+    """The synthetic likelihood (Wood 2010) of an experiment: a recording's numbers are taken to be jointly normal.
+
+    `simulated` holds means of the numbers and of their products. With their deviations from the simulated means, in
+    units of the simulated standard deviations, the normal distribution has means and covariances as independent
+    parameters, whose Fisher information is in closed form. The covariance of the score is that of the simulated numbers
+    themselves, so that errors are right for others than normal numbers too.
+    """
+    number, recordings = observed.values.shape[1], observed.recordings
+    one, other = np.triu_indices(number)
+    mean = simulated.mean[:number]
+    covariance = np.zeros((number, number))
+    covariance[one, other] = covariance[other, one] = simulated.mean[number:] - mean[one] * mean[other]
+    spread = np.sqrt(np.diag(covariance))
+    to_standard = _standardising(mean, spread)
+    deviations = (observed.values - mean) / spread
+    correlation = covariance / np.outer(spread, spread)
+    seen = deviations.T @ deviations / recordings
+    inverse = np.linalg.inv(correlation)
+    information = _information(correlation, inverse)
+    misfit = np.concatenate([deviations.mean(axis=0), (seen - correlation)[one, other]])
+    slope = to_standard @ simulated.slope
+    weighted = recordings * slope.T @ information
+    hessian = weighted @ slope
+    of_means = to_standard @ simulated.covariance @ to_standard.T * (1 + simulated.samples / recordings)
+    value = np.linalg.slogdet(correlation)[1] + 2 * math.fsum(np.log(spread)) + float(np.sum(inverse * seen))
+    noise = simulated.noise(recordings * to_standard.T @ information @ to_standard)
+    return Part(0.5 * recordings * value, -weighted @ misfit, hessian, noise, weighted @ of_means @ weighted.T)
+
+
+def _standardising(mean: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """The matrix that makes deviations of means and mean products those of standardised numbers, to first order."""
+    number = len(mean)
+    one, other = np.triu_indices(number)
+    units, rows = np.eye(number), spread[one] * spread[other]
+    by_means = -(units[one] * mean[other, None] + units[other] * mean[one, None]) / rows[:, None]
+    above = np.hstack([np.diag(1 / spread), np.zeros((number, len(rows)))])
+    return np.vstack([above, np.hstack([by_means, np.diag(1 / rows)])])
+
+
+def _information(correlation: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """The Fisher information of a standardised normal distribution about its means and its covariances."""
+    one, other = np.triu_indices(len(correlation))
+    products = correlation[np.ix_(one, one)] * correlation[np.ix_(other, other)]
+    products += correlation[np.ix_(one, other)] * correlation[np.ix_(other, one)]
+    number = len(correlation)
+    whole = np.zeros((number + len(one),) * 2)
+    whole[:number, :number], whole[number:, number:] = inverse, np.linalg.inv(products)
+    return whole

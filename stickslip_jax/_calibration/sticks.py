@@ -1,40 +1,344 @@
 """`calibrate_sticks`: parameters from recordings of sticks."""
 
+import dataclasses
 import math
 import warnings
-from collections.abc import Sequence
-from typing import Any, Literal, TypeAlias, get_args
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
-from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
-from .._forks import require_threads_of_jax
+from .._foundation import checks, html
+from .._foundation.processes import require_threads_of_jax
+from .._foundation.types import InitialState
 from .._sensitivity.call import check_estimator, require_differences
 from .._sensitivity.estimate import Estimator
 from .._sensitivity.statistic import AnyStatistic
 from .._statistics.estimate import Estimate, correlated_estimates
 from .._systems.system import System
-from .._types import Array, InitialState
+from .parameters import Models, covariance_of
 from .stick_moments import (
     Observed,
+    Part,
     Recorded,
+    Simulated,
+    Simulator,
+    by_likelihood,
+    by_moments,
     check_covariance,
+    covariance_of_misfit,
+    key_of,
     moments_of,
     observed_ensembles,
     observed_moments,
+    with_products,
     without_scatter,
 )
-from .stick_parameters import Models
-from .stick_remarks import remarks_of
-from .stick_result import MomentFit, Overidentification, StickCalibration
-from .stick_search import Found, Precision, minimised, precision
-from .stick_simulation import Simulated, Simulator, key_of
-from .stick_weights import Part, by_likelihood, by_moments, covariance_of_misfit, with_products
-from .transform import covariance_of
+
+# The search for the parameters of a fit, by SciPy's trust region, and how well they are determined.
+
+
+_Vector = Float[np.ndarray, " parameters"]
+_Square = Float[np.ndarray, "parameters parameters"]
+
+_ENOUGH = 1e-3  # what the best step would still gain, in squared standard errors: it is a thirtieth of one
+_CONVERGED = 0.1  # the same; where no step gains anything 1, as errors of derivatives make it look
+_STANDS, _GAINED = 5, 0.005
+"""A search ends after so many iterations in a row without gain: simulated means have small jumps."""
+_INFLUENCE = 4.0  # times what noise alone would be
+_EXACT = 1e-10  # relative, as round-off leaves it where derivatives are proportional
+_INVOLVED = 0.1
+
+
+class Found(NamedTuple):
+    """Where a search ended: coordinates, what was found there, and whether it ended because no step gains anything."""
+
+    x: _Vector
+    part: Part
+    stands: bool
+
+
+def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Found:
+    """The minimum near `x` of what `at` returns, None where there is nothing.
+
+    `most`: iterations. The trust region is in coordinates, that of logarithms for most parameters.
+    """
+    from scipy import optimize  # noqa: PLC0415 - takes long to load
+
+    known: dict[bytes, Part | None] = {}
+    stands, last = 0, np.inf
+
+    def part(x: _Vector) -> Part | None:
+        if x.tobytes() not in known:
+            known[x.tobytes()] = at(x)
+        return known[x.tobytes()]
+
+    def value(x: _Vector) -> float:
+        found = part(x)
+        return np.inf if found is None else found.value
+
+    def stop(intermediate_result: Any) -> None:
+        nonlocal stands, last
+        now = np.asarray(intermediate_result.x)
+        stands = 0 if value(now) < last - _GAINED else stands + 1
+        last = min(last, value(now))
+        if stands >= _STANDS or gain(part(now)) < _ENOUGH:
+            raise StopIteration
+
+    def gradient(x: _Vector) -> _Vector:
+        found = part(x)
+        return np.zeros(len(x)) if found is None else found.gradient
+
+    def hessian(x: _Vector) -> _Square:
+        # SciPy asks for it where there is nothing too, before it goes back.
+        found = part(x)
+        return np.eye(len(x)) if found is None else found.hessian
+
+    if gain(part(x)) >= _ENOUGH:
+        found = optimize.minimize(
+            value, x, method="trust-exact", jac=gradient, hess=hessian, callback=stop,
+            options={"initial_trust_radius": 0.5, "max_trust_radius": 2.0, "maxiter": most, "gtol": 0.0},
+        )  # fmt: skip
+        x = np.asarray(found.x)
+    end = part(x)
+    assert end is not None
+    return Found(x, end, stands >= _STANDS)
+
+
+def gain(part: Part | None) -> float:
+    """What the step of Gauss and Newton would gain, in squared standard errors."""
+    if part is None:
+        return np.inf
+    step = np.linalg.lstsq(part.hessian, part.gradient, rcond=_EXACT)[0]
+    return float(step @ part.gradient)
+
+
+class Precision(NamedTuple):
+    """How well a fit determines coordinates.
+
+    - `covariance`: infinite for those that are not determined.
+    - `lost`: for each combination of coordinates that is not determined, which of them it holds.
+    - `converged`: whether the best step would gain nothing in the directions that are determined.
+    - `noise_share`: how much of the information is noise of the derivatives, in the worst determined direction.
+    """
+
+    covariance: _Square
+    lost: tuple[Bool[np.ndarray, " parameters"], ...]
+    converged: bool
+    noise_share: float
+
+
+def precision(part: Part, stands: bool = False) -> Precision:
+    """The covariance of the minimum, by the sandwich: the errors of derivatives add no information.
+
+    `stands`: as in `Found`.
+    """
+    from scipy import linalg  # noqa: PLC0415 - takes long to load
+
+    size = np.sqrt(np.maximum(np.diag(part.hessian), np.finfo(float).tiny))
+    scale = np.outer(size, size)
+    whole, noise, scores = part.hessian / scale, part.noise / scale, part.scores / scale
+    floor = noise + _EXACT * np.eye(len(size))
+    ratios, directions = linalg.eigh(whole, floor)
+    directions = directions / np.linalg.norm(directions, axis=0)
+    kept = directions[:, ratios > _INFLUENCE]
+    lost = tuple(np.abs(one) > _INVOLVED for one in directions[:, ratios <= _INFLUENCE].T)
+    inner = np.linalg.inv(kept.T @ (whole - noise) @ kept) if kept.size else np.zeros((0, 0))
+    bread = kept @ inner @ kept.T
+    left = kept.T @ (part.gradient / size)
+    still = float(np.sum(left**2 / np.sum(kept * (whole @ kept), axis=0)))
+    covariance = bread @ scores @ bread / scale
+    for one in lost:
+        covariance[one] = covariance[:, one] = np.nan
+        covariance[one, one] = np.inf
+    return Precision(covariance, lost, still < (1 if stands else _CONVERGED), float(1 / max(ratios[0], 1.0)))
+
+
+# The result of `calibrate_sticks`.
+
+
+class MomentFit(NamedTuple):
+    """A moment of one experiment, as observed and as the fitted model has it.
+
+    Attributes:
+        experiment: Its number in `observed`, from 0.
+        observed: The mean over recordings, with its standard error.
+        fitted: The mean over simulated realisations, with its standard error.
+        error: The standard error of their difference.
+    """
+
+    experiment: int
+    observed: Estimate
+    fitted: Estimate
+    error: float
+
+    @property
+    def residual(self) -> float:
+        """The difference in standard errors."""
+        return (self.observed.value - self.fitted.value) / self.error
+
+    def __str__(self) -> str:
+        return (
+            f"{self.observed.name}: {self.observed.without_name()}, fitted {self.fitted.without_name()}, "
+            f"z = {self.residual:+.1f}"
+        )
+
+
+class Overidentification(NamedTuple):
+    """Hansen's test (1982) of whether the model can have all observed moments at once.
+
+    Attributes:
+        statistic: The smallest weighted sum of squares of the misfits.
+        degrees_of_freedom: Those of its chi-squared distribution, moments less parameters; 0: nothing to test.
+        p_value: The probability of a larger statistic if the model is right; NaN without degrees of freedom.
+    """
+
+    statistic: float
+    degrees_of_freedom: int
+    p_value: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class StickCalibration(Mapping[str, Estimate]):
+    """Parameters that fit observed sticks, with their errors: a mapping from name to `Estimate`.
+
+    The estimates can be computed with; how they are correlated is known to them.
+
+    - `covariance`: of the estimates, in their units and order, (parameters, parameters). `correlation` follows.
+    - `objective`: "moments" or "likelihood".
+    - `moments`: each moment as observed and as fitted, `MomentFit`.
+    - `overidentification`: Hansen's test; None for the likelihood.
+    - `curvature_errors`: standard errors by the curvature of the likelihood alone, by name: right if the numbers of a
+      recording are jointly normal and simulations have no errors; None for moments.
+    - `systems`, `laws`: of each experiment, with the estimates in place of the guesses; `system` and `law` the first.
+    - `recordings`: of all experiments. `samples`: of each simulation. `unfinished`: how many of the simulated
+      trajectories did not finish, in the last simulations.
+    - `converged`: whether the minimum was found. `evaluations`: how often all experiments were simulated.
+    - `remarks`: sentences about what the result does not tell, such as parameters that cannot be told apart.
+    """
+
+    estimates: Mapping[str, Estimate]
+    covariance: Float[np.ndarray, "parameters parameters"]
+    objective: str
+    moments: tuple[MomentFit, ...]
+    overidentification: Overidentification | None
+    curvature_errors: Mapping[str, float] | None
+    systems: tuple[System, ...]
+    laws: tuple[Any, ...]
+    recordings: int
+    samples: int
+    unfinished: int
+    converged: bool
+    evaluations: int
+    remarks: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> Estimate:
+        return self.estimates[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.estimates)
+
+    def __len__(self) -> int:
+        return len(self.estimates)
+
+    @property
+    def correlation(self) -> Float[np.ndarray, "parameters parameters"]:
+        """Of the estimates; NaN where one is not determined."""
+        spread = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore"):
+            return self.covariance / np.outer(spread, spread)
+
+    @property
+    def system(self) -> System:
+        """The system of the first experiment with the estimates in place of the guesses."""
+        return self.systems[0]
+
+    @property
+    def law(self) -> Any:
+        """The law of the first experiment with the estimates in place of the guesses."""
+        return self.laws[0]
+
+    def __repr__(self) -> str:
+        test = self.overidentification
+        lines = [str(one) for one in self.estimates.values()]
+        if test is not None and test.degrees_of_freedom:
+            lines.append(
+                f"Hansen's test: {test.statistic:.3g} with {test.degrees_of_freedom} degrees of freedom, "
+                f"p = {test.p_value:.3g}"
+            )
+        several = len(self.systems) > 1
+        lines += [f"  {f'experiment {one.experiment}, ' if several else ''}{one}" for one in self.moments]
+        return "\n".join([*lines, *self.remarks])
+
+    def _repr_html_(self) -> str:
+        rows = [(name, one.without_name().replace("+-", "±")) for name, one in self.estimates.items()]
+        several = len(self.systems) > 1
+        for one in self.moments:
+            where = f"experiment {one.experiment}, " if several else ""
+            rows.append((f"{where}{one.observed.name}", f"misfit of {one.residual:+.1f} standard errors"))
+        test = self.overidentification
+        if test is not None and test.degrees_of_freedom:
+            rows.append(("Hansen's test", f"p = {test.p_value:.3g}"))
+        rows += [("remark", remark) for remark in self.remarks]
+        return html.titled(f"Calibration to {self.recordings:,} recordings of sticks") + html.table(rows)
+
+
+# Sentences about what a calibration does not tell.
+
+
+_NOISY = 0.2  # share of the information
+_WRONG = 1e-3  # p-value
+
+
+def remarks_of(
+    names: tuple[str, ...], certain: Precision, test: Overidentification | None,
+    unfinished: int, simulated: int,
+) -> tuple[str, ...]:  # fmt: skip
+    """The remarks, those that matter most first."""
+    said = []
+    if not certain.converged:
+        said.append(
+            "The search has not found the minimum: the estimates are where it ended; start from other values, or with "
+            "more samples."
+        )
+    for involved in certain.lost:
+        lost = [name for name, is_in in zip(names, involved, strict=True) if is_in]
+        if len(lost) == 1:
+            said.append(
+                f"{lost[0]} has no influence on these moments that these simulations could show, so that its error is "
+                "infinite: take more samples, or give it a known value, or other moments or experiments that depend on "
+                "it."
+            )
+        else:
+            said.append(
+                f"{' and '.join(lost)} cannot be told apart by these moments, as far as these simulations could show: "
+                "other values of all of them fit as well, so that their errors are infinite; take more samples, or one "
+                "of them must be known, or further moments or experiments tell."
+            )
+    if not certain.lost and certain.noise_share > _NOISY:
+        more = math.ceil(certain.noise_share / (0.1 * (1 - certain.noise_share)))
+        said.append(
+            f"{certain.noise_share:.0%} of what the derivatives seem to tell is their own error, which makes the "
+            f"estimates less certain; take {more} times as many samples."
+        )
+    if test is not None and test.p_value < _WRONG:
+        said.append(
+            f"The model cannot have all moments at once (Hansen's test: p = {test.p_value:.2g}): something "
+            "in it is not as in the recordings, and standard errors are those of a right model."
+        )
+    if unfinished:
+        said.append(
+            f"{unfinished} of {simulated} simulated trajectories did not finish, and are left out of all means."
+        )
+    return tuple(said)
+
+
+# `calibrate_sticks`: parameters from recordings of sticks.
+
 
 Objective: TypeAlias = Literal["moments", "likelihood"]
 _MOST = 60  # iterations
@@ -99,7 +403,7 @@ def calibrate_sticks(
             recordings; first guesses at a bound; and for what `sensitivity` refuses.
     """
     require_threads_of_jax()
-    _checks.chosen("objective", objective, get_args(Objective))
+    checks.chosen("objective", objective, get_args(Objective))
     check_estimator(estimator)
     require_differences(estimator, method)
     ensembles = observed_ensembles(observed)
@@ -160,7 +464,7 @@ class _Fit:
             for at, one in enumerate(observations)
         ]
         self.simulated: dict[bytes, list[Simulated] | None] = {}
-        self.samples = _checks.whole_number("samples", samples, minimum=2, maximum=2**31)
+        self.samples = checks.whole_number("samples", samples, minimum=2, maximum=2**31)
 
     def at(self, x: Float[np.ndarray, " parameters"]) -> list[Simulated] | None:
         """The simulations at coordinates `x`; None where there are none. Raises ValueError at the first."""

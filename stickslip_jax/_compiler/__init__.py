@@ -16,8 +16,7 @@ from .native_loops import (
     native_loop,
     native_loops_work,
 )
-from .packing import Layout, packed, unpacked
-from .recomputation import sharing
+from .recomputation import Layout, packed, sharing, unpacked
 
 __all__ = [
     "COMPILED_QUICKLY",

@@ -1,24 +1,63 @@
-"""Common subexpressions of several results, computed only once.
-
-XLA's CPU back end compiles every result of a large function into a loop of its own, and repeats in it all that the
-result depends on, even if other results need the same. `sharing` cuts a function where that happens: a value
-that is used more than once, and costs more than storing it, becomes the result of a call that the compiler
-does not inline.
-"""
+"""Less work around loops: common subexpressions computed once, and many small arrays packed into a few."""
 
 import math
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial, wraps
-from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
+from typing import Any, NamedTuple, ParamSpec, TypeAlias, TypeVar, cast
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
-from .. import _checks
-from .native_loops import computed_once
-from .switch import PLAIN
+from .._foundation import checks
+from .._foundation.types import PyTreeDef
+from .native_loops import PLAIN, computed_once
+
+# Many small arrays packed into a few: JAX takes microseconds for each array that a compiled function is given.
+#
+# Arrays of the same type and shape are stacked.
+
+
+class Layout(NamedTuple):
+    """How to unpack a pytree; may be a static argument of ``jax.jit``."""
+
+    structure: PyTreeDef
+    kinds: tuple[tuple[jnp.dtype, tuple[int, ...]], ...]  # type and shape of each leaf
+
+    @classmethod
+    def of(cls, tree: Any) -> "Layout":
+        """The layout of a pytree of arrays, or of their shapes."""
+        leaves, structure = jax.tree.flatten(tree)
+        return cls(structure, tuple((leaf.dtype, leaf.shape) for leaf in leaves))
+
+
+def packed(tree: Any) -> tuple[jax.Array, ...]:
+    """The arrays of a pytree, those of the same type and shape stacked."""
+    if PLAIN:
+        return tuple(map(jnp.asarray, jax.tree.leaves(tree)))
+    together: dict[tuple[jnp.dtype, tuple[int, ...]], list[jax.Array]] = {}
+    for leaf in jax.tree.leaves(tree):
+        together.setdefault((leaf.dtype, leaf.shape), []).append(leaf)
+    return tuple(jnp.stack(leaves) for leaves in together.values())
+
+
+def unpacked(arrays: tuple[jax.Array, ...], layout: Layout) -> Any:
+    """The pytree that was `packed`."""
+    if PLAIN:
+        return jax.tree.unflatten(layout.structure, arrays)
+    together = {kind: iter(array) for kind, array in zip(dict.fromkeys(layout.kinds), arrays, strict=True)}
+    return jax.tree.unflatten(layout.structure, [next(together[kind]) for kind in layout.kinds])
+
+
+# Common subexpressions of several results, computed only once.
+#
+# XLA's CPU back end compiles every result of a large function into a loop of its own, and repeats in it all that the
+# result depends on, even if other results need the same. `sharing` cuts a function where that happens: a value
+# that is used more than once, and costs more than storing it, becomes the result of a call that the compiler
+# does not inline.
+
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
@@ -92,7 +131,7 @@ def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf], known: dict[Hash
 
 def _name(value: _Leaf) -> Hashable:
     """Identity of an operand: of a tracer the object, of a number its value."""
-    return id(value) if _checks.is_traced(value) else (str(jax.typeof(value)), np.asarray(value).tobytes())
+    return id(value) if checks.is_traced(value) else (str(jax.typeof(value)), np.asarray(value).tobytes())
 
 
 def _details(equation: core.JaxprEqn) -> Hashable:

@@ -1,33 +1,74 @@
-"""Choice of the engine that simulates a system: for one trajectory, for ensembles and for sensitivities."""
+"""Choice of the engine that simulates a system: for one trajectory, for ensembles and for sensitivities; and the
+compiled functions that simulate a chunk of an ensemble.
+"""
 
-from typing import NamedTuple, cast
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, cast
 
+import equinox as eqx
+import jax
 import numpy as np
 
-from .._excitation.excitation import BaseMotion, excitation_of
-from .._excitation.merged import merged
+from .._compiler import COMPILED_QUICKLY, WIDE_VECTORS, CompiledNatively
+from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.motion import Motion
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
-from .._numerics.known import largest
+from .._foundation.types import AnyArray, DType, Number, Scalar
+from .._numerics.derivatives import largest
 from .._systems.mass_spring import MassSpring
-from .._systems.system import System
-from .._types import AnyArray, DType, Number, Scalar
+from .._systems.system import System, is_built_in
 from .._uncertainty.inputs import Inputs
-from .common.engine import Engine
-from .common.method import Exact, Regularized
+from .common import lanes
+from .common.lanes import Engine, Engines, engines_of, widest
+from .common.method import Arguments, Exact, Regularized, longest_step
 from .common.path import Run
-from .common.time_scales import longest_step
-from .common.validation import Arguments
-from .common.varying import Engines, engines_of, widest
-from .interval.engine import IntervalEngine
-from .interval.path import follow_intervals
-from .regularized.engine import AdaptiveBatch, FixedEngine
-from .regularized.path import follow_regularized
-from .regularized.settings import fixed_steps, resolved
-from .regularized.solve import table_sizes
-from .switched.engine import SwitchedEngine
-from .switched.path import follow_steps
-from .switched.run import steps_for
+from .interval.engine import IntervalEngine, follow_intervals
+from .regularized.engine import AdaptiveBatch, FixedEngine, follow_regularized, solve_batch
+from .regularized.solve import fixed_steps, resolved, table_sizes
+from .switched.engine import SwitchedEngine, follow_steps, steps_for
+
+# Compiled functions that simulate a chunk of an ensemble: what a worker thread calls.
+#
+# XLA (jaxlib 0.10.2) cannot compile every operation into a native loop (some end the process), and computes one wrong
+# in wide vectors (`_compiler`). The package's own laws and systems avoid these operations; where a user's functions are
+# compiled too, neither wide vectors nor native loops are used.
+
+
+class CompiledLanes(NamedTuple):
+    """`lanes.summarize`, `lanes.open_lanes` and `lanes.record`, compiled."""
+
+    summarize: Callable[..., Any]
+    open: Callable[..., tuple[jax.Array, ...]]
+    record: Callable[..., tuple[tuple[jax.Array, ...], lanes.Records, lanes.Blocks]]
+
+
+def compiled_for(engine: Engine, *, with_records: bool = False) -> CompiledLanes:
+    """The compiled functions for jobs of `engine`; `with_records`: whether every sample has a base motion of its own as
+    arrays, which are too large for native loops.
+    """
+    return _COMPILED[is_built_in(engine) and engine.compiles_natively and not with_records]
+
+
+# filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.
+solve_chunk = eqx.filter_jit(solve_batch)
+
+
+def _compiled(is_built_in: bool) -> CompiledLanes:
+    options = {**WIDE_VECTORS, **COMPILED_QUICKLY} if is_built_in else {}
+    compiled = partial(CompiledNatively, compiler_options=options) if is_built_in else jax.jit
+    return CompiledLanes(
+        compiled(lanes.summarize, static_argnames=("lanes", "rows", "dtype")),
+        jax.jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
+        compiled(lanes.record, static_argnames=("layout", "lanes", "blocks", "dtype")),
+    )
+
+
+_COMPILED = {is_built_in: _compiled(is_built_in) for is_built_in in (True, False)}
+
+
+# Choice of the engine that simulates a system: for one trajectory, for ensembles and for sensitivities.
+
 
 _MOST_COUNTED = 2**31 - 1
 _AT_ONCE = 1 << 16  # samples whose engines are made together to find the largest sizes

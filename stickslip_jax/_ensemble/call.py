@@ -1,44 +1,46 @@
-"""`simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics."""
+"""`simulate_ensemble` and `simulate_contacts`: many samples in chunks and threads, with streaming statistics;
+`concatenate` and `load`.
+"""
 
 import dataclasses
+import itertools
+import os
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from .. import _checks
 from .._compiler import Layout, packed
-from .._dynamics.common.engine import Engine, SampleTotals
-from .._dynamics.common.lanes import BLOCK
+from .._dynamics.common.lanes import BLOCK, Engine, SampleTotals
 from .._dynamics.common.method import EXACT, Exact, Regularized
-from .._dynamics.compiled import compiled_for, solve_chunk
+from .._dynamics.engine_choice import compiled_for, solve_chunk
 from .._dynamics.regularized.engine import AdaptiveBatch
-from .._dynamics.regularized.settings import ADAPTIVE_STEPS, MORE, numbers_as_arrays
-from .._events.stick_stream import StickCollector
+from .._dynamics.regularized.solve import ADAPTIVE_STEPS, MORE, numbers_as_arrays
+from .._events.sticks import StickCollector
 from .._excitation.excitation import BaseMotion
-from .._forks import require_threads_of_jax
-from .._processor import cores
-from .._simulation.outputs import Output, Outputs, checked_outputs
+from .._foundation import checks
+from .._foundation.processes import cores, require_threads_of_jax
+from .._foundation.types import InitialState, Status
+from .._simulation.call import Output, Outputs, checked_outputs
 from .._statistics.accumulator import Numbering
-from .._status import Status
-from .._systems.system import System
-from .._types import Array, InitialState
-from .._uncertainty.copula import GaussianCopula
+from .._systems.system import System, WithContacts
 from .._uncertainty.design import Design
-from .._uncertainty.inputs import Model
-from .data import Fields, Keep
-from .origins import check_extendable
-from .outputs import NO_OUTPUTS, TAKEN, fields_of_outputs, only, outputs_of, runner_for
-from .parts import EnsembleAccumulator, Part, prepare
-from .progress import progress_bar
+from .._uncertainty.inputs import GaussianCopula, Model
+from .data import Fields, Keep, Origin, Realization, Unknown, UnknownSystem, check_extendable, origins_of, same_object
+from .dataset import fields_of_file
+from .parts import EnsembleAccumulator, Part, prepare, progress_bar
 from .result import Ensemble
-from .setup import MOST_SAMPLES, EnsembleSetup
+from .setup import MOST_SAMPLES, NO_OUTPUTS, TAKEN, EnsembleSetup, fields_of_outputs, only, outputs_of, runner_for
+
+# `simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics.
+
 
 _Simulate = Callable[[int, int], tuple[Part, ...]]  # samples ``first .. first + number - 1``; the part of each track
 _ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
@@ -128,7 +130,7 @@ def found_by(
     `accumulators`: of each track, one where there is one contact. They are given as many samples as they lack.
     """
     samples = accumulators[0].missing
-    threads = _checks.whole_number("threads", threads) if threads is not None else cores()
+    threads = checks.whole_number("threads", threads) if threads is not None else cores()
     plan = (_Plan.of_batches if isinstance(setup.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
     started = time.perf_counter()
     numbers_of, finished = runner_for(setup, outputs), []
@@ -159,7 +161,7 @@ def _extended(
     require_threads_of_jax()
     check_extendable(ensemble)
     first = ensemble.first_sample + ensemble.samples
-    samples = _checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
+    samples = checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
     model = Model(ensemble.system, ensemble.law, ensemble.y0)
     assert isinstance(ensemble.method, (Exact, Regularized))  # `check_extendable` saw to it
     options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)
@@ -225,7 +227,7 @@ class _Plan(NamedTuple):
         lanes, rows = 256, 32
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
-            chunk = min(_checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES), max(samples, 4096))
+            chunk = min(checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES), max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             return cls(lanes, -(-chunk // lanes), chunk, threads)
         # Small runs are divided into smaller tasks, so that every thread has work.
@@ -239,7 +241,7 @@ class _Plan(NamedTuple):
         The number of lanes is always the same, though some may be idle: how the compiler orders the operations of a
         lane, and so the last digits, depends on it, and errors of adaptive steps grow from there.
         """
-        most = -(-samples // threads) if chunk is None else _checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
+        most = -(-samples // threads) if chunk is None else checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
         return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
 
     def tasks(self, first: int, samples: int) -> list[tuple[int, int]]:
@@ -364,3 +366,283 @@ def _in_order(simulate: _Simulate, plan: _Plan, first: int, samples: int) -> Ite
                 yield number, future.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+# `simulate_contacts`: many samples of a system with several contacts, with the statistics of each contact.
+
+
+@dataclasses.dataclass(frozen=True, repr=False, eq=False)
+class ContactEnsembles:
+    """The result of `simulate_contacts`: an `Ensemble` for each contact, and one for all contacts at once.
+
+    - `system`: as it was given. `contacts`: how many it has. `samples`: their number. `t1`: s.
+    """
+
+    system: System
+    contacts: int
+    _ensembles: tuple[Ensemble, ...]
+
+    def of_contact(self, number: int) -> Ensemble:
+        """The ensemble in which the sticks of one contact are counted, that of ``system.of_contact(number)``.
+
+        Args:
+            number: Of the contact, from 0.
+
+        Raises:
+            ValueError: For a number that is not one of its contacts.
+        """
+        return self._ensembles[checks.whole_number("number", number, minimum=0, maximum=self.contacts - 1)]
+
+    def of_all_contacts(self) -> Ensemble:
+        """The ensemble in which the times are counted when every closed contact sticks."""
+        return self._ensembles[-1]
+
+    @property
+    def samples(self) -> int:
+        """The number of samples."""
+        return self._ensembles[0].samples
+
+    @property
+    def t1(self) -> float:
+        """Their duration, s."""
+        return self._ensembles[0].t1
+
+    @property
+    def status_counts(self) -> dict[Status, int]:
+        """As of an `Ensemble`."""
+        return self._ensembles[0].status_counts
+
+    @property
+    def near_grazing_samples(self) -> int:
+        """As of an `Ensemble`."""
+        return self._ensembles[0].near_grazing_samples
+
+    @property
+    def input_values(self) -> dict[str, np.ndarray]:
+        """The values of the numbers that differ from sample to sample, by name, arrays (samples,)."""
+        return self._ensembles[0].input_values
+
+    def realization(self, number: int) -> Realization:
+        """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it."""
+        system, base, y0 = self._ensembles[0].realization(number)
+        assert isinstance(system, WithContacts)
+        return Realization(system._counting(None), base, y0)
+
+    def __repr__(self) -> str:
+        first, *lines = repr(dataclasses.replace(self._ensembles[0], system=self.system)).split("\n")
+        counts = ", ".join(f"{_sticks(one):,}" for one in self._ensembles[:-1])
+        found = f"  sticks    {counts} of the contacts, {_sticks(self._ensembles[-1]):,} of all at once"
+        return "\n".join([first, *(found if line.startswith("  sticks") else line for line in lines)])
+
+
+def _sticks(ensemble: Ensemble) -> int:
+    return round(float(ensemble.moments.mean[1] * ensemble.moments.number))
+
+
+def simulate_contacts(
+    system: System,
+    law: BaseMotion,
+    *,
+    t1: float,
+    samples: int | Design,
+    key: Array | None = None,
+    correlation: GaussianCopula | None = None,
+    y0: InitialState | None = None,
+    method: Exact | Regularized = EXACT,
+    keep: Keep = "statistics",
+    orders: int = 10,
+    count_initial_rest: bool = False,
+    threads: int | None = None,
+    chunk: int | None = None,
+    progress: bool | None = None,
+    first_sample: int = 0,
+    outputs: Outputs | None = None,
+) -> ContactEnsembles:
+    """Simulate many samples of a system with a list of contacts, and count the sticks of every contact.
+
+    The samples are simulated once. ``many.of_contact(0)`` is the same `Ensemble` to the last bit as
+    ``simulate_ensemble(system.of_contact(0), ...)``: statistics, tests, figures, files and tables take it.
+
+    Args:
+        system: A `LinearStructure`, or a `SwitchedSystem` of your own with `contacts`.
+        law: As in `simulate_ensemble`.
+        t1: As in `simulate_ensemble`.
+        samples: As in `simulate_ensemble`.
+        key: As in `simulate_ensemble`.
+        correlation: As in `simulate_ensemble`.
+        y0: As in `simulate_ensemble`.
+        method: As in `simulate_ensemble`.
+        keep: As in `simulate_ensemble`.
+        orders: As in `simulate_ensemble`.
+        count_initial_rest: As in `simulate_ensemble`.
+        threads: As in `simulate_ensemble`.
+        chunk: As in `simulate_ensemble`.
+        progress: As in `simulate_ensemble`.
+        first_sample: As in `simulate_ensemble`.
+        outputs: As in `simulate_ensemble`.
+
+    Returns:
+        A `ContactEnsembles`.
+
+    Raises:
+        ValueError: For a system with one contact, and as `simulate_ensemble`.
+
+    >>> row = ss.block_row(
+    ...     2, mass=1.0, between=1.0, to_ground=0.5, normal_force=1.0, friction=ss.Coulomb(0.3)
+    ... )
+    >>> law = ss.PoissonSwitching(speed=0.5, rate=0.5)
+    >>> many = ss.simulate_contacts(
+    ...     row, law, t1=20.0, samples=200, key=jax.random.key(0), y0=(0.5, -0.5, 0.0, 0.0)
+    ... )
+    >>> print(ss.stick_fraction(many.of_contact(1)))
+    stick fraction: 0.1151 +- 0.0048
+    >>> print(ss.stick_fraction(many.of_all_contacts()))
+    stick fraction: 0.0555 +- 0.0037
+    """
+    require_threads_of_jax()
+    numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
+    wanted = checked_outputs(outputs, TAKEN)
+    setup = EnsembleSetup.checked(
+        model, t1, samples, first_sample, key, correlation, method, keep, numbering, of_every_contact=True
+    )
+    if setup.tracks == (None,) or not isinstance(system, WithContacts):
+        raise checks.refused("system", "have a list of contacts, of which all are counted", system)
+    number, first = setup.inputs.samples - int(first_sample), int(first_sample)
+    accumulators = [EnsembleAccumulator(number, keep) for _ in setup.tracks]
+    found = found_by(setup, first, accumulators, threads, chunk, progress, wanted)
+    contacts = len(setup.tracks) - 1
+    shared: Fields = setup.fields() | {"samples": number, "first_sample": first} | fields_of_outputs(wanted)
+    ensembles = [
+        Ensemble(**{**shared, "system": counted, **fields})
+        for counted, fields in zip(_counted(system, contacts), found, strict=True)
+    ]
+    return ContactEnsembles(system, contacts, tuple(ensembles))
+
+
+def _counted(system: WithContacts, contacts: int) -> Sequence[WithContacts]:
+    return [*(system.of_contact(number) for number in range(contacts)), system.of_all_contacts()]
+
+
+# `concatenate` joins ensembles, `load` reads one from a file.
+
+
+def load(path: str | os.PathLike[str]) -> Ensemble:
+    """Read an ensemble that `Ensemble.save` or ``stickslip study`` wrote.
+
+    Args:
+        path: The file, or the folder of a study.
+
+    Returns:
+        The `Ensemble` with the statistics it had, to the last bit; figures, ``realization(i)`` and ``extended`` work as
+        before. Objects of your own classes (systems, laws, distributions) come back as stand-ins that hold their name
+        and how they printed: statistics and figures of the sticks still work, what needs the object raises ValueError.
+
+    Raises:
+        FileNotFoundError: For a missing file.
+        ValueError: For one that is damaged or cut short, of another program, or of a newer format.
+        ImportError: Without the extra ``study``.
+    """
+    return Ensemble(**fields_of_file(checks.path("path", path, "a file name")))
+
+
+def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
+    """Join ensembles into one, whose samples are those of the first, then of the second, and so on.
+
+    Where samples follow each other (the same system, law, method, start and key, and ``first_sample`` of one is the
+    number after the last of the one before), the result is that of one run. Otherwise `origins` holds where each part
+    came from, and ``realization(i)`` looks there; what differs from part to part is `Unknown` in the result, so that it
+    cannot be extended. Sticks and counts are those of the parts to the last bit; means and other sums differ from those
+    of one run by round-off only, since they are merged from sums.
+
+    Args:
+        ensembles: At least one, of the same duration, `keep`, `orders`, `count_initial_rest`, dtype, and kind of
+            position. Their systems, laws, keys, methods and starts may differ.
+
+    Raises:
+        ValueError: For anything else, and for parts that hold the same random samples twice.
+    """
+    if not isinstance(ensembles, Sequence) or not ensembles or not all(isinstance(one, Ensemble) for one in ensembles):
+        raise checks.refused("ensembles", "be a list of results of simulate_ensemble", ensembles)
+    for what in ("t1", "keep", "numbering", "dtype"):
+        _check_same(what, [getattr(one, what) for one in ensembles])
+    _check_same("outputs", [dict(sorted(one.output_units.items())) for one in ensembles])
+    _check_same("counted", [getattr(one.system, "counted_contact", None) for one in ensembles])
+    _check_same("position", [one.system.stick_position[1::2] for one in ensembles])
+    accumulator = EnsembleAccumulator(sum(one.samples for one in ensembles), ensembles[0].keep)
+    for one in ensembles:
+        accumulator.add_ensemble(one)
+    origins = _joined([origin for one in ensembles for origin in origins_of(one)])
+    return Ensemble(
+        t1=ensembles[0].t1,
+        numbering=ensembles[0].numbering,
+        dtype=ensembles[0].dtype,
+        **_common(origins),
+        **accumulator.found(),
+        output_units=dict(ensembles[0].output_units),
+        output_functions=_shared_functions(ensembles),
+        threads=max(one.threads for one in ensembles),
+        compile_seconds=sum(one.compile_seconds for one in ensembles),
+        run_seconds=sum(one.run_seconds for one in ensembles),
+    )
+
+
+def _shared_functions(ensembles: Sequence[Ensemble]) -> dict[str, Callable[..., Any]]:
+    """The functions of outputs that are the same object in all of the ensembles."""
+    first, *others = (one.output_functions for one in ensembles)
+    return {name: function for name, function in first.items() if all(one.get(name) is function for one in others)}
+
+
+_WORDS = {
+    "t1": "duration t1",
+    "outputs": "names and units of outputs",
+    "position": "unit and period of the position",
+    "counted": "contact whose sticks are counted",
+}
+
+
+def _check_same(what: str, values: Sequence[object]) -> None:
+    for number, value in enumerate(values):
+        if value != values[0]:
+            raise ValueError(
+                f"Argument ensembles must have the same {_WORDS.get(what, what)}, but the first has "
+                f"{checks.show(values[0])} and ensembles[{number}] has {checks.show(value)}."
+            )
+
+
+def _joined(origins: list[Origin]) -> tuple[Origin, ...]:
+    """The origins, those that follow each other made one. Raises ValueError if one holds samples of another."""
+    for one, other in itertools.combinations(origins, 2):
+        apart = one.first_sample + one.samples <= other.first_sample
+        apart = apart or other.first_sample + other.samples <= one.first_sample
+        if one.key_data is not None and not apart and one.same_run(other):
+            raise ValueError(
+                "Argument ensembles must hold different samples, but two parts have the same key and samples "
+                f"{max(one.first_sample, other.first_sample)} and on; simulate them with different keys, or with "
+                "first_sample=... after one another."
+            )
+    joined = origins[:1]
+    for origin in origins[1:]:
+        last = joined[-1]
+        if origin.follows(last):
+            joined[-1] = last._replace(samples=last.samples + origin.samples)
+        else:
+            joined.append(origin)
+    return tuple(joined)
+
+
+def _common(origins: tuple[Origin, ...]) -> Fields:
+    """The fields of an `Ensemble` that its origins give; `Unknown` for what differs among them."""
+    first = origins[0]
+    samples = sum(origin.samples for origin in origins)
+    if len(origins) == 1:
+        return {**first._asdict(), "samples": samples, "origins": ()}
+    found: Fields = {}
+    for name in ("system", "law", "method", "y0"):
+        values = [getattr(origin, name) for origin in origins]
+        same = all(same_object(value, values[0]) for value in values)
+        found[name] = values[0] if same else Unknown(f"differs among the {len(origins)} parts")
+    if isinstance(found["system"], Unknown):
+        found["system"] = UnknownSystem(found["system"].name, "", first.system.stick_position)
+    if isinstance(found["y0"], Unknown):
+        found["y0"] = (found["y0"],)
+    return {**found, "key_data": None, "first_sample": 0, "samples": samples, "origins": origins}

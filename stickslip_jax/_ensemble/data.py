@@ -1,30 +1,95 @@
-"""What an ensemble holds, and where its parts come from."""
+"""What an ensemble holds, and where its parts come from; stand-ins for what it does not know."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, PyTree
+from jaxtyping import Array, Float, PyTree
 
-from .._dynamics.common.engine import SampleTotals
+from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._events.sticks import FlatSticks
+from .._events.sticks import FlatSticks, Slips, in_slots
+from .._events.tables import FlatSlips, slips_among
 from .._excitation.excitation import law_of
-from .._numerics.moments import Moments
+from .._foundation.types import Number, Status
+from .._numerics.sums import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
-from .._status import Status
-from .._systems.system import System
-from .._types import Array, Number
-from .._uncertainty.copula import GaussianCopula
+from .._systems.system import Coordinate, System
 from .._uncertainty.design import Design
-from .._uncertainty.inputs import Inputs, Model
-from .unknown import Unknown
+from .._uncertainty.inputs import GaussianCopula, Inputs, Model
+
+# Stand-ins for what an ensemble does not know: the system of measured sticks, an object of a user's own class.
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknown:
+    """Stands for an object that is not there, because nobody gave it or because its class is a user's own.
+
+    `name`: what it is, or its class. `text`: how it was printed, "" if it was not.
+    """
+
+    name: str
+    text: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name}, stored as text only: {self.text}" if self.text else self.name
+
+
+class UnknownSystem(System):
+    """Stands for a system that is not there; knows only what the position of a stick is.
+
+    `name`, `text`: as in `Unknown`. `position`: the name, unit and period of the position of a stick.
+
+    Statistics and figures of the sticks work; whatever would simulate raises ValueError.
+    """
+
+    name: str = eqx.field(static=True)
+    text: str = eqx.field(static=True)
+    position: Coordinate = eqx.field(static=True)
+
+    def __str__(self) -> str:
+        return str(Unknown(self.name, self.text))
+
+    @property
+    def stick_position(self) -> Coordinate:
+        return self.position
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        # As the abscissa of figures, the name goes without " when the stick starts".
+        return (self.position._replace(name=self.position.name.removesuffix(" when the stick starts")),)
+
+    @property
+    def contact_scales(self) -> NoReturn:
+        self._refuse()
+
+    def _refuse(self, *_: object, **__: object) -> NoReturn:
+        raise ValueError(
+            "Argument system must be a system that can be simulated, but this one is not known "
+            f"({self}); give the system itself."
+        )
+
+    switched_model = time_scales = check_state = check_excitation = _refuse
+
+
+def require_known(what: str, held: object) -> None:
+    """Raise ValueError if `held`, the ensemble's `what`, is a stand-in."""
+    if held is None or isinstance(held, (Unknown, UnknownSystem)):
+        about = "it has none" if held is None else held
+        raise ValueError(
+            f"This ensemble does not know its {what} ({about}), so nothing can be simulated or drawn again; call "
+            "simulate_ensemble with your own objects."
+        )
+
+
+# What an ensemble holds, and where its parts come from.
+
 
 Keep: TypeAlias = Literal["totals", "statistics", "sticks"]
 """What an ensemble keeps: totals of stick time, sticks and slips only; all statistics; or also every stick."""
@@ -185,3 +250,131 @@ class EnsembleData:
     def _unfinished(self) -> dict[Status, int]:
         """Number of the others by `Status`, where there are any."""
         return {status: count for status, count in self.status_counts.items() if status and count}
+
+
+# Where the samples of an ensemble come from: parts that were joined, and realisations that were given.
+
+
+Data = TypeVar("Data", bound=EnsembleData)
+
+
+class Realization(NamedTuple):
+    """What `simulate` takes to repeat a sample: ``simulate(system, base, y0=y0, t1=...)``."""
+
+    system: System
+    base: Any
+    y0: tuple[float, ...]
+
+
+def origins_of(ensemble: EnsembleData) -> tuple[Origin, ...]:
+    """The origins of all parts of an ensemble, one if it was not joined."""
+    return ensemble.origins or (Origin(*(getattr(ensemble, name) for name in Origin._fields)),)
+
+
+def check_dtype(dtype: str) -> None:
+    """Raise ValueError if JAX is set to another floating dtype, in which other random numbers would be drawn."""
+    if str(jnp.result_type(float)) != dtype:
+        raise ValueError(
+            f"This ensemble was simulated in {dtype}, and JAX is set to {jnp.result_type(float)}, which draws other "
+            f"numbers; call jax.config.update('jax_enable_x64', {dtype == 'float64'}) before anything else."
+        )
+
+
+def parts_of(ensemble: Data) -> list[Data]:
+    """Ensembles that draw again what the samples of each part were simulated from; one if it was not joined."""
+    return [dataclasses.replace(ensemble, **origin._asdict(), origins=()) for origin in origins_of(ensemble)]
+
+
+def part_with(ensemble: Data, number: int) -> tuple[Data, int]:
+    """The one of `parts_of` with sample `number`, and the number that it has there."""
+    for part in parts_of(ensemble):
+        if number < part.samples:
+            return part, number + part.first_sample
+        number -= part.samples
+    raise IndexError(number)
+
+
+def check_extendable(ensemble: EnsembleData) -> None:
+    """Raise ValueError unless more samples of `ensemble` can be simulated."""
+    if ensemble.origins:
+        raise ValueError(
+            f"This ensemble was joined from {len(ensemble.origins)} parts of different origin, which cannot be "
+            "extended; extend the last part, and concatenate then."
+        )
+    for what in ("system", "law", "method", *(f"y0[{index}]" for index in range(len(ensemble.y0)))):
+        require_known(what, ensemble.y0[int(what[3:-1])] if what.startswith("y0") else getattr(ensemble, what))
+    if isinstance(ensemble.law, GivenMotions):
+        raise ValueError(
+            "This ensemble was made of given simulations, which cannot be extended; simulate more of them, and "
+            "concatenate."
+        )
+    if ensemble.design is not None or not all(entry.is_random for entry in ensemble.inputs.entries):
+        raise ValueError(
+            "This ensemble has a design or arrays with one number for each sample, which cannot be extended; simulate "
+            "more samples with other arrays, and concatenate."
+        )
+    check_dtype(ensemble.dtype)
+
+
+def known_inputs(ensemble: EnsembleData) -> dict[str, tuple[np.ndarray, str]]:
+    """The numbers that differ from sample to sample, (samples,), and their units, by name.
+
+    None where it is not known what was simulated, or where different numbers differ in joined parts.
+    """
+    parts = parts_of(ensemble)
+    try:
+        for part in parts:
+            require_whole(part)
+            _ = part.inputs  # a design may name numbers of a system that is not known
+    except ValueError:
+        return {}
+    if any(isinstance(part.law, GivenMotions) for part in parts) or len({part.inputs.names for part in parts}) > 1:
+        return {}
+    units = [entry.about.unit if entry.about else "" for entry in parts[0].inputs.entries]
+    return {name: (values, unit) for (name, values), unit in zip(values_of(parts).items(), units, strict=True)}
+
+
+def values_of(parts: Sequence[EnsembleData]) -> dict[str, np.ndarray]:
+    """The values of the numbers that differ from sample to sample in `parts`, the same ones in each, by name."""
+    found = [part.inputs.values(jnp.dtype(part.dtype), part.first_sample) for part in parts]
+    return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
+
+
+def require_whole(ensemble: EnsembleData) -> None:
+    """Raise ValueError unless the base motion and the start of `ensemble` are known."""
+    require_known("base motion", ensemble.law)
+    for value in ensemble.y0:
+        require_known("initial state", value)
+
+
+def given_realization(ensemble: EnsembleData, number: int) -> Realization | None:
+    """The system, the base motion and the initial state of sample `number` where the base motions were given.
+
+    None where they were not; raises ValueError where they are not known.
+    """
+    require_whole(ensemble)
+    if not isinstance(ensemble.law, GivenMotions):
+        return None
+
+    def own(leaf):
+        return single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == ensemble.samples else leaf
+
+    y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in ensemble.y0)
+    return Realization(jax.tree.map(own, ensemble.system), ensemble.law.base(number), y0)
+
+
+# The slips of an ensemble that kept its sticks: what lies between the sticks of the samples that finished.
+
+
+def flat_slips(ensemble: EnsembleData) -> FlatSlips:
+    """The slips of all samples that finished. Raises ValueError unless ``keep="sticks"``."""
+    sticks, totals = ensemble.require_sticks(), ensemble.totals
+    return slips_among(sticks, ensemble.t1, np.asarray(totals.status) == Status.FINISHED)
+
+
+def padded_slips(ensemble: EnsembleData) -> Slips:
+    """The same as `Slips` with arrays (samples, slots), where slots is the largest number of slips (at least 1)."""
+    slips = flat_slips(ensemble)
+    columns = {"start": (slips.start, np.nan), "end": (slips.end, np.nan), "censored": (slips.censored, False)}
+    mask, filled = in_slots(np.bincount(slips.sample, minlength=ensemble.samples), columns)
+    return Slips(**filled, mask=mask)

@@ -1,24 +1,163 @@
-"""An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (`stored.py`)."""
+"""An ensemble as labelled arrays (``xarray``), in NetCDF files, and read from them with all that it had."""
 
+import hashlib
 import json
+import sys
+from collections.abc import Hashable, Iterator, Mapping
+from contextlib import contextmanager
+from enum import IntEnum
+from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from .._conventions import flags, labeled_dataset, variable
-from .._dynamics.common.engine import SampleTotals
-from .._events.sticks import FlatSticks
+from .._dynamics.common.lanes import SampleTotals
+from .._dynamics.common.method import Exact, Regularized
+from .._events.sticks import NUMBERS, QUANTITIES, FlatSticks
 from .._events.tables import slip_variables, stick_variables
-from .._simulation.labeled import method_attributes
+from .._foundation import checks
+from .._foundation.extras import flags, labeled_dataset, require, variable
+from .._foundation.files import file_for_user
+from .._foundation.processes import require_memory
+from .._foundation.types import Ending, Status
+from .._numerics.sums import Moments
+from .._simulation.result import method_attributes
+from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
-from .._status import Status
-from .data import EnsembleData, Retained
-from .encoding import Encoder
-from .origins import known_inputs
-from .slips import flat_slips
+from .._systems.system import Coordinate, System
+from .._uncertainty.families import RandomNumber
+from .data import EnsembleData, Fields, Retained, Unknown, UnknownSystem, flat_slips, known_inputs
+from .encoding import Decoder, Encoder
+from .setup import MOST_SAMPLES
 
 if TYPE_CHECKING:
     import xarray
+
+
+# Data sets in NetCDF 4 files that show whether they are as they were written.
+#
+# A SHA-256 sum over all names, numbers and attributes is an attribute itself. HDF5 keeps check sums of the arrays
+# besides, for other programs.
+
+
+SUM = "content_sha256"
+"""The attribute that holds the sum."""
+
+
+class DamagedFileError(ValueError):
+    """A file that cannot be read, or is not as it was written; its message says why, in a few words."""
+
+
+def as_netcdf(
+    dataset: "xarray.Dataset",
+    packing: Mapping[Any, Mapping[str, object]],
+    groups: "Mapping[str, xarray.Dataset] | None" = None,
+) -> memoryview:
+    """The bytes of a NetCDF 4 file of a data set, and of others in groups.
+
+    They are made in memory: HDF5 ends the process where a disk is full. `packing`: how to compress variables.
+    """
+    buffer = BytesIO()
+    with _without_cluster():
+        for group, part in {None: dataset, **(groups or {})}.items():
+            options = {name: {"fletcher32": True} for name, variable in part.variables.items() if _has_sums(variable)}
+            if group is None:
+                options = {name: {**options.get(name, {}), **packing.get(name, {})} for name in {*options, *packing}}
+            part.assign_attrs({SUM: sum_of(part)}).to_netcdf(
+                buffer, mode="w" if group is None else "a", group=group, engine="h5netcdf", encoding=options
+            )
+    return buffer.getbuffer()
+
+
+def read_netcdf(path: Path) -> "xarray.Dataset":
+    """The data set in a file, not `verified`.
+
+    Raises:
+        DamagedFileError: For what cannot be read.
+        ValueError: For what is larger than the memory.
+        ImportError: Without the extra.
+    """
+    import h5py  # noqa: PLC0415 - an extra, loaded when asked for
+    import xarray as xr  # noqa: PLC0415
+
+    if not path.is_file():
+        raise DamagedFileError("it is no ordinary file")
+    size = 0.0
+
+    def look(_: str, part: Any) -> None:
+        nonlocal size
+        dict(part.attrs)
+        size += float(getattr(part, "nbytes", 0))  # of an array
+
+    try:
+        with h5py.File(path) as file:  # all names and attributes: where h5netcdf fails, it prints a traceback besides
+            dict(file.attrs)
+            file.visititems(look)
+    except Exception as error:  # of h5py, h5netcdf and xarray, which raise any kind for a damaged file
+        raise _damaged(error) from error
+    require_memory("path", size, f"what {str(path)!r} holds")  # packed, or never written: the file may be small
+    try:
+        return xr.load_dataset(path, engine="h5netcdf")
+    except ImportError:
+        raise
+    except Exception as error:
+        raise _damaged(error) from error
+
+
+def _damaged(error: Exception) -> DamagedFileError:
+    return DamagedFileError(" ".join(str(error).split()) or type(error).__name__)
+
+
+def verified(dataset: "xarray.Dataset", *, is_file: bool = True) -> "xarray.Dataset":
+    """The data set without its sum. Raises DamagedFileError where the content has another, or none in a file."""
+    stated = dataset.attrs.get(SUM)
+    if stated is None:
+        if is_file:
+            raise DamagedFileError("it lacks its check sum")
+        return dataset
+    rest = dataset.copy(deep=False)
+    del rest.attrs[SUM]
+    if sum_of(rest) != stated:
+        raise DamagedFileError("its content is not what was written: the check sum is another")
+    return rest
+
+
+def sum_of(dataset: "xarray.Dataset") -> str:
+    """The SHA-256 sum of the content of a data set, the same before it is written and after it is read."""
+    found = hashlib.sha256(_text(dataset.attrs))
+    for name in sorted(map(str, dataset.variables)):
+        variable = dataset.variables[name]
+        values = np.asarray(variable.values)
+        numbers = values.dtype.kind in "biufc"
+        about = [name, list(map(str, variable.dims)), list(values.shape), values.dtype.str if numbers else "text"]
+        found.update(_text(variable.attrs) + json.dumps(about).encode())
+        found.update(values.tobytes() if numbers else json.dumps(values.astype(str).tolist()).encode())
+    return found.hexdigest()
+
+
+def _text(attributes: Mapping[Hashable, Any]) -> bytes:
+    """Attributes as text, lists of one number as the number, which they become in a file."""
+    plain = {str(name): np.atleast_1d(np.asarray(value)).tolist() for name, value in attributes.items()}
+    return json.dumps(plain, sort_keys=True).encode()
+
+
+def _has_sums(variable: "xarray.Variable") -> bool:
+    return variable.ndim > 0 and variable.size > 0 and variable.dtype.kind in "biuf"
+
+
+@contextmanager
+def _without_cluster() -> Iterator[None]:
+    """Where this process has a client of dask, xarray would ask the cluster for a lock to write memory (and fail)."""
+    if "dask.base" not in sys.modules:
+        yield
+        return
+    with sys.modules["dask"].config.set(scheduler="synchronous"):
+        yield
+
+
+# An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (`dataset.py`).
+
 
 Variables: TypeAlias = dict[str, Any]
 """Variables of a data set by name, as `variable` makes them."""
@@ -183,3 +322,266 @@ def _readable(encoder: Encoder, value: object) -> str:
     """An object as JSON that tells its class and numbers; long arrays are only described."""
     parts = [encoder.encoded(part) for part in value] if type(value) is list else encoder.encoded(value)
     return json.dumps(parts)
+
+
+# Checks of an ensemble that was read: it must be one that a simulation could have given.
+
+
+_SLACK = 1e-5  # of t1: sticks of single precision may end so much later, and a few sum to so much more
+
+
+def check_fields(fields: Mapping[str, Any]) -> None:
+    """Raise ValueError, with a few words as its message, for fields that no ensemble has."""
+    checks.positive("t1", fields["t1"], "s")
+    checks.whole_number("samples", fields["samples"], maximum=MOST_SAMPLES)
+    checks.whole_number("first_sample", fields["first_sample"], minimum=0, maximum=MOST_SAMPLES - fields["samples"])
+    checks.whole_number("threads_used", fields["threads"])
+    for name in ("compile_seconds", "run_seconds"):
+        checks.non_negative(name, fields[name])
+    if fields["dtype"] not in ("float32", "float64"):
+        raise ValueError(f"its numbers have the type {checks.show(fields['dtype'])}")
+    words = fields["key_data"]
+    if words is not None and (len(words) != 2 or not all(0 <= word < 2**32 for word in words)):
+        raise ValueError(f"its key is {checks.show(words)}")
+    _check_kinds(fields)
+    counts = fields["status_counts"]
+    if min(counts.values()) < 0 or sum(counts.values()) != fields["samples"]:
+        raise ValueError(f"it tells the endings of {sum(counts.values())} of {fields['samples']} samples")
+    if not 0 <= fields["near_grazing_samples"] <= fields["samples"]:
+        raise ValueError(f"it has {fields['near_grazing_samples']} samples near grazing")
+    _check_sums(fields["moments"], fields["accumulator"], counts[Status.FINISHED])
+    retained = fields["retained"]
+    if retained is not None:
+        check_sticks(retained.sticks, retained.totals[:, 0], np.ones(len(retained.totals), bool), fields["t1"])
+    _check_samples(fields)
+
+
+def _check_samples(fields: Mapping[str, Any]) -> None:
+    """What is held of each sample."""
+    counts, flat = fields["status_counts"], fields["flat_sticks"]
+    totals = fields["sample_totals"]
+    if totals is not None:
+        if {len(column) for column in totals} != {fields["samples"]}:
+            raise ValueError(f"it has totals of {len(totals.sticks)} of {fields['samples']} samples")
+        present = np.bincount(_codes(totals.status, Status, "status"), minlength=len(counts))
+        if any(present[status] != counts[status] for status in Status):
+            raise ValueError("the endings of its samples are not those that it counts")
+        if np.any(totals.slips < 0) or np.any(totals.near_grazing_count < 0):
+            raise ValueError("it has negative numbers of slips, or of instants decided by round-off")
+    for name, values in fields["output_values"].items():
+        if values.shape != (fields["samples"],) or values.dtype.kind != "f":
+            raise ValueError(f"it has outputs {checks.show(name)} of {len(values)} of {fields['samples']} samples")
+    if flat is not None and totals is not None:
+        check_sticks(flat, totals.stick_time, totals.status == Status.FINISHED, fields["t1"])
+
+
+def _check_kinds(fields: Mapping[str, Any]) -> None:
+    """The objects that a simulation is made from."""
+    if not isinstance(fields["system"], System):
+        raise ValueError(f"its system is {checks.show(fields['system'])}")
+    if not isinstance(fields["method"], (Exact, Regularized, Unknown, type(None))):
+        raise ValueError(f"its method is {checks.show(fields['method'])}")
+    if isinstance(fields["law"], (str, bytes, int, float, dict, list, np.ndarray)):
+        raise ValueError(f"its law is {checks.show(fields['law'])}")
+    y0 = fields["y0"]
+    for value in y0 if isinstance(y0, tuple) else (None,):
+        if not isinstance(value, (RandomNumber, Unknown)) and not np.all(np.isfinite(np.asarray(value, float))):
+            raise ValueError(f"its trajectories start at {checks.show(y0)}")
+
+
+def _check_sums(moments: object, accumulator: object, finished: int) -> None:
+    d = len(TOTALS)
+    if not isinstance(moments, Moments) or np.shape(moments.mean) != (d,) or np.shape(moments.scatter) != (d, d):
+        raise ValueError("it lacks the sums of its samples")
+    if moments.number != finished or not (np.all(np.isfinite(moments.mean)) and np.all(np.isfinite(moments.scatter))):
+        raise ValueError(f"its sums are of {moments.number} samples, of which {finished} finished, or are not finite")
+    if accumulator is None:
+        return
+    if not isinstance(accumulator, StickAccumulator):
+        raise ValueError(f"its histograms are {checks.show(accumulator)}")
+    if np.any(np.asarray(accumulator.endings) < 0) or int(accumulator.samples.number) != finished:
+        raise ValueError(f"its histograms are of {accumulator.samples.number} samples, of which {finished} finished")
+
+
+def check_sticks(sticks: FlatSticks, stick_time: np.ndarray, finished: np.ndarray, t1: float) -> None:
+    """Sticks of samples that finished lie in [0, t1], one after the other, and sum to the stick time."""
+    _codes(sticks.ending, Ending, "ending")
+    live = finished[sticks.sample]
+    start, end = (np.asarray(values, np.float64) for values in (sticks.start, sticks.end))
+    late = t1 * (1 + _SLACK)
+    again = np.zeros(len(start), bool)
+    again[1:] = (sticks.sample[1:] == sticks.sample[:-1]) & (start[1:] < end[:-1] - _SLACK * t1)
+    # NaN fails the comparisons, as it should.
+    wrong = live & (~((start >= 0) & (end >= start) & (end <= late)) | again)
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        raise ValueError(f"it has a stick from {start[at]:g} to {end[at]:g} s, which cannot be with t1 = {t1:g} s")
+    if any(np.any(np.isinf(getattr(sticks, name)[live])) for name in NUMBERS):
+        raise ValueError("it has sticks at infinite positions")
+    sums = np.zeros(len(sticks.count))
+    np.add.at(sums, sticks.sample, end - start)
+    # In single precision each of many sticks adds round-off of t1, of either sign.
+    single = 8 * np.finfo(np.float32).eps if sticks.start.dtype == np.float32 else 0.0
+    slack = (_SLACK + single * np.sqrt(sticks.count)) * t1
+    if not np.all((np.abs(sums - stick_time) <= slack)[finished]):
+        raise ValueError("its sticks do not last for its stick times")
+
+
+def _codes(values: np.ndarray, kind: type[IntEnum], name: str) -> np.ndarray:
+    """`values`, which must be codes of this `kind`."""
+    unknown = ~np.isin(values, [int(code) for code in kind])
+    if np.any(unknown):
+        raise ValueError(f"it has the {name} {values[unknown][0]}, which this version does not know")
+    return np.asarray(values, np.int64)
+
+
+# Ensembles read from files and data sets, with all that they had when they were stored.
+
+
+_STUDY = "study.nc"  # the file of a study's data in its folder
+
+
+def write_dataset(dataset: "xarray.Dataset", path: Path) -> Path:
+    """Write the data set of an ensemble to `path`, from `file_to_write`; see `Ensemble.save`."""
+    require("Files of ensembles need", "study", "xarray", "h5netcdf")
+    data = as_netcdf(dataset, compression(dataset))
+    with file_for_user(path) as file:
+        file.write(data)
+    return path
+
+
+def fields_of_file(path: Path) -> Fields:
+    """The fields of the `Ensemble` in a file. Raises the errors of `load`."""
+    path = path / _STUDY if path.is_dir() else path
+    if not path.exists():
+        raise FileNotFoundError(
+            "Argument path must name a file that Ensemble.save or stickslip study wrote, but there is no "
+            f"{str(path)!r}; the working folder is {str(Path.cwd())!r}."
+        )
+    require("Files of ensembles need", "study", "xarray", "h5netcdf", "h5py")
+    try:
+        dataset = read_netcdf(path)
+    except DamagedFileError as error:
+        raise ValueError(
+            f"Argument path must name a file that Ensemble.save or stickslip study wrote, but {str(path)!r} cannot be "
+            f"read as such ({checks.show(str(error))}): it is cut short, damaged, or of another kind."
+        ) from None
+    return fields_of_dataset(dataset, is_file=True)
+
+
+def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> Fields:
+    """The fields of the `Ensemble` that a data set holds. `is_file`: whether it was read from one, and has a sum.
+
+    Raises:
+        ValueError: As `Ensemble.from_xarray`.
+    """
+    name = "path" if is_file else "dataset"
+    attributes = getattr(dataset, "attrs", None)
+    if attributes is None or attributes.get("format") != FORMAT:
+        made_by = (attributes or {}).get("source", "")
+        shown = f"one written by {made_by!r}" if made_by else checks.show(type(dataset).__name__)
+        raise ValueError(
+            f"Argument {name} must be what Ensemble.to_xarray, Ensemble.save or stickslip study of this version wrote, "
+            f"but {shown} was given, which does not say that it is an ensemble."
+        )
+    try:
+        version = int(attributes["format_version"])
+    except (KeyError, TypeError, ValueError):
+        version = 0
+    if version < FORMAT_VERSION:
+        raise ValueError(
+            f"Argument {name} must be of format {FORMAT_VERSION}, but it has format {version}, of a version before "
+            "0.1.0; simulate it again."
+        )
+    if version > FORMAT_VERSION:
+        raise ValueError(
+            f"Argument {name} must be of format {FORMAT_VERSION}, but it has format {version}, written by "
+            f"stickslip_jax {attributes.get('stickslip_jax_version')}; install that version or a newer one."
+        )
+    try:
+        fields = _fields(verified(dataset, is_file=is_file))
+        check_fields(fields)
+        return fields
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError, OverflowError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
+        raise ValueError(
+            f"Argument {name} must be a whole ensemble as it was stored, but this one was changed or damaged "
+            f"({checks.show(reason)}); load the original file."
+        ) from None
+
+
+def _fields(dataset: "xarray.Dataset") -> Fields:
+    attributes = dataset.attrs
+    decoder = Decoder(dataset[FLOATS].to_numpy(), dataset[INTEGERS].to_numpy())
+    state = {name: decoder.decoded(value) for name, value in json.loads(str(dataset[STATE].item())).items()}
+    if state["totals"] != TOTALS:
+        raise ValueError(f"it sums {state['totals']}")
+    position = Coordinate(*state["position"])
+    numbering = Numbering.checked(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
+    key_data = attributes.get("key_data")
+    counts = {one: int(attributes.get(f"samples_{one.name.lower()}", 0)) for one in Status}
+    keep = str(attributes["keep"])
+    if keep not in ("totals", "statistics", "sticks") or (keep == "totals") != (state["accumulator"] is None):
+        raise ValueError(f"it kept {checks.show(keep)}")
+    kept: Fields = {"retained": None, "sample_totals": None, "flat_sticks": None}
+    if keep == "sticks":
+        kept = _every_stick(dataset, state["sticks"], numbering)
+    elif keep == "statistics":
+        sticks = _flat_sticks(dataset, SAMPLE[keep])
+        own = (dataset[name].to_numpy() for name in ("stick_time", "stick_count", "slip_count"))
+        kept["retained"] = Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
+    elif "stick_count" in dataset:
+        kept["sample_totals"] = _stored_totals(dataset, dataset["stick_count"].to_numpy())
+    if sum(counts.values()) != int(attributes["samples"]):
+        raise ValueError(f"it has {sum(counts.values())} of {attributes['samples']} samples")
+    return {
+        "system": _system(state["system"], position),
+        **{name: state[name] for name in ("law", "method", "y0", "moments", "accumulator", "design", "copula")},
+        "origins": tuple(one._replace(system=_system(one.system, position)) for one in state["origins"]),
+        "t1": float(attributes["t1"]),
+        "numbering": numbering,
+        "samples": int(attributes["samples"]),
+        "first_sample": int(attributes["first_sample"]),
+        "key_data": None if key_data is None else tuple(int(word) for word in np.asarray(key_data)),
+        "dtype": str(attributes["dtype"]),
+        "status_counts": counts,
+        "near_grazing_samples": int(attributes["samples_near_grazing"]),
+        **kept,
+        "output_units": dict(state.get("outputs", ())),
+        "output_values": {name: dataset[f"output_{name}"].to_numpy() for name, _ in state.get("outputs", ())},
+        "threads": int(attributes["threads_used"]),
+        "compile_seconds": float(attributes["compile_seconds"]),
+        "run_seconds": float(attributes["run_seconds"]),
+    }
+
+
+def _system(system: object, position: Coordinate) -> object:
+    """`system`, or what stands for it where it is a user's own."""
+    return UnknownSystem(system.name, system.text, position) if isinstance(system, Unknown) else system
+
+
+def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
+    # A file of a version that had fewer columns is as good as any: the others are not known.
+    names = [name for name in (*NUMBERS, "ending") if name not in QUANTITIES or f"stick_{name}" in dataset]
+    columns = {name: dataset[f"stick_{name}"].to_numpy() for name in names}
+    sticks = FlatSticks.of(dataset["stick_count"].to_numpy(), **columns)
+    owner, first = dataset["stick_sample"].to_numpy(), dataset[sample].to_numpy()
+    if int(sticks.count.sum()) != len(sticks.start) or not np.array_equal(first[sticks.sample], owner):
+        raise ValueError(f"it has {len(sticks.start)} of {int(sticks.count.sum())} sticks")
+    return sticks
+
+
+def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Numbering) -> Fields:
+    sticks = _flat_sticks(dataset, "sample")
+    if len(found) != len(sticks.count):
+        raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
+    totals = _stored_totals(dataset, found)
+    finished = np.asarray(totals.status) == Status.FINISHED
+    own = np.stack([totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks)], axis=1, dtype=np.float64)
+    return {"sample_totals": totals, "flat_sticks": sticks, "retained": Retained(sticks.only(finished), own[finished])}
+
+
+def _stored_totals(dataset: "xarray.Dataset", sticks: np.ndarray) -> SampleTotals:
+    """The totals of each sample; `sticks`: their numbers."""
+    names = ("slip_count", "stick_time", "status", "near_grazing_count")
+    return SampleTotals(sticks, *(dataset[name].to_numpy() for name in names))

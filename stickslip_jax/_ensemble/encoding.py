@@ -12,15 +12,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from .. import _diffrax as diffrax
-from .._numerics.dyadic import DyadicCounts
-from .._numerics.moments import Moments
-from .._numerics.power_sums import PowerSums
+from .._foundation import lazy_diffrax as diffrax
+from .._numerics.sums import DyadicCounts, Moments, PowerSums
 from .._statistics.accumulator import StickAccumulator
-from .._systems.tabulated_curve import TabulatedCurve
+from .._systems.friction import TabulatedCurve
 from .._uncertainty.design import Design
-from .data import GivenMotions, Origin
-from .unknown import Unknown, UnknownSystem
+from .data import GivenMotions, Origin, Unknown, UnknownSystem
 
 _SHORT = 32  # entries: longer arrays stand beside the JSON
 _INTERNAL: dict[str, type] = {

@@ -1,6 +1,10 @@
-"""Ensembles of what `simulate_ensemble` did not simulate: results of `simulate` under ``vmap``, and measured sticks."""
+"""Ensembles of what `simulate_ensemble` did not simulate: tables of measured sticks, and results of `simulate`
+under ``vmap``.
+"""
 
+import math
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -8,35 +12,224 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from .. import _checks
-from .._dynamics.common.engine import SampleTotals
+from .._dynamics.common.lanes import SampleTotals
 from .._events.sticks import NUMBERS, FlatSticks
+from .._foundation import checks
+from .._foundation.types import Ending
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
-from .._status import Ending
 from .._systems.system import Coordinate
-from .data import Fields, GivenMotions, single
-from .measured import measured_sticks
+from .data import Fields, GivenMotions, Unknown, UnknownSystem, single
 from .parts import EnsembleAccumulator, Part
-from .unknown import Unknown, UnknownSystem
+
+# Tables of measured sticks, checked and put in order.
+
+
+_OPTIONAL = NUMBERS[2:]  # numbers of a stick that need not be measured
+_READ = ("sample", "start", "end", "duration", *_OPTIONAL, "ending")
+_ROUND_OFF = 1e-9  # of the duration of the measurement: ends within it of the next start, or of t1, are on time
+_MOST_SAMPLES = 10**8
+_ROUNDED = 1e-5  # of the duration of the measurement: by so much columns of few digits may contradict each other
+
+
+def measured_sticks(table: object, t1: float, samples: int | None) -> tuple[FlatSticks, str | None]:
+    """The sticks of a table, in order of sample and time, and the unit in the name of its column of positions.
+
+    Arguments and errors of `Ensemble.from_sticks`.
+    """
+    columns, unit = _columns(table)
+    number, samples = _numbers_of_samples(columns["sample"], samples)
+    start = _numbers("start", columns)
+    end = _numbers("end", columns) if "end" in columns else start + _numbers("duration", columns)
+    order = np.lexsort((start, number))
+    number, start, end = number[order], start[order], end[order]
+    end = np.where(np.abs(end - t1) <= _ROUND_OFF * t1, t1, end)
+    _check_times(number, start, end, t1, order)
+    if "end" in columns and "duration" in columns:
+        _check_durations(start, end, _numbers("duration", columns)[order], t1, order)
+    # An end within round-off of the next start is that start.
+    late = np.flatnonzero((number[1:] == number[:-1]) & (end[:-1] > start[1:]))
+    end[late] = start[late + 1]
+    others = {name: _numbers(name, columns)[order] for name in _OPTIONAL if name in columns}
+    ending = _endings(columns["ending"])[order] if "ending" in columns else np.where(end == t1, Ending.HORIZON, 0)
+    count = np.bincount(number, minlength=samples)
+    return FlatSticks.of(count, start, end, ending.astype(np.int8), **others), unit
+
+
+def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
+    """The columns of the table by name, and the unit of the position if its column's name says it."""
+    try:
+        given = {str(name): _column(table[name]) for name in (table if isinstance(table, Mapping) else table.columns)}
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise checks.refused(
+            "table", "be a pandas DataFrame or a dict of arrays with columns sample, start, and end or duration", table
+        ) from None
+    found, unit = {}, None
+    for name, column in given.items():
+        short = next((one for one in _READ if name == one or name.startswith(f"{one}_")), None)
+        if short is None or (short in found and name != short):
+            continue
+        if short in ("start", "end", "duration") and name not in (short, f"{short}_s"):
+            raise ValueError(f"Argument table must have times in s, but it has a column {name!r}; convert it.")
+        if short == "position" and name != short:
+            unit = name.removeprefix("position_")
+        found[short] = column
+    missing = [name for name in ("sample", "start") if name not in found]
+    if missing or not {"end", "duration"} & set(found):
+        names = ", ".join(map(repr, given)) or "none"
+        raise ValueError(
+            "Argument table must have the columns sample, start (s), and end (s) or duration (s), but its columns are "
+            f"{names}."
+        )
+    lengths = {name: np.shape(column) for name, column in found.items()}
+    if any(len(shape) != 1 for shape in lengths.values()) or len(set(lengths.values())) > 1:
+        shown = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
+        raise ValueError(f"Argument table must have columns of the same length, but their shapes are {shown}.")
+    for name in _OPTIONAL:  # all empty: not measured
+        if name in found and found[name].dtype.kind == "f" and len(found[name]) and np.all(np.isnan(found[name])):
+            del found[name]
+    return found, unit
+
+
+def _column(given: Any) -> np.ndarray:
+    """A column of the table; masked entries are not numbers. Raises ValueError for rows of different lengths."""
+    checks.tree("table", given)
+    checks.tree("table", [given])  # as a row: of a masked number in it NumPy would make NaN
+    if np.ma.is_masked(given):
+        return given.astype(object).filled(None)
+    if isinstance(given, range):
+        return checks.numbers("table", given)
+    try:
+        return np.asarray(given)
+    except Exception as error:  # the object is anybody's
+        raise ValueError(str(error)) from error
+
+
+def _numbers(name: str, columns: dict[str, np.ndarray]) -> np.ndarray:
+    column = columns[name]
+    if column.dtype.kind not in "iuf":
+        raise ValueError(f"Argument table must have numbers in the column {name}, but its type is {column.dtype}.")
+    wrong = ~np.isfinite(column)
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        raise ValueError(
+            f"Argument table must have finite numbers in the column {name}, but its row {at} has {column[at]}; leave "
+            "out the row, or a column that was not measured."
+        )
+    return column.astype(np.float64)
+
+
+def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.ndarray, int]:
+    """The number of each stick's sample, from 0, and how many samples there are."""
+    if samples is not None:
+        samples = checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
+    if labels.dtype.kind == "f" and np.all(np.abs(labels) < 2**53) and np.all(labels == np.round(labels)):
+        labels = labels.astype(np.int64)
+    if labels.dtype.kind not in "iu":
+        if labels.dtype.kind not in "OUST":
+            raise ValueError(
+                f"Argument table must have whole numbers or names in the column sample, but its type is {labels.dtype}."
+            )
+        if any(label is None or (isinstance(label, float) and math.isnan(label)) for label in labels.tolist()):
+            raise ValueError(
+                "Argument table must have a number or name in every row of the column sample, but one is empty; leave "
+                "out the row."
+            )
+        present, number = np.unique(labels.astype(str), return_inverse=True)
+        return number, _enough(samples, len(present))
+    least, most = (int(labels.min()), int(labels.max())) if len(labels) else (0, -1)
+    if samples is not None:
+        if least < 0 or most >= samples:
+            raise ValueError(
+                f"Argument table must have sample numbers from 0 to {samples - 1}, because samples = {samples}, but "
+                f"they are from {least} to {most}; renumber them from 0."
+            )
+        return labels.astype(np.int64), samples
+    if not len(labels):
+        raise ValueError(
+            "Argument samples must be given for a table without sticks: how many samples were measured; None was given."
+        )
+    present = np.unique(labels)
+    if least not in (0, 1) or len(present) != most - least + 1:
+        raise ValueError(
+            "Argument samples must be given where sample numbers have gaps or begin beyond 1, because samples without "
+            f"a stick count too; the table has {len(present)} samples, numbered from {least} to {most}."
+        )
+    return labels.astype(np.int64) - least, len(present)
+
+
+def _enough(samples: int | None, present: int) -> int:
+    if samples is None:
+        return present
+    if samples < present:
+        raise ValueError(
+            f"Argument samples must be at least the {present} samples in the table, but {samples} was given."
+        )
+    return samples
+
+
+def _check_times(number: np.ndarray, start: np.ndarray, end: np.ndarray, t1: float, order: np.ndarray) -> None:
+    """Raise ValueError unless all sticks lie in [0, t1], have a duration, and do not overlap; names the first row."""
+    again = np.zeros(len(start), bool)
+    again[1:] = (number[1:] == number[:-1]) & (start[1:] < end[:-1] - _ROUND_OFF * t1)
+    for wrong, demand in (
+        (start < 0, "starts of 0 s or later"),
+        (end > t1, f"ends of at most t1 = {t1:g} s"),
+        (~(end > start), "sticks that end after they start"),
+        (again, "sticks of a sample that do not overlap"),
+    ):
+        if np.any(wrong):
+            at = int(np.argmax(wrong))
+            raise ValueError(
+                f"Argument table must have {demand}, but its row {order[at]} has a stick from {start[at]:g} to "
+                f"{end[at]:g} s."
+            )
+
+
+def _check_durations(start: np.ndarray, end: np.ndarray, duration: np.ndarray, t1: float, order: np.ndarray) -> None:
+    """Raise ValueError where starts and durations say other ends than the column of the ends."""
+    wrong = np.abs(start + duration - end) > _ROUNDED * t1
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        raise ValueError(
+            f"Argument table must have ends that are start + duration, but its row {order[at]} has a stick from "
+            f"{start[at]:g} to {end[at]:g} s with a duration of {duration[at]:g} s; leave out the column that is wrong."
+        )
+
+
+def _endings(column: np.ndarray) -> np.ndarray:
+    """`Ending` codes from codes or names."""
+    known = {str(key): int(ending) for ending in Ending for key in (ending.name, int(ending))}
+    codes = [known.get(str(entry)) for entry in column.tolist()]
+    if None in codes:
+        wrong = column[codes.index(None)]
+        raise ValueError(
+            f"Argument table must have {checks.one_of(Ending.__members__)} in the column ending, but its row "
+            f"{codes.index(None)} has {checks.show(wrong)}."
+        )
+    return np.array(codes, np.int8)
+
+
+# Ensembles of what `simulate_ensemble` did not simulate: results of `simulate` under ``vmap``, and measured sticks.
+
 
 _UNIT = re.compile(r"[^\W\d_][^\s_,;]{0,15}|%|°|1")  # letters first, as in "m", "mm", "µm", "rad" or "m/s"
 
 
 def _check_unit(unit: object) -> None:
     if not isinstance(unit, str) or not _UNIT.fullmatch(unit):
-        raise _checks.refused("position_unit", "be a unit such as 'm', 'mm' or 'rad'", unit)
+        raise checks.refused("position_unit", "be a unit such as 'm', 'mm' or 'rad'", unit)
 
 
 def fields_of_simulations(result: object, numbering: Numbering) -> Fields:
     """The fields of the `Ensemble` of a batch of simulations; see `Ensemble.from_simulations`."""
     if not isinstance(result, Simulation) or np.ndim(result.status) != 1:
-        shown = f"one of shape {np.shape(result.status)}" if isinstance(result, Simulation) else _checks.show(result)
+        shown = f"one of shape {np.shape(result.status)}" if isinstance(result, Simulation) else checks.show(result)
         raise ValueError(
             "Argument result must be a batch of simulations, jax.vmap(lambda ...: simulate(...))(...) over one axis, "
             f"but {shown} was given."
         )
-    if _checks.holds_traced(result):
+    if checks.holds_traced(result):
         raise ValueError(
             "Argument result must hold numbers, but JAX is tracing them; make the ensemble outside jit, vmap and grad."
         )
@@ -73,9 +266,9 @@ def fields_of_sticks(
     table: object, t1: float, samples: int | None, position_unit: str | None, period: float | None, numbering: Numbering
 ) -> Fields:
     """The fields of the `Ensemble` of measured sticks; see `Ensemble.from_sticks`."""
-    _checks.positive("t1", t1, "s")
+    checks.positive("t1", t1, "s")
     if period is not None:
-        _checks.positive("period", period)
+        checks.positive("period", period)
         period = float(period)
     if position_unit is not None:
         _check_unit(position_unit)

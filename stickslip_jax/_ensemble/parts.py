@@ -1,21 +1,98 @@
-"""Parts of an ensemble, which threads simulate, and the accumulator that merges them."""
+"""Parts of an ensemble, which threads simulate, the accumulator that merges them, and the progress bar beside."""
 
+import importlib.util
+import sys
 import warnings
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._dynamics.common.engine import SampleTotals
-from .._events.stick_stream import StickCollector, StickStream
-from .._events.sticks import NUMBERS, FlatSticks, with_columns
-from .._numerics.moments import Moments
-from .._processor import available_memory
+from .._dynamics.common.lanes import SampleTotals
+from .._events.sticks import NUMBERS, FlatSticks, StickCollector, StickStream, with_columns
+from .._foundation import checks
+from .._foundation.processes import available_memory
+from .._foundation.types import DType, Status
+from .._numerics.sums import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
-from .._status import Status
-from .._types import DType
 from .data import EnsembleData, Fields, Keep, Retained
+
+# The progress bar of an ensemble or a film, on terminals and in notebooks.
+
+
+_DELAY = 1.0  # s: what takes less shows no bar unless one is asked for
+
+
+class Progress(NamedTuple):
+    """Functions that update the progress bar, if one is shown.
+
+    `advance`: to call with the number of newly finished samples. `note`: with a text to show beside the bar.
+    """
+
+    advance: Callable[[int], object]
+    note: Callable[[str], object]
+
+
+@contextmanager
+def progress_bar(progress: bool | None, samples: int, unit: str = "sample") -> Iterator[Progress]:
+    """Shows a progress bar while the block runs.
+
+    Args:
+        progress: True shows one, False none; None shows one on a terminal and, while it runs for more than a second, in
+            a notebook.
+        samples: Their number.
+        unit: What they are.
+
+    Raises:
+        ValueError: For another `progress`.
+        ImportError: For True without the extra ``study``.
+    """
+    if progress is not None:
+        checks.truth("progress", progress)
+        progress = bool(progress)
+    notebook = in_notebook()
+    if progress is False or (progress is None and not (notebook or sys.stderr.isatty())):
+        yield _NO_BAR
+        return
+    try:
+        bar_class = _bar_class(notebook)
+    except ImportError:
+        if progress is None:
+            yield _NO_BAR
+            return
+        raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
+    # In a notebook, what stays is saved with it.
+    look = {"leave": False, "delay": _DELAY} if notebook and progress is None else {}
+    with bar_class(total=samples, unit=unit, unit_scale=True, **look) as bar:
+        yield Progress(bar.update, lambda text: bar.set_postfix_str(text, refresh=False))
+
+
+def in_notebook() -> bool:
+    """Whether this process is the kernel of a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", _nothing)()
+    return getattr(shell, "kernel", None) is not None
+
+
+def _bar_class(notebook: bool) -> Any:
+    """A bar of the notebook where it can be shown, else one of text; ``tqdm.auto`` would warn that it cannot."""
+    if notebook and importlib.util.find_spec("ipywidgets") is not None:
+        from tqdm.notebook import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
+    else:
+        from tqdm.std import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
+    return tqdm
+
+
+def _nothing(*_: object) -> None:
+    pass
+
+
+_NO_BAR = Progress(_nothing, _nothing)
+
+
+# Parts of an ensemble, which threads simulate, and the accumulator that merges them.
+
 
 RETAINED = 1_000_000
 """With ``keep="statistics"``, the most sticks that are retained, those of the first samples: for standard errors and

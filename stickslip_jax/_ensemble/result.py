@@ -1,8 +1,8 @@
-"""`Ensemble`, the result of many samples: sums for the statistics and, if kept, every stick of every sample."""
+"""`Ensemble`, the result of many samples: sums for the statistics and, if kept, every stick."""
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -11,30 +11,105 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .. import _checks, _html
 from .._events.sticks import Slips, Sticks
+from .._events.tables import stick_columns, time_columns, write_table
 from .._excitation.excitation import is_random
-from .._files import file_to_write
-from .._forks import require_threads_of_jax
+from .._foundation import checks, html
+from .._foundation.files import file_to_write
+from .._foundation.processes import require_threads_of_jax
+from .._foundation.types import Status
 from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
-from .._statistics.distribution import Distribution
+from .._statistics.distribution import Distribution, Summary, shown, table_of
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
-from .._statistics.summary import Summary
 from .._statistics.totals import STATISTICS, TOTALS
-from .data import EnsembleData
-from .dataset import dataset_of
+from .data import (
+    EnsembleData,
+    Realization,
+    Unknown,
+    UnknownSystem,
+    check_dtype,
+    flat_slips,
+    given_realization,
+    known_inputs,
+    padded_slips,
+    part_with,
+    parts_of,
+    require_known,
+    require_whole,
+    values_of,
+)
+from .dataset import dataset_of, fields_of_dataset, write_dataset
 from .given import fields_of_simulations, fields_of_sticks
-from .origins import Realization, check_dtype, given_realization, part_with, parts_of, require_whole, values_of
-from .outputs import distributions_of, without_value
-from .slips import padded_slips
-from .stored import fields_of_dataset, write_dataset
-from .summary import summary_of, with_outputs
-from .tables import write_slips, write_sticks
-from .unknown import Unknown, UnknownSystem, require_known
+from .setup import distributions_of, without_value
 
 if TYPE_CHECKING:
     import xarray
+
+
+# Files of sticks and of slips of an ensemble as tables, one row for each.
+
+
+def write_sticks(ensemble: EnsembleData, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+    """Write every stick of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_sticks`."""
+    sticks = ensemble.require_sticks()
+    inputs = {name: values[sticks.sample] for name, (values, _) in known_inputs(ensemble).items()}
+    order, position = ensemble.numbering.order_of(sticks), ensemble.system.stick_position
+    columns = {"sample": sticks.sample, **stick_columns(sticks, order, position, inputs)}
+    return write_table(columns, path, overwrite)
+
+
+def write_slips(ensemble: EnsembleData, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+    """Write every slip of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_slips`."""
+    slips = flat_slips(ensemble)
+    columns = {"sample": slips.sample, **time_columns(slips.start, slips.end), "is_censored": slips.censored}
+    return write_table(columns, path, overwrite)
+
+
+# The summary of an ensemble: the tables of its statistics, and what must be known to read them.
+
+
+def summary_of(
+    statistics: EnsembleStatistics, status_counts: Mapping[Status, int], near_grazing_samples: int
+) -> Summary:
+    """The summary of the ensemble with these statistics; see `Ensemble.summary`."""
+    notes = []
+    if statistics.duration.number:
+        shares = ", ".join(f"{shown(share)} {ending.name}" for ending, share in statistics.endings.items())
+        notes.append(f"Share of sticks by ending: {shares}.")
+    else:
+        rest = " but those that begin at t = 0" if statistics.sticks.begins_at_zero.any() else ""
+        notes.append(f"There is no stick{rest}.")
+    notes.append(
+        "Sticks and slips cut by the horizon count with the part before it. Entropies are those of histograms with 50 "
+        "bins, or with one bin for each whole number."
+    )
+    if not statistics.numbering.count_initial_rest and statistics.sticks.begins_at_zero.any():
+        notes.append(
+            "Sticks that begin at t = 0 count in the number of sticks and the stick fraction only; the 1st is the next "
+            "(count_initial_rest)."
+        )
+    retained = len(statistics.totals)
+    if retained < statistics.samples:
+        notes.append(f"Standard errors were measured on the first {retained:,} samples.")
+    for status, count in status_counts.items():
+        if status and count:
+            notes.append(f"NOT FINISHED, in no number above: {count:,} samples, because {status.meaning}.")
+    if near_grazing_samples:
+        notes.append(f"Decided by round-off (near-grazing), counted above: {near_grazing_samples:,} samples.")
+    return dataclasses.replace(statistics._summary, notes=tuple(notes))
+
+
+def with_outputs(summary: Summary, outputs: Sequence[Distribution], without_value: Mapping[str, int]) -> Summary:
+    """The summary with a table of the outputs, and notes on finished samples without a value of them."""
+    if not outputs:
+        return summary
+    tables = (*summary.tables, table_of("Outputs", outputs))
+    notes = [f"NO VALUE of {name} in {count:,} finished samples." for name, count in without_value.items()]
+    return dataclasses.replace(summary, tables=tables, notes=(*summary.notes, *notes))
+
+
+# `Ensemble`, the result of many samples: sums for the statistics and, if kept, every stick of every sample.
 
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
@@ -209,8 +284,8 @@ class Ensemble(EnsembleData):
             ValueError: Unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
         require_threads_of_jax()
-        if _checks.whole_number("number", number, minimum=0) >= self.samples:
-            raise _checks.refused("number", f"be below the {self.samples} samples", number)
+        if checks.whole_number("number", number, minimum=0) >= self.samples:
+            raise checks.refused("number", f"be below the {self.samples} samples", number)
         part, number = part_with(self, number)
         given = given_realization(part, number)
         if given is not None:
@@ -298,8 +373,8 @@ class Ensemble(EnsembleData):
             rows.append(("decided by round-off (near-grazing)", f"{self.near_grazing_samples:,} samples"))
         rows.append(("time", f"{self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile"))
         title = f"Ensemble of {self.samples:,} samples on [0, {self.t1:g}] s"
-        figure = "" if self.retained is None else _html.small_figure(self)
-        return _html.titled(title) + _html.table(rows) + figure
+        figure = "" if self.retained is None else html.small_figure(self)
+        return html.titled(title) + html.table(rows) + figure
 
     def __repr__(self) -> str:
         sticks = self.moments.mean[TOTALS.index("stick_count")] * self.moments.number

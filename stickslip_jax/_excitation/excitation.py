@@ -1,21 +1,30 @@
-"""The excitation of a system: a smooth part and piecewise-linear parts, as the switched engine follows them."""
+"""The excitation of a system: a smooth part and piecewise-linear parts, as the engines need them."""
 
+from collections.abc import Sequence
 from typing import Any, Protocol, TypeAlias, cast, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
+from jax.errors import ConcretizationTypeError
+from jax.typing import DTypeLike
+from jaxtyping import Array, PyTree
 
-from .. import _checks
-from .._numerics.random_bits import key_data_of, random_words
-from .._types import Array, FloatArray, KeyData, Number, Scalar
-from .._uncertainty.sampled_law import SampledLaw, UserLaw
-from .motion import Motion, Parts, Path
-from .piecewise_constant import PiecewiseConstantLaw, VelocitySteps
-from .random import RandomSignal
-from .segments import SegmentLaw
-from .smooth import Signal, UserMotion
+from .._foundation import checks
+from .._foundation.fields import is_of_package
+from .._foundation.processes import require_threads_of_jax
+from .._foundation.types import AnyArray, FloatArray, FloatScalar, KeyData, Number, Scalar, Word
+from .._numerics.derivatives import NotKnown
+from .._numerics.elementary import key_data_of, random_words
+from .._uncertainty.inputs import SampledLaw, UserLaw
+from .motion import Motion, Parts, Path, RandomSignal, Signal, SourceVoltage, UserMotion
+from .piecewise_constant import Interval, PiecewiseConstantLaw, VelocitySteps
+from .segments import SegmentLaw, SegmentTable, marked
+
+# The excitation of a system: a smooth part and piecewise-linear parts, as the switched engine follows them.
+
 
 _MOTION = 1  # number of the key data of a random motion in segments, among those of the jumps
 
@@ -38,9 +47,9 @@ class WithJumps(Motion):
 
     def __check_init__(self):
         if not isinstance(self.jumps, (PiecewiseConstantLaw, VelocitySteps)):
-            raise _checks.refused("jumps", "be a law such as PoissonSwitching", self.jumps)
+            raise checks.refused("jumps", "be a law such as PoissonSwitching", self.jumps)
         if not motion_of(self.motion).takes_jumps:
-            raise _checks.refused("motion", "be a continuous base velocity such as a Harmonic", self.motion)
+            raise checks.refused("motion", "be a continuous base velocity such as a Harmonic", self.motion)
 
     @property
     def is_random(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of its parts
@@ -156,7 +165,7 @@ def motion_of(base: BaseMotion, name: str = "base") -> Motion:
         return UserMotion(base)
     raise ValueError(
         f"Argument {name} must be a base motion such as Harmonic(...) or a law, or an object with methods velocity(t) "
-        f"and acceleration(t), but {_checks.show(base)} was given."
+        f"and acceleration(t), but {checks.show(base)} was given."
     )
 
 
@@ -201,3 +210,148 @@ def key_data_for(base: BaseMotion, key: Array | None) -> Array:
 
 def _part(key_data: KeyData, number: int) -> tuple[Array, Array]:
     return random_words(key_data, jnp.asarray(np.uint32(number)))
+
+
+# A user's law of piecewise-constant base velocity as the engines need it: neighbouring velocities differ.
+
+
+_Present: TypeAlias = tuple[PyTree, Word, FloatScalar, FloatScalar]
+"""The memory of a law after an interval, the number of the next one, and the duration and velocity of the interval."""
+
+
+class Merged(PiecewiseConstantLaw):
+    """The same realisations as those of `law`, until `t1` (s); neighbours of equal velocity are one interval.
+
+    An impossible interval has the duration NaN; after it, and after one of duration 0, there are no more. Only laws of
+    users need it: those of the package never repeat a velocity.
+    """
+
+    law: PiecewiseConstantLaw
+    t1: Scalar
+
+    @property
+    def is_random(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of its law
+        """Whether realisations differ."""
+        return self.law.is_random
+
+    def capacity(self, t1: Scalar) -> int:
+        return self.law.capacity(t1)
+
+    def begin(self, key_data, dtype):
+        """Memory: the law's, the number of its next interval, and the length and velocity of the present one, which is
+        drawn one step ahead; and when that begins.
+        """
+        nothing = jnp.full((), jnp.inf, dtype), jnp.zeros((), dtype)
+        first = self._following(key_data, (self.law.begin(key_data, dtype), jnp.zeros((), jnp.uint32), *nothing), dtype)
+        return first, jnp.zeros((), dtype)
+
+    def draw(self, key_data, number, dtype):
+        # Which of the law's intervals come next is in the memory, for some may have been joined.
+        return jnp.asarray(key_data[0]), jnp.asarray(key_data[1])
+
+    def next_interval(self, memory, drawn, dtype) -> Interval:
+        present, began = memory
+        _, _, duration, velocity = present
+
+        def repeats(state):
+            (_, _, more, after), total = state
+            return (more > 0) & (after == velocity) & (began + total < self.t1)
+
+        def join(state):
+            following, total = state
+            return self._following(drawn, following, dtype), total + following[2]
+
+        following, total = lax.while_loop(repeats, join, (self._following(drawn, present, dtype), duration))
+        # Intervals after the horizon are not checked: they may be impossible.
+        counts = began < self.t1
+        return jnp.where(counts, total, jnp.inf), jnp.where(counts, velocity, 0), (following, began + total)
+
+    def _following(self, key_data: KeyData, present: _Present, dtype: DTypeLike) -> _Present:
+        """The law's memory, number, duration and velocity after the interval with the `present` ones."""
+        memory, number, duration, _ = present
+        more, velocity, memory = self.law.next_interval(memory, self.law.draw(key_data, number, dtype), dtype)
+        more, velocity = jnp.asarray(more, dtype), jnp.asarray(velocity, dtype)
+        return memory, number + np.uint32(1), jnp.where(duration > 0, marked(more, velocity), 0), velocity
+
+
+def merged(base: BaseMotion, t1: Scalar) -> BaseMotion:
+    """`base`, in which a law of the user's that jumps is `Merged`."""
+    if isinstance(base, WithJumps):
+        jumps = merged(base.jumps, t1)
+        return base if jumps is base.jumps else eqx.tree_at(lambda whole: whole.jumps, base, jumps)
+    return Merged(base, t1) if isinstance(base, PiecewiseConstantLaw) and not is_of_package(base) else base
+
+
+def path_in_merged(base: BaseMotion, path: Path) -> Path:
+    """The path in ``merged(base, t1)`` of the number that has the `path` in `base`."""
+    if isinstance(base, WithJumps) and path[:1] == ("jumps",):
+        return "jumps", *path_in_merged(base.jumps, path[1:])
+    return ("law", *path) if merged(base, 0.0) is not base else path
+
+
+# The base velocity of any motion at any times.
+
+
+def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | int) -> FloatArray:
+    """The velocity of a base motion at any times, as `simulate` follows it.
+
+    Args:
+        base: A base motion without randomness: a signal such as `Harmonic`, a `Recorded`, a law such as `SquareWave`, a
+            realisation ``law.sample(key, t1)``, a `WithJumps` of such, or an object of your own with ``velocity(t)``
+            and ``acceleration(t)``.
+        times: s, any shape.
+
+    Returns:
+        The velocity (m/s) with the shape of `times`; at a jump, the one after it. NaN before t = 0 and after its end
+        for a motion in segments, such as a record.
+
+    Raises:
+        ValueError: For a random law, a ground acceleration and a voltage; and for a law such as `SquareWave` where
+            `times` are traced by a JAX transformation.
+
+    >>> print(ss.base_velocity(ss.Recorded([0.0, 2.0], [0.0, 1.0]), [0.0, 0.5, 2.0]))
+    [0.   0.25 1.  ]
+    """
+    require_threads_of_jax()
+    motion = motion_of(base)
+    checks.numeric("times", times, ndim=None)
+    if motion.is_random:
+        raise ValueError(
+            f"Argument base must be a realisation, but the random law {type(base).__name__} was given; draw one with "
+            "base.sample(key, t1)."
+        )
+    excitation = excitation_of(motion)
+    if excitation.ground or isinstance(excitation.smooth, SourceVoltage):
+        what = "a ground acceleration" if excitation.ground else "a voltage"
+        raise ValueError(
+            f"Argument base must be a base velocity, but {what} was given, under which the base is at rest."
+        )
+    times = jnp.asarray(times, jnp.result_type(float))
+    flat = times.reshape(-1)
+    tables = [_table(law, flat) for law in excitation.base]
+
+    def at(time: FloatScalar) -> FloatScalar:
+        smooth = excitation.signal
+        velocity = jnp.zeros_like(time) if smooth is None else jnp.asarray(smooth.value(time), time.dtype)
+        for table in tables:
+            segment = table.at(time)
+            here = segment.value + segment.slope * (time - segment.begin)
+            velocity = velocity + jnp.where((time >= 0) & (time <= table.end), here, jnp.nan)
+        return velocity
+
+    return jax.vmap(at)(flat).reshape(times.shape)
+
+
+def _table(law: SegmentLaw, times: FloatArray) -> SegmentTable:
+    """The segments of a law without randomness until the last of `times`, and one more: it may begin there."""
+    latest = jnp.max(times) if checks.is_traced(times) else float(np.max(np.asarray(times), initial=0.0))
+    try:
+        number = law.segments(latest)
+    except (ConcretizationTypeError, NotKnown):
+        raise ValueError(
+            "Argument base must be a realisation where times or its numbers are traced by a JAX transformation (it "
+            f"is not known then how many segments it has), but the law {type(law).__name__} was given; take "
+            "base.sample(None, t1)."
+        ) from None
+    none = jnp.zeros((), jnp.uint32)
+    return SegmentTable.of(law, (none, none), number + 1, times.dtype)

@@ -11,9 +11,8 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from .. import _checks
-from .ground import GroundAcceleration
-from .recorded import Recorded
+from .._foundation import checks
+from .recorded import GroundAcceleration, Recorded
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2 (ISO 80000-3)."""
@@ -64,10 +63,10 @@ def read_csv(
     """
     _check_column("time_column", time_column)
     _check_column("value_column", value_column)
-    _checks.numeric("scale", scale)
+    checks.numeric("scale", scale)
     if delimiter is not None and not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
-        raise _checks.refused("delimiter", "be a single sign such as ';', or None for white space", delimiter)
-    path = _checks.path("path", path, "the name of a file")
+        raise checks.refused("delimiter", "be a single sign such as ';', or None for white space", delimiter)
+    path = checks.path("path", path, "the name of a file")
     file = repr(str(path))
     rows = _rows(file, _text(path), delimiter)
     if not rows:
@@ -179,8 +178,8 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
             quantity or unit, another number of samples, or an entry that is not a finite number (with its line).
         OSError: For a file that is missing or cannot be read.
     """
-    _checks.positive("g", g, "m/s^2")
-    path = _checks.path("path", path, "the name of a file")
+    checks.positive("g", g, "m/s^2")
+    path = checks.path("path", path, "the name of a file")
     file, text = repr(str(path)), _text(path)
     if not text.strip():
         raise _unsuitable("an accelerogram", f"{file} is empty")
@@ -205,7 +204,7 @@ def _end_of_header(file: str, lines: list[str]) -> tuple[int, int, float]:
                 if count < 2 or not 0 < step < math.inf:
                     raise _unsuitable(
                         "NPTS of at least 2 and a positive DT",
-                        f"line {number} of {file} is {_checks.show(line.strip())}",
+                        f"line {number} of {file} is {checks.show(line.strip())}",
                     )
                 return number, count, step
     raise _unsuitable(
@@ -226,7 +225,7 @@ def _check_unit(file: str, header: list[str]) -> None:
     if _NO_ACCELERATION.search(last) or not _IN_G.search(last):
         raise _unsuitable(
             "an acceleration in units of g",
-            f"the header of {file} says {_checks.show(stated[-1])}; take the AT2 file of the same record",
+            f"the header of {file} says {checks.show(stated[-1])}; take the AT2 file of the same record",
         )
 
 
@@ -264,7 +263,7 @@ def _rows(file: str, text: str, delimiter: str | None) -> list[Row]:
 def _check_column(name: str, column: object) -> None:
     counts = isinstance(column, (int, np.integer)) and not isinstance(column, bool) and column >= 0
     if not isinstance(column, str) and not counts:
-        raise _checks.refused(name, "be the number of a column, counted from 0, or its name in the header row", column)
+        raise checks.refused(name, "be the number of a column, counted from 0, or its name in the header row", column)
 
 
 def _index_of(argument: str, column: int | str, file: str, first_row: Row) -> int:
@@ -272,7 +271,7 @@ def _index_of(argument: str, column: int | str, file: str, first_row: Row) -> in
     if isinstance(column, str):
         if entries.count(column) != 1:
             raise ValueError(
-                f"Argument {argument} must be the name of one of the columns {_checks.show(entries)} of {file}, or its "
+                f"Argument {argument} must be the name of one of the columns {checks.show(entries)} of {file}, or its "
                 f"number counted from 0, but {column!r} was given."
             )
         return entries.index(column)
@@ -299,7 +298,7 @@ def _finite(file: str, entries: Iterable[tuple[int, str]]) -> Float[np.ndarray, 
         number = float(entry) if _is_number(entry) else math.nan
         if not math.isfinite(number):
             raise _unsuitable(
-                "finite numbers only", f"line {line} of {file} has the entry {_checks.show(entry)}; correct it"
+                "finite numbers only", f"line {line} of {file} has the entry {checks.show(entry)}; correct it"
             )
         numbers.append(number)
     return np.array(numbers, float)

@@ -1,8 +1,4 @@
-"""Piecewise-linear functions of time: base velocities, ground accelerations and forces, segment by segment.
-
-A law computes segment number i from the key, i, and a memory of the segments before. So a realisation has no fixed
-length, and an ensemble can draw segments while it simulates.
-"""
+"""Piecewise-linear functions of time: base velocities, ground accelerations and forces, segment by segment."""
 
 import abc
 from collections.abc import Callable
@@ -16,15 +12,76 @@ import numpy as np
 from jax import lax
 from jax.errors import ConcretizationTypeError
 from jax.typing import DTypeLike
-from jaxtyping import PyTree, UInt32
+from jaxtyping import Array, Float, PyTree, UInt32
 
-from .. import _checks
-from .._fields import Checked
-from .._numerics.known import NotKnown
-from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, BoolScalar, Float, FloatArray, FloatScalar, IntArray, KeyData, Scalar, Word
-from .interval_checks import check_drawn
+from .._foundation import checks
+from .._foundation.fields import Checked
+from .._foundation.types import (
+    AnyArray,
+    BoolArray,
+    BoolScalar,
+    FloatArray,
+    FloatScalar,
+    IntArray,
+    KeyData,
+    Scalar,
+    Word,
+)
+from .._numerics.derivatives import NotKnown
+from .._numerics.elementary import key_data_of, random_words, uniform
 from .motion import Motion
+
+# Intervals that a user's law gives: impossible ones are marked, equal neighbours joined.
+#
+# An impossible interval (a negative duration, a number that is not finite) gets the duration NaN, from which the
+# engines make ``Status.BASE_INVALID``.
+
+
+Each: TypeAlias = Float[Array, " intervals"]
+
+
+def marked(duration: FloatArray, *numbers: FloatArray) -> FloatArray:
+    """`duration`, NaN where it is negative or where an interval that lasts has a number that is not finite."""
+    finite = jnp.ones((), bool)
+    for number in numbers:
+        finite = finite & jnp.isfinite(number)
+    return jnp.where((duration == 0) | ((duration > 0) & finite), duration, jnp.nan)
+
+
+def joined(durations: Each, velocities: Each) -> tuple[Each, Each]:
+    """Durations and velocities of intervals (intervals,): neighbours of equal velocity are one, impossible ones are
+    `marked`, and after the first of duration 0 there are none.
+    """
+    number = len(durations)
+    durations = jnp.where(jnp.cumsum(durations == 0) > 0, 0, marked(durations, velocities))
+    if number == 1:
+        return durations, velocities
+    begins = jnp.concatenate([jnp.ones(1, bool), velocities[1:] != velocities[:-1]])
+    joint = jnp.cumsum(begins) - 1
+    first = jnp.minimum(jnp.searchsorted(joint, jnp.arange(number)), number - 1)
+    return jax.ops.segment_sum(durations, joint, number, indices_are_sorted=True), velocities[first]
+
+
+def check_drawn(law: object, method: str, unit: str, durations: Each, *numbers: Each) -> None:
+    """Check segments (segments,) that the `method` of a user's `law` gave. Raises ValueError that names the first
+    impossible one; traced ones pass, and show in the status of a simulation.
+    """
+    if any(checks.is_traced(array) for array in (durations, *numbers)):
+        return
+    wrong = np.flatnonzero(np.isnan(np.asarray(marked(durations, *numbers))))
+    if len(wrong):
+        here = ", ".join(f"{float(array[wrong[0]]):g}" for array in numbers)
+        raise ValueError(
+            f"Method {method} of {type(law).__name__} must give durations above 0 (0: there is no further one) and "
+            f"finite numbers, but number {wrong[0]} lasts {float(durations[wrong[0]]):g} s at {here} {unit}."
+        )
+
+
+# Piecewise-linear functions of time: base velocities, ground accelerations and forces, segment by segment.
+#
+# A law computes segment number i from the key, i, and a memory of the segments before. So a realisation has no fixed
+# length, and an ensemble can draw segments while it simulates.
+
 
 LARGEST_CAPACITY = 2**31
 """Segments of one realisation are numbered in 32 bits."""
@@ -151,18 +208,18 @@ class SegmentLaw(Checked, Motion):
             ValueError: For a missing or unsuitable key, a `t1` that is not positive, a capacity below 1, and impossible
                 segments of a law of your own.
         """
-        _checks.positive("t1", t1, "s")
+        checks.positive("t1", t1, "s")
         if not self.is_random:
             return self
         key_data, dtype = self.key_data(key), jnp.result_type(float)
         advice = f"find one with {type(self).__name__}(...).segments(t1)"
         known = known_number(self.segments, t1, advice) if capacity is None else capacity
-        size = _checks.whole_number("capacity", known, maximum=LARGEST_CAPACITY)
+        size = checks.whole_number("capacity", known, maximum=LARGEST_CAPACITY)
         drawn = _sample(self, key_data, size, dtype)
         for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
             if _lasts(drawn[0], t1):
                 break
-            size = _checks.whole_number("capacity", 2 * size, maximum=LARGEST_CAPACITY)
+            size = checks.whole_number("capacity", 2 * size, maximum=LARGEST_CAPACITY)
             drawn = _sample(self, key_data, size, dtype)
         check_drawn(self, "next_segment", "and per s", *drawn)
         return self.realization(*drawn)
@@ -184,7 +241,7 @@ class SegmentLaw(Checked, Motion):
 
 
 def _as_truth(may_jump: object) -> bool:
-    _checks.truth("may_jump", may_jump)
+    checks.truth("may_jump", may_jump)
     return bool(may_jump)
 
 
@@ -209,9 +266,9 @@ class GivenSegments(SegmentLaw):
     whether the value jumps between them.
     """
 
-    durations: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "durations"))
-    values: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "values"))
-    slopes: Float[AnyArray, " segments"] = eqx.field(converter=partial(_checks.jax_array, "slopes"))
+    durations: Float[AnyArray, " segments"] = eqx.field(converter=partial(checks.jax_array, "durations"))
+    values: Float[AnyArray, " segments"] = eqx.field(converter=partial(checks.jax_array, "values"))
+    slopes: Float[AnyArray, " segments"] = eqx.field(converter=partial(checks.jax_array, "slopes"))
     may_jump: bool = eqx.field(static=True, default=True, converter=_as_truth)
     is_random = False
     is_record = True
@@ -229,13 +286,13 @@ class GivenSegments(SegmentLaw):
                 "Arguments durations, values and slopes must have the same shape (segments,), but they have shapes "
                 f"{', '.join(str(np.shape(array)) for array in arrays.values())}."
             )
-        if any(_checks.is_traced(array) for array in arrays.values()):
+        if any(checks.is_traced(array) for array in arrays.values()):
             return
         used = np.asarray(self.durations) != 0
         if not np.all(np.asarray(self.durations) >= 0):
-            raise _checks.refused("durations", "be zero or positive (in s)", self.durations)
+            raise checks.refused("durations", "be zero or positive (in s)", self.durations)
         for name in ("values", "slopes"):
-            _checks.bounded(name, np.asarray(arrays[name])[used], ndim=1)
+            checks.bounded(name, np.asarray(arrays[name])[used], ndim=1)
 
     @property
     def times(self) -> PerSegment:
@@ -334,7 +391,7 @@ def known_number(
 
 def _lasts(durations: PerSegment, t1: Scalar) -> bool:
     """Whether segments with these durations cover ``[0, t1]``, or there are no more; True where it is not known."""
-    if _checks.is_traced(durations) or _checks.is_traced(t1):
+    if checks.is_traced(durations) or checks.is_traced(t1):
         return True
     # `cumsum` adds them in the order in which a simulation does.
     return not durations[-1] > 0 or float(np.cumsum(np.asarray(durations))[-1]) >= float(t1)
@@ -362,3 +419,47 @@ def drawn_sign(first_sign: str, key_data: KeyData, dtype: DTypeLike) -> FloatSca
         return jnp.asarray(1 if first_sign == "positive" else -1, dtype)
     high, _ = random_words(key_data, jnp.asarray(BEGINNING))
     return jnp.where(high < np.uint32(1 << 31), 1, -1).astype(dtype)
+
+
+# The segments of one realisation in arrays, for look-up by time.
+
+
+class SegmentTable(eqx.Module):
+    """Segments in order of time, arrays (segments,); unused ones begin at infinity.
+
+    Attributes:
+        segments: In order of time.
+        end: Where the last one ends, s.
+        is_invalid: Whether an impossible one follows there.
+        jumps: Whether the value jumps between segments.
+    """
+
+    segments: Segment
+    end: Array
+    is_invalid: Array
+    jumps: bool = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, law: SegmentLaw, key_data: KeyData, number: int, dtype) -> "SegmentTable":
+        """The first `number` segments of the realisation that `key_data` draw."""
+
+        def step(segment_state, _):
+            segment = segment_state.segment._replace(
+                begin=jnp.where(segment_state.spent, jnp.inf, segment_state.segment.begin)
+            )
+            following = following_segment(law, segment_state, dtype)
+            # After the last segment, whatever the law may give.
+            following = jax.tree.map(partial(jnp.where, segment_state.spent), segment_state, following)
+            return following, segment
+
+        after, segments = lax.scan(step, first_segment(law, key_data, dtype), None, length=number)
+        return cls(segments, after.segment.begin, is_invalid(after), law.jumps)
+
+    def at(self, t: FloatArray) -> Segment:
+        """The segment at time `t` (s); at the instant between two, the second."""
+        index = jnp.clip(jnp.searchsorted(self.segments.begin, t, side="right") - 1, 0)
+        return jax.tree.map(lambda values: values[index], self.segments)
+
+    def reaches(self, t1: FloatArray) -> BoolArray:
+        """Whether the segments last until `t1` (s)."""
+        return self.end >= t1

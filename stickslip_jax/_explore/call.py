@@ -2,12 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion, law_of
-from .._extras import require
+from .._foundation import checks
+from .._foundation.extras import require
+from .._foundation.types import InitialState
 from .._systems.system import System
-from .._types import InitialState
 
 if TYPE_CHECKING:
     from .page import Explorer
@@ -53,19 +53,19 @@ def explore(
     """
     require_panel()
     if not isinstance(system, System):
-        raise _checks.refused("system", "be a system such as MassSpring", system)
+        raise checks.refused("system", "be a system such as MassSpring", system)
     import panel as pn  # noqa: PLC0415 - an extra
 
     from .page import MOST_SAMPLES, Explorer  # noqa: PLC0415
     from .scene import Scene  # noqa: PLC0415
 
-    _checks.positive("t1", t1, "s")
-    number = _checks.whole_number("samples", samples, minimum=2, maximum=MOST_SAMPLES)
+    checks.positive("t1", t1, "s")
+    number = checks.whole_number("samples", samples, minimum=2, maximum=MOST_SAMPLES)
     known = system.coordinates
     start = tuple(0.0 for _ in known) if y0 is None else tuple(y0)
     if len(start) != len(known):
         names = ", ".join(one.name for one in known)
-        raise _checks.refused("y0", f"hold {len(known)} values ({names})", y0)
-    scene = Scene(system, law_of(law), start, float(t1), number, _checks.whole_number("seed", seed, minimum=0), method)
+        raise checks.refused("y0", f"hold {len(known)} values ({names})", y0)
+    scene = Scene(system, law_of(law), start, float(t1), number, checks.whole_number("seed", seed, minimum=0), method)
     pn.extension(inline=True)  # its scripts come from here, not from the net
     return Explorer(scene)

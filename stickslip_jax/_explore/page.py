@@ -1,27 +1,318 @@
-"""The page of the explorer: controls on the left, pictures on the right, and what connects them."""
+"""The page of the explorer: controls on the left, pictures on the right, what connects them, and its server."""
 
+import asyncio
+import dataclasses
 import io
 import math
+import secrets
+import socket
+import sys
 import warnings
+import webbrowser
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
 import panel as pn
+from bokeh.document import Document, without_document_lock
 
-from .. import _html
+from .._foundation import html
 from .._sensitivity.estimate import Sensitivity
-from ..study._config import StudyConfig
-from ..study._from_objects import config_of
-from .bifurcation import is_deterministic, section_of
-from .catalogue import FRICTIONS, SYSTEMS, bases_for, friction_called, has_friction_to_choose, scene_of, with_friction
-from .controls import NumberControl, choice, whole_number
-from .figures import Figures, SectionFigure
-from .pictures import Motion, Statistics, motion_of, slope_of, statistics_of
-from .python_code import as_python
-from .scene import MovableNumber, Scene, numbers_of
-from .sheet import sheet_of
-from .work import Worker
+from ..study._config import StudyConfig, config_of
+from .pictures import (
+    Figures,
+    Motion,
+    SectionFigure,
+    Statistics,
+    is_deterministic,
+    motion_of,
+    section_of,
+    sheet_of,
+    slope_of,
+    statistics_of,
+)
+from .scene import (
+    FRICTIONS,
+    SYSTEMS,
+    MovableNumber,
+    Scene,
+    bases_for,
+    friction_called,
+    has_friction_to_choose,
+    numbers_of,
+    read_number,
+    scene_of,
+    with_friction,
+)
+
+# The controls of the explorer: what is simulated, and a slider with a box for each of its numbers.
+
+
+_BOX = 96  # px
+
+
+class _Slider(pn.widgets.FloatSlider):
+    """A slider whose moves are told at once, not after the 50 ms in which Panel collects further ones."""
+
+    _debounce = 0
+
+
+class _Box(pn.widgets.TextInput):
+    """The same for a box."""
+
+    _debounce = 0
+
+
+class NumberControl:
+    """A slider, and a box for a number that the slider does not reach. `moved` is called with it and a number.
+
+    A box with something else in it says what is wrong, and nothing moves. `problem` is that, or "".
+    """
+
+    def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
+        self.number, self.problem = number, ""
+        self._moved, self._is_quiet = moved, False
+        self._slider = _Slider(
+            label=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
+            show_value=False, sizing_mode="stretch_width", margin=(0, 10, 0, 5),
+        )  # fmt: skip
+        self._box = _Box(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
+        self._problem = pn.pane.HTML("", visible=False, styles={"color": "#b00020"}, css_classes=["problem"])
+        self._slider.param.watch(self._slid, "value")
+        self._box.param.watch(self._written, "value")
+        self.view = pn.Column(
+            pn.Row(self._slider, self._box, sizing_mode="stretch_width", margin=0),
+            self._problem, sizing_mode="stretch_width", margin=0,
+        )  # fmt: skip
+
+    def slide(self, value: float) -> None:
+        """Move the slider, as its handle does."""
+        self._slider.value = value
+
+    def write(self, text: str) -> None:
+        """Write into the box, as the keyboard does."""
+        self._box.value = text
+
+    def refuse(self, why: str) -> None:
+        """Say why the number is not taken."""
+        self.problem = why
+        # What was written is in it: as text, whatever it is.
+        self._problem.param.update(object=html.escaped(why), visible=bool(why))
+
+    def _slid(self, event: Any) -> None:
+        if self._is_quiet:
+            return
+        # The ends of the range and the step are not round in binary.
+        value = float(f"{event.new:.6g}")
+        self._show(value, slider=False)
+
+    def _written(self, event: Any) -> None:
+        if self._is_quiet:
+            return
+        try:
+            value = read_number(event.new)
+        except ValueError as error:
+            self.refuse(str(error))
+            return
+        self._show(value, slider=True)
+
+    def _show(self, value: float, *, slider: bool) -> None:
+        self.refuse("")
+        self.number = self.number.at(value)
+        self._is_quiet = True
+        try:
+            if slider:
+                self._slider.param.update(start=self.number.low, end=self.number.high, value=value)
+            else:
+                self._box.value = f"{value:.6g}"
+        finally:
+            self._is_quiet = False
+        self._moved(self, self.number)
+
+
+def choice(name: str, options: list[str], value: str, chosen: Callable[[str], None]) -> pn.widgets.Select:
+    """A list to choose from."""
+    widget = pn.widgets.Select(label=name, options=options, value=value, sizing_mode="stretch_width")
+    widget.param.watch(lambda event: chosen(event.new), "value")
+    return widget
+
+
+def whole_number(
+    name: str, value: int, low: int, high: int, chosen: Callable[[int], None]
+) -> pn.widgets.IntInput:  # fmt: skip
+    """A box for a whole number."""
+    widget = pn.widgets.IntInput(label=name, value=value, start=low, end=high, width=130)
+    widget.param.watch(lambda event: chosen(event.new), "value")
+    return widget
+
+
+# Computations beside the page: always of the latest wish, older ones are left out.
+
+
+Task = Callable[[], Any]
+Then = Callable[[Any], None]
+Step = tuple[Task, Then]
+_FAILURES = (ValueError, OSError, RuntimeError, ImportError)
+
+
+class Worker:
+    """One computation at a time, of the latest wish. Without a `document` (a notebook) it is done at once.
+
+    While it runs the page stays alive, and numbers that move meanwhile replace the wish.
+    """
+
+    def __init__(self, document: Document | None, threads: ThreadPoolExecutor):
+        self._document, self._threads = document, threads
+        self._wish: tuple[Sequence[Step], Then] | None = None
+        self._runs = False
+
+    def do(self, steps: Sequence[Step], failed: Then) -> None:
+        """Run the task of each step and call its `Then` with what it returned; end at an exception, with `failed`."""
+        self._wish = steps, failed
+        if self._document is None:
+            for task, then in steps:
+                if not _finish(*_outcome(task), then, failed):
+                    break
+            self._wish = None
+        elif not self._runs:
+            self._runs = True
+            self._document.add_next_tick_callback(cast(Any, without_document_lock(self._run)))
+
+    async def _run(self) -> None:
+        assert self._document is not None
+        try:
+            while self._wish is not None:
+                (steps, failed), self._wish = self._wish, None
+                for task, then in steps:
+                    found, error = await asyncio.get_running_loop().run_in_executor(self._threads, _outcome, task)
+                    self._document.add_next_tick_callback(cast(Any, partial(_finish, found, error, then, failed)))
+                    if error is not None:
+                        break
+        finally:
+            self._runs = False
+
+
+def _outcome(task: Task) -> tuple[Any, BaseException | None]:
+    try:
+        return task(), None
+    except _FAILURES as error:
+        return None, error
+
+
+def _finish(found: Any, error: BaseException | None, then: Then, failed: Then) -> bool:
+    """Show what was found, and whether there was no error. All that changes goes to the page in one message."""
+    with pn.io.hold():
+        if error is None:
+            then(found)
+        else:
+            failed(error)
+    return error is None
+
+
+# What the explorer shows as a Python program that runs as it is.
+
+
+_PACKAGE = __name__.partition(".")[0]
+_WIDTH = 88
+
+
+class NotWritable(ValueError):
+    """Raised for what has no expression in Python that a program could hold."""
+
+
+def as_python(scene: Scene) -> str:
+    """A program that simulates the same ensemble, prints its statistics and draws its first realisation.
+
+    Raises NotWritable for a system or base made of something else than numbers and objects with fields.
+    """
+    imports: set[tuple[str, str]] = set()
+    parts = {
+        name: _assigned(name, _expression(getattr(scene, name), imports)) for name in ("system", "law", "y0", "method")
+    }
+    if scene.method == Scene._field_defaults["method"]:
+        parts["method"], option = "", ""
+    else:
+        option = ", method=method"
+    own = "".join(f"from {module} import {name}\n" for module, name in sorted(imports) if module != "__main__")
+    x64 = "True" if jnp.result_type(float) == jnp.float64 else "False"
+    return f"""\
+import jax
+
+jax.config.update("jax_enable_x64", {x64})
+
+import stickslip_jax as ss
+{own}
+{parts["system"]}{parts["law"]}{parts["y0"]}{parts["method"]}
+many = ss.simulate_ensemble(
+    system, law, t1={scene.t1!r}, samples={scene.samples},
+    key=jax.random.key({scene.seed}), y0=y0{option},
+)
+print(ss.mean_stick_duration(many))
+print(ss.mean_stick_count(many))
+print(ss.stick_fraction(many))
+
+first_system, base, start = many.realization(0)
+one = ss.simulate(first_system, base, t1={scene.t1!r}, y0=start{option})
+ss.plot.save(ss.plot.phase_portrait(one), "phase_portrait.png", overwrite=True)
+"""
+
+
+def _assigned(name: str, value: str) -> str:
+    return f"{name} = {value}\n"
+
+
+def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> str:
+    """The Python expression of a value; classes of others are added to `imports`."""
+    if isinstance(value, (bool, int, float, str)) or value is None:
+        return repr(value)
+    if isinstance(value, np.number):
+        return repr(value.item())
+    if isinstance(value, (np.ndarray, jax.Array)):
+        return repr(np.asarray(value).tolist())
+    if isinstance(value, tuple):
+        return _call("", [_expression(one, imports, indent + 4) for one in value], indent, comma=len(value) == 1)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        given = [
+            f"{field.name}={_expression(getattr(value, field.name), imports, indent + 4)}"
+            for field in dataclasses.fields(value)
+            if field.init and not _is_default(field, getattr(value, field.name))
+        ]
+        return _call(_class_name(type(value), imports), given, indent)
+    raise NotWritable(f"{type(value).__name__} cannot be written as Python; keep the program that made it.")
+
+
+def _call(name: str, arguments: list[str], indent: int, comma: bool = False) -> str:
+    line = f"{name}({', '.join(arguments)}{',' if comma else ''})"
+    if "\n" not in line and len(line) + indent <= _WIDTH - 12:
+        return line
+    inside = "".join(f"{' ' * (indent + 4)}{one},\n" for one in arguments)
+    return f"{name}(\n{inside}{' ' * indent})"
+
+
+def _is_default(field: Any, value: Any) -> bool:
+    if field.default is dataclasses.MISSING:
+        return False
+    return bool(eqx.tree_equal(field.default, value))
+
+
+def _class_name(kind: type, imports: set[tuple[str, str]]) -> str:
+    if kind.__module__.partition(".")[0] == _PACKAGE:
+        if getattr(sys.modules[_PACKAGE], kind.__name__, None) is not kind:
+            raise NotWritable(f"{kind.__name__} has no public name; keep the program that made it.")
+        return f"ss.{kind.__name__}"
+    if "." in kind.__qualname__:
+        raise NotWritable(f"{kind.__qualname__} is defined in a function, where no program can import it.")
+    imports.add((kind.__module__, kind.__qualname__))
+    return kind.__name__
+
+
+# The page of the explorer: controls on the left, pictures on the right, and what connects them.
+
 
 GIVEN = "as given"
 MOST_SAMPLES = 20_000
@@ -55,7 +346,7 @@ class Explorer(pn.viewable.Viewer):
         self._is_switching = False
         self._numbers = pn.Column(sizing_mode="stretch_width")
         self._alert = pn.pane.HTML("", visible=False, styles={"color": "#b00020"}, css_classes=["alert-of-scene"])
-        self.statistics = pn.pane.HTML(_html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
+        self.statistics = pn.pane.HTML(html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
         self.slope = pn.pane.HTML("", sizing_mode="stretch_width", css_classes=["slope"])
         self._code = pn.widgets.TextAreaInput(
             label="Python",
@@ -176,13 +467,13 @@ class Explorer(pn.viewable.Viewer):
         if moving.path == ("t1",):
             self.slope.object = ""
             return
-        self.slope.object = _html.escaped(f"Computing the derivative by {moving.name} ...")
+        self.slope.object = html.escaped(f"Computing the derivative by {moving.name} ...")
         slope = partial(_quietly, slope_of, scene, moving.name), partial(self._show_slope, scene)
         self._slopes.do([slope], partial(self._no_slope, scene, moving))
 
     def _show_motion(self, scene: Scene, figures: Figures, motion: Motion) -> None:
         figures.show_motion(scene, motion)
-        self._alert.param.update(object=_html.escaped(motion.problem), visible=bool(motion.problem))
+        self._alert.param.update(object=html.escaped(motion.problem), visible=bool(motion.problem))
         try:
             self._code.value = as_python(scene)
         except ValueError as error:
@@ -193,7 +484,7 @@ class Explorer(pn.viewable.Viewer):
         rows = [
             (one.name, one.without_name().replace("+-", "±"), _range_of(*one.interval())) for one in statistics.means
         ]
-        table = _html.table(rows, ("of all realisations", "mean", "95 % interval"))
+        table = html.table(rows, ("of all realisations", "mean", "95 % interval"))
         left = f"<p>{statistics.unfinished:,} of {scene.samples:,} realisations did not finish.</p>"
         self.statistics.object = table + (left if statistics.unfinished else "")
         if scene is self.scene:
@@ -205,29 +496,29 @@ class Explorer(pn.viewable.Viewer):
             return
         slope, remarks = found
         if math.isfinite(slope.derivative):
-            self.slope.object = "".join(map(_html.escaped, (_with_unit(slope), *remarks)))
+            self.slope.object = "".join(map(html.escaped, (_with_unit(slope), *remarks)))
         else:
-            self.slope.object = _html.escaped(f"No derivative by {slope.parameter}: too few sticks.")
+            self.slope.object = html.escaped(f"No derivative by {slope.parameter}: too few sticks.")
 
     def _no_slope(self, scene: Scene, number: MovableNumber, error: BaseException) -> None:
         if scene is self.scene:
-            self.slope.object = _html.escaped(f"No derivative by {number.name}: {error}")
+            self.slope.object = html.escaped(f"No derivative by {number.name}: {error}")
 
     def _fail(self, error: BaseException) -> None:
-        self._alert.param.update(object=_html.escaped(f"The pictures are those of before: {error}"), visible=True)
+        self._alert.param.update(object=html.escaped(f"The pictures are those of before: {error}"), visible=True)
 
     def _draw_section(self) -> None:
         if self._tabs.active != 1 or not is_deterministic(self.scene):
             return
-        self._section_note.object = _html.escaped(f"Computing over {self._moving.label} ...")
+        self._section_note.object = html.escaped(f"Computing over {self._moving.label} ...")
         self._sections.do(
             [(partial(section_of, self.scene, self._moving), self._show_section)],
-            lambda error: setattr(self._section_note, "object", _html.escaped(str(error))),
+            lambda error: setattr(self._section_note, "object", html.escaped(str(error))),
         )  # fmt: skip
 
     def _show_section(self, section: Any) -> None:
         self._section.show(section)
-        self._section_note.object = _html.escaped("From one start at each value, after 100 periods.")
+        self._section_note.object = html.escaped("From one start at each value, after 100 periods.")
 
     # --- what is taken away
 
@@ -269,3 +560,45 @@ def _quietly(function: Any, *arguments: Any) -> tuple[Any, list[str]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RuntimeWarning)
         return function(*arguments), [str(one.message) for one in caught]
+
+
+# The explorer as a page that this machine serves to its own browser, and to nobody else.
+#
+# It listens on the loopback address. All addresses begin with a secret, so that only who was told it gets a page, and
+# data comes only from pages of the same origin (Bokeh checks it): another page in the same browser, which can guess the
+# port, has neither. What pages send are values of controls; none is run.
+
+
+ADDRESS = "127.0.0.1"
+
+
+def serve(scene: Scene, *, port: int, opens: bool, say: Callable[[str], None]) -> None:
+    """Serve the explorer until Ctrl-C. `port` 0: any free one. Raises OSError for one that is taken."""
+    port = _free(port)
+    secret = secrets.token_urlsafe(24)
+    address = f"http://{ADDRESS}:{port}/{secret}/"
+    server: Any = pn.serve(
+        {"": lambda: Explorer(scene)}, address=ADDRESS, port=port, prefix=secret, show=False, start=False,
+        websocket_origin=[f"{ADDRESS}:{port}"], title="stickslip explorer", verbose=False, threaded=False,
+    )  # fmt: skip
+    say(f"The explorer is at {address}\nCtrl-C ends it.")
+    if opens:
+        webbrowser.open(address)
+    try:
+        server.start()
+        server.io_loop.start()
+    finally:
+        server.stop()
+
+
+def _free(port: int) -> int:
+    """The port, or any free one for 0. Raises OSError if it is taken."""
+    with socket.socket() as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind((ADDRESS, port))
+        except OSError as error:
+            raise OSError(
+                f"Port {port} cannot be used ({error.strerror}); choose another, or 0 for any free one."
+            ) from None
+        return tried.getsockname()[1]

@@ -1,21 +1,26 @@
-"""Elementary functions that vectorise: sine and cosine together, the angle of a vector, the logarithm.
+"""Elementary functions that vectorise: of angles and of random bits, and the motion of a damped linear oscillator."""
 
-XLA's CPU back end calls scalar library code for ``sin``, ``cos``, ``atan2`` and ``log``; the polynomials below
-compile to vector instructions and cost a fifth of that. The coefficients are those of
-FreeBSD's msun (fdlibm) kernels except the logarithm's, accurate to about one unit in the last place in float64;
-float32 uses the same polynomials with its own range reduction. Derivatives are the exact ones, not those of the
-polynomials.
-"""
-
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array
 
 from .._compiler import computed_once
-from .._types import BoolArray, FloatArray
+from .._foundation.checks import show
+from .._foundation.types import BoolArray, FloatArray, KeyData
+
+# Elementary functions that vectorise: sine and cosine together, the angle of a vector, the logarithm.
+#
+# XLA's CPU back end calls scalar library code for ``sin``, ``cos``, ``atan2`` and ``log``; the polynomials below
+# compile to vector instructions and cost a fifth of that. The coefficients are those of
+# FreeBSD's msun (fdlibm) kernels except the logarithm's, accurate to about one unit in the last place in float64;
+# float32 uses the same polynomials with its own range reduction. Derivatives are the exact ones, not those of the
+# polynomials.
+
 
 _SIN = (-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
         2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10)  # fmt: skip
@@ -163,3 +168,196 @@ def log(x: FloatArray) -> FloatArray:
 def _log_jvp(primals, tangents):
     (x,), (dx,) = primals, tangents
     return log(x), dx / x
+
+
+# Counter-based random bits: word ``i`` of the stream of a key is computed from the key and ``i`` alone.
+#
+# So a stream can be cut into blocks anywhere and continued without end, and a longer sample of the same key begins
+# with the shorter one. The generator is JAX's own threefry-2x32; ``random_words`` returns the bits that
+# ``jax.random.bits(key, (n,), "uint64")`` holds at those positions. It is written out here because JAX's CPU version
+# runs its 20 rounds as a rolled loop, four times slower (Salmon et al. 2011, "Parallel random
+# numbers: as easy as 1, 2, 3").
+
+
+_ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
+
+
+def key_data_of(key: Array) -> Array:
+    """The two 32-bit words of a threefry key (new style ``jax.random.key`` or old style ``PRNGKey``).
+
+    Raises ValueError for anything else; other generators are refused because under ``vmap`` some of them
+    give every element of the batch the same stream.
+    """
+    if isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
+        if "fry" in str(jax.random.key_impl(key)) and key.shape == ():
+            return jax.random.key_data(key)
+    elif isinstance(key, (jax.Array, np.ndarray)) and key.dtype == np.uint32 and key.shape == (2,):
+        return jnp.asarray(key)
+    raise ValueError(f"Argument key must be a threefry key made by jax.random.key(seed), but {show(key)} was given.")
+
+
+def random_words(words: KeyData, counter: Array) -> tuple[Array, Array]:
+    """High and low 32 random bits for each 32-bit ``counter`` (any shape)."""
+    schedule = (words[0], words[1], words[0] ^ words[1] ^ np.uint32(0x1BD11BDA))
+    x = jnp.zeros_like(counter) + schedule[0]
+    y = counter + schedule[1]
+    for group in range(5):
+        for rotation in _ROTATIONS[group % 2]:
+            x = x + y
+            y = x ^ ((y << np.uint32(rotation)) | (y >> np.uint32(32 - rotation)))
+        x = x + schedule[(group + 1) % 3]
+        y = y + schedule[(group + 2) % 3] + np.uint32(group + 1)
+    return x, y
+
+
+def stored_words(words: KeyData, counter: Array) -> tuple[Array, Array]:
+    """`random_words`, computed only once for both words and all their uses."""
+    if not jax.config.read("jax_enable_x64"):
+        return computed_once(random_words)(words, counter)
+    both = computed_once(_joined_words)(words, counter)
+    return (both >> np.uint64(32)).astype(np.uint32), both.astype(np.uint32)
+
+
+def _joined_words(words: KeyData, counter: Array) -> Array:
+    """Both words in one number; XLA would compute each of two results from the beginning."""
+    high, low = random_words(words, counter)
+    return (high.astype(np.uint64) << np.uint64(32)) | low.astype(np.uint64)
+
+
+def exponential(high: Array, low: Array, dtype) -> FloatArray:
+    """Exponential deviates of mean 1 from random words: ``-log(u)``, u from `fine_uniform`."""
+    return -log(fine_uniform(high, low, dtype))
+
+
+def fine_uniform(high: Array, low: Array, dtype) -> FloatArray:
+    """Uniform deviates from both random words: ``(j + 1/2) / 2^52`` (2^23 in float32)."""
+    if jnp.dtype(dtype) == jnp.float64:
+        mantissa = ((high.astype(jnp.uint64) << np.uint64(32)) | low.astype(jnp.uint64)) >> np.uint64(12)
+        one_to_two = jax.lax.bitcast_convert_type(mantissa | np.uint64(0x3FF0000000000000), jnp.float64)
+        return one_to_two - (1 - 2.0**-53)
+    one_to_two = jax.lax.bitcast_convert_type((high >> np.uint32(9)) | np.uint32(0x3F800000), jnp.float32)
+    return one_to_two - np.float32(1 - 2.0**-24)
+
+
+def uniform(words: Array, dtype) -> FloatArray:
+    """Uniform deviates from 32 random bits (23 in float32): the midpoints of equal cells of (0, 1)."""
+    bits = 32 if jnp.dtype(dtype) == jnp.float64 else 23
+    return ((words >> np.uint32(32 - bits)).astype(dtype) + 0.5) * np.asarray(2.0**-bits, dtype)
+
+
+# The motion of a damped linear oscillator without division by its stiffness or damping: both may be zero.
+
+
+# Up to this angle, and this part of it that damping takes, motions are summed as series, of so many terms.
+_ANGLE, _TERMS = 0.5, 17
+_NEAR = 0.1  # below this |(beta^2 - omega^2) h^2|, the rotation of damped motions is summed as a series
+
+
+class Responses(NamedTuple):
+    """What an oscillator ``x'' + 2 beta x' + omega^2 x = f`` at rest in 0 does in the time h.
+
+    `impulse`: its position after an impulse that gives it the velocity 1; `rate`: its velocity then. `step`: its
+    position under the constant f = 1, whose velocity is `impulse`. `ramp`: its position under f = t; its velocity is
+    `step`. Each is the integral of the one before, and without spring and damping h, 1, h^2 / 2 and h^3 / 6.
+    """
+
+    impulse: FloatArray
+    rate: FloatArray
+    step: FloatArray
+    ramp: FloatArray
+
+
+def responses(beta: Any, omega_squared: Any, h: FloatArray) -> Responses:
+    """The `Responses` after the time `h` (s), for any damping and any stiffness from zero on.
+
+    `beta`: damping ratio times omega, 1/s (the int 0 for none); `omega_squared`: rad^2/s^2. All digits of each are
+    right but where the motion itself passes zero, and so are the derivatives, at zero stiffness too.
+    """
+    turned = omega_squared * h * h
+    if isinstance(beta, int):
+        near = turned < _ANGLE
+        z = jnp.where(near, turned, 0)
+        step, ramp = h * h * _series(z, 2), h * h * h * _series(z, 3)
+        squared = jnp.where(near, 1, omega_squared)
+        w = jnp.sqrt(squared)
+        sine, cosine = sincos(jnp.where(near, 0, w * h))
+        turn = sine / w
+        far = Responses(turn, cosine, (1 - cosine) / squared, (h - turn) / squared)
+        return _chosen(near, Responses(h - omega_squared * ramp, 1 - omega_squared * step, step, ramp), far)
+    faded = beta * h
+    near = (turned < _ANGLE * _ANGLE) & (faded < _ANGLE)
+    return _chosen(
+        near, _short(jnp.where(near, faded, 0), jnp.where(near, turned, 0), h), _long(beta, omega_squared, h, near)
+    )
+
+
+def _chosen(first: Any, one: Responses, other: Responses) -> Responses:
+    return Responses(*(jnp.where(first, a, b) for a, b in zip(one, other, strict=True)))
+
+
+def _series(z: FloatArray, order: int) -> FloatArray:
+    """``1 / n! - z / (n + 2)! + z^2 / (n + 4)! - ...`` for z below 1/2, n the `order`."""
+    result = jnp.zeros_like(z)
+    for n in range(order + 16, order - 1, -2):
+        result = 1 / math.factorial(n) - z * result
+    return result
+
+
+def _short(faded: FloatArray, turned: FloatArray, h: FloatArray) -> Responses:
+    """Where damping and spring have done little: ``beta h`` and ``(omega h)^2``.
+
+    The n-th integral of the velocity, over h^n, is ``1 / n! - 2 beta h`` times the next, less ``(omega h)^2`` times the
+    one after that.
+    """
+    after = next_ = jnp.zeros_like(h)
+    sums: list[FloatArray] = []
+    for n in range(_TERMS + 3, -1, -1):
+        after, next_ = next_, 1 / math.factorial(n) - 2 * faded * next_ - turned * after
+        sums.append(next_)
+    rate, impulse, step, ramp = sums[:-5:-1]
+    return Responses(h * impulse, rate, h * h * step, h * h * h * ramp)
+
+
+def _long(beta: Any, omega_squared: Any, h: FloatArray, is_short: Any) -> Responses:
+    """Where damping or spring has done much; for other times something finite."""
+    squared = jnp.where(is_short, 1, omega_squared - beta * beta)
+    z = squared * h * h
+    small, under = jnp.abs(z) < _NEAR, squared > 0
+    over = ~(small | under)
+    w = jnp.sqrt(jnp.where(small, 1, jnp.abs(squared)))
+    apart = 1 / jnp.where(over, 2 * w, 1)
+    # The sum of two decays if overdamped. The slower rate is the quotient, since a difference would cancel.
+    fast_rate = jnp.where(over, beta + w, 1)
+    slow_rate = omega_squared / fast_rate
+    fast, slow = jnp.exp(-fast_rate * h), jnp.exp(-slow_rate * h)
+    slow_1, slow_2 = _decays(jnp.where(over, slow_rate * h, 0), h)
+    fast_1 = (1 - fast) / fast_rate
+    decays = Responses(
+        apart * (slow - fast),
+        apart * (fast_rate * fast - slow_rate * slow),
+        apart * (slow_1 - fast_1),
+        apart * (slow_2 - (h - fast_1) / fast_rate),
+    )
+    # Otherwise a rotation that decays.
+    decay = jnp.exp(-jnp.where(over, 0, beta * h))
+    sine, cosine = sincos(jnp.where(under & ~small, w * h, 0))
+    series = (1 - z / 2 * (1 - z / 12 * (1 - z / 30 * (1 - z / 56 * (1 - z / 90)))),
+              h * (1 - z / 6 * (1 - z / 20 * (1 - z / 42 * (1 - z / 72 * (1 - z / 110))))))  # fmt: skip
+    cosine = decay * jnp.where(small, series[0], cosine)
+    impulse = decay * jnp.where(small, series[1], sine / w)
+    stiff = jnp.where(over | is_short, 1, omega_squared)
+    step = (1 - cosine - beta * impulse) / stiff
+    turns = Responses(impulse, cosine - beta * impulse, step, (h - impulse - 2 * beta * step) / stiff)
+    return _chosen(over, decays, turns)
+
+
+def _decays(y: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The integral of ``exp(-s t)`` up to h, and the integral of that; ``y = s h``."""
+    near = y < 1
+    z = jnp.where(near, y, 0)
+    second = jnp.zeros_like(y)
+    for n in range(20, 1, -1):
+        second = 1 / math.factorial(n) - z * second
+    far = jnp.where(near, 1, y)
+    first = jnp.where(near, 1 - z * second, (1 - jnp.exp(-far)) / far)
+    return h * first, h * h * jnp.where(near, second, (1 - first) / far)

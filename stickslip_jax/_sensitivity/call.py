@@ -1,27 +1,110 @@
 """`sensitivity`: derivatives of stick statistics, corrected for sticks that appear and vanish."""
 
+import math
 import warnings
 from collections.abc import Iterable, Sequence
+from itertools import combinations
 from typing import get_args
 
 import numpy as np
+from jaxtyping import Array
 
-from .. import _checks
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._excitation.excitation import BaseMotion
+from .._foundation import checks
+from .._foundation.types import InitialState
 from .._systems.system import System
-from .._types import Array, InitialState
-from . import windows
-from .chunks import JointAccumulator, Source, run_chunks
-from .differences import differenced
-from .estimate import Estimator, Sensitivities, Sensitivity
-from .estimators import counted, recorded
-from .nondifferentiable import warn_at_special_speeds, warn_if_grazing
-from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
-from .problem import Pilot, Problem
-from .products import warn_of_products
-from .results import results_of
+from . import estimate
+from .estimate import Estimator, Sensitivities, Sensitivity, results_of
+from .estimators import JointAccumulator, Source, counted, differenced, recorded, run_chunks
+from .problem import (
+    Pilot,
+    Problem,
+    problem_of,
+    relative_bandwidth_of,
+    require_correctable,
+    require_precision,
+    warn_at_special_speeds,
+    warn_if_grazing,
+)
 from .statistic import AnyStatistic, statistic_of
+
+# A warning where parameters act only together, as a friction coefficient and a normal force do through their product.
+#
+# Then the derivatives by their logarithms are proportional in every sample, up to round-off, and so are those of every
+# statistic: none can tell the parameters apart. Equality in the inequality of Cauchy and Schwarz is the test.
+
+
+_PROPORTIONAL = 1e-9  # of the squares: what is not proportional, relative to the whole
+
+
+def warn_of_products(problem: Problem, accumulated: JointAccumulator) -> None:
+    """RuntimeWarning for each pair of parameters whose derivatives are proportional in every sample."""
+    for sentence in products_among(problem, accumulated):
+        warnings.warn(f"{sentence}; vary one of them only.", RuntimeWarning, 4)
+
+
+def products_among(problem: Problem, accumulated: JointAccumulator) -> list[str]:
+    """A sentence for each pair of parameters whose derivatives are proportional in every sample."""
+    first, second = accumulated.halves
+    moments, found = first.merge(second), []
+    if moments.number < 2:
+        return found
+    squares = moments.scatter / moments.number + np.outer(moments.mean, moments.mean)  # means of products of columns
+    places = [_columns(accumulated, index, squares) for index in range(len(problem.parameters))]
+    for one, other in combinations(range(len(places)), 2):
+        exponent = _exponent(squares, places[one], places[other])
+        if exponent is None:
+            continue
+        names = [problem.parameters[index].name for index in (one, other)]
+        values = [problem.parameters[index].value for index in (one, other)]
+        found.append(_sentence(names, exponent * values[1] / values[0] if values[0] else math.nan))
+    return found
+
+
+def _columns(accumulated: JointAccumulator, parameter: int, squares: np.ndarray) -> np.ndarray:
+    """The columns of the derivatives of all statistics by a parameter: pathwise ones, unless these are 0 or not known.
+
+    Kernels, and differences, estimate event parts to first order only: they are less exactly proportional.
+    """
+    found: list[list[int]] = [[], []]
+    for number, _ in enumerate(accumulated.sizes):
+        offset, one = accumulated.slice_of(number).start, accumulated.single(number).columns[parameter]
+        for columns, kind in zip(found, ((one.pathwise,), one.derivative), strict=True):
+            columns += [offset + column + part for column in kind for part in (0, 1)]
+    pathwise, whole = (np.array(columns) for columns in found)
+    return pathwise if np.any(squares[pathwise, pathwise] > 0) else whole
+
+
+def _exponent(squares: np.ndarray, one: np.ndarray, other: np.ndarray) -> float | None:
+    """The factor c with which all columns `other` are c times the columns `one`; None if they are not proportional."""
+    if len(one) != len(other):
+        return None
+    of_one, of_other, product = squares[one, one], squares[other, other], squares[one, other]
+    if not (np.any(of_one > 0) and np.any(of_other > 0)):
+        return None
+    scale = of_one / of_one.sum() + of_other / of_other.sum()  # columns have different units
+    weight = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1), 0)
+    a, b, ab = (float(weight @ values) for values in (of_one, of_other, product))
+    return ab / a if a * b - ab * ab <= _PROPORTIONAL * a * b else None
+
+
+def _sentence(names: list[str], exponent: float) -> str:
+    """`exponent`: that of the second parameter, if that of the first is 1, in the combination on which all depends."""
+    one, other = names
+    together = f"one combination of them, {one} * {other}^{exponent:.3g} near their values"
+    if math.isclose(exponent, 1, rel_tol=1e-3):
+        together = f"their product {one} * {other}"
+    elif math.isclose(exponent, -1, rel_tol=1e-3):
+        together = f"their ratio {one} / {other}"
+    return (
+        f"{one} and {other} act on this only through {together}: their derivatives are proportional in every sample, "
+        "so that nothing found here can tell them apart (a fit to both has rank 1)"
+    )
+
+
+# `sensitivity`: derivatives of stick statistics, corrected for sticks that appear and vanish.
+
 
 _ESTIMATORS = get_args(Estimator)
 
@@ -134,7 +217,7 @@ def cheaper(problem: Problem) -> Estimator:
 def check_estimator(estimator: Estimator | None) -> None:
     """Raise ValueError for what is no estimator."""
     if estimator is not None:
-        _checks.chosen("estimator", estimator, _ESTIMATORS)
+        checks.chosen("estimator", estimator, _ESTIMATORS)
 
 
 def require_differences(estimator: Estimator | None, method: Exact | Regularized) -> None:
@@ -142,7 +225,7 @@ def require_differences(estimator: Estimator | None, method: Exact | Regularized
     if isinstance(method, Regularized) and estimator == "corrected":
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here), and relative_bandwidth left out, with "
-            f"regularised dynamics, but method={_checks.show(method)} was given: a stick is a time below a threshold "
+            f"regularised dynamics, but method={checks.show(method)} was given: a stick is a time below a threshold "
             "there, and the corrected estimator needs exact events. Take method=Exact() for it."
         )
 
@@ -176,17 +259,17 @@ def _corrected(
 def source_of(problem: Problem, pilot: Pilot, widest: float) -> Source:
     """How the corrected derivatives of statistics of one kind are found."""
     if problem.is_paired:
-        return differenced(problem, pilot, widest * np.array(windows.PAIRED), with_pathwise=True)
+        return differenced(problem, pilot, widest * np.array(estimate.PAIRED), with_pathwise=True)
     if problem.is_counted and problem.ignores_stick_count:
         return counted(problem, pilot, np.zeros(0))._replace(widths=np.array([widest]))
     if problem.is_counted:
-        return counted(problem, pilot, widest * np.array(windows.COUNTED))
-    return recorded(problem, pilot, widest * np.array(windows.RECORDED))
+        return counted(problem, pilot, widest * np.array(estimate.COUNTED))
+    return recorded(problem, pilot, widest * np.array(estimate.RECORDED))
 
 
 def _warn_of_few(results: list[dict[str, Sensitivity]]) -> None:
     few = min(result.sticks_in_window for by_name in results for result in by_name.values())
-    if few < windows.FEW:
+    if few < estimate.FEW:
         warnings.warn(
             f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
             RuntimeWarning,
@@ -205,7 +288,7 @@ def _warn_of_disagreement(
         found += [
             parameter.name
             for parameter, where, in_window in by_parameter
-            if parameter.name not in already_warned and windows.windows_disagree(one, where, in_window)
+            if parameter.name not in already_warned and estimate.windows_disagree(one, where, in_window)
         ]
     if found:
         warnings.warn(
@@ -224,7 +307,7 @@ def _by_differences(
     widest = relative_bandwidth_of(problem, pilot)
     sources = []
     for kind in kinds:
-        choice = windows.OUTPUT if kind.is_output else windows.PAIRED
+        choice = estimate.OUTPUT if kind.is_output else estimate.PAIRED
         steps = np.array([step]) if step is not None else widest * np.array(choice)
         sources.append(differenced(kind, pilot, steps, with_pathwise=False))
     accumulated = run_chunks(sources, problem.samples, problem.threads)
@@ -239,14 +322,14 @@ def _check_options(
     elasticity: bool, estimator: Estimator | None, step: float | None, relative_bandwidth: float | None
 ) -> None:
     if not isinstance(elasticity, bool):
-        raise ValueError(f"Argument elasticity must be True or False, but {_checks.show(elasticity)} was given.")
+        raise ValueError(f"Argument elasticity must be True or False, but {checks.show(elasticity)} was given.")
     check_estimator(estimator)
     for name, value, of in (
         ("step", step, "finite-difference"),
         ("relative_bandwidth", relative_bandwidth, "corrected"),
     ):
         if value is not None:
-            _checks.positive(name, value)
+            checks.positive(name, value)
             if estimator not in (None, of):
                 raise ValueError(
                     f"Argument {name} must be left out with estimator={estimator!r}, but {value} was given."

@@ -1,9 +1,4 @@
-"""Counts of sticks whose derivative is that of the expected count, accumulated during the simulation.
-
-To that derivative each stick and near miss adds an event part for every boundary that it is close to (`boundaries.py`,
-`kernels.py`). Where the gaps between switches are exponential, the time left at an arrival is exponential too
-(memorylessness): its density at 0 is the rate, for every stick. So the distance to the switch needs no kernel.
-"""
+"""Engines that count sticks with the derivative of the expected count, or record all that decides about sticks."""
 
 from typing import NamedTuple
 
@@ -11,16 +6,175 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
-from .._dynamics.common.engine import Engine
+from .._dynamics.common.lanes import Engine
+from .._dynamics.common.path import SegmentLaws
 from .._dynamics.interval.arcs import Scales
-from .._dynamics.interval.crossing import status_of
-from .._dynamics.interval.engine import IntervalEngine
-from .._types import AnyArray, Array, BoolArray, FloatArray, IntArray, Scalar
-from .boundaries import BoundaryDistances, IntervalLane, cross_with_distances
-from .kernels import BoundarySums, zero_with_derivative
-from .recording import IntervalRecording
+from .._dynamics.interval.crossing import scales_of, start_motion, status_of
+from .._dynamics.interval.engine import IntervalEngine, is_over
+from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
+from .._dynamics.switched.stepping import Lane, advance
+from .._events.sticks import StickRecord, start_totals
+from .._excitation.motion import RandomSignal, Signal
+from .._foundation.types import AnyArray, BoolArray, FloatArray, IntArray, Scalar
+from .boundaries import (
+    BoundaryDistances,
+    BoundarySums,
+    IntervalLane,
+    SignedDistance,
+    cross_with_distances,
+    vanishes_from_start,
+    zero_with_derivative,
+)
+from .step_boundaries import Step, crossed_after, distances_of_step, is_candidate
+
+# Engines that record, beside the sticks, the candidates: intervals or steps that may be close to a boundary.
+
+
+class Trace(NamedTuple):
+    """The record of one interval or step, with at most one stick.
+
+    `candidates`: data from which the engine finds signed distances; `is_candidate`: whether the interval or step may be
+    close to a boundary. Both None without distances.
+    """
+
+    sticks: StickRecord
+    candidates: BoundaryDistances | Step | None
+    is_candidate: BoolArray | None
+
+
+class IntervalSample(NamedTuple):
+    """Constants of a sample: its key data, and when the first random thing happens in it, s."""
+
+    key_data: tuple[Array, Array]
+    deterministic_until: FloatArray
+
+
+class IntervalRecording(Engine[Scales, IntervalSample, IntervalLane, Trace, IntArray]):
+    """An `IntervalEngine` that also records candidates, if `with_distances`.
+
+    `fixed_start`: whether all samples begin in the same state.
+    """
+
+    engine: IntervalEngine
+    fixed_start: bool = eqx.field(static=True)
+    with_distances: bool = eqx.field(static=True, default=True)
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[IntervalSample, IntervalLane]:
+        law, zero = self.engine.law, jnp.zeros((), dtype)
+        x, velocity = self.engine.y0
+        motion = start_motion(self.shared(dtype), (x, velocity))
+        memory = law.begin(key_data, dtype)
+        first, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
+        lane = IntervalLane(memory, motion, start_totals(dtype), zero)
+        return IntervalSample(key_data, first if self.fixed_start else zero), lane
+
+    def shared(self, dtype) -> Scales:
+        return scales_of(self.engine.system, self.engine.t1, dtype)
+
+    def draw(self, sample: IntervalSample, number: Array, dtype) -> PyTree:
+        return self.engine.law.draw(sample.key_data, number, dtype)
+
+    def step(
+        self, shared: Scales, sample: IntervalSample, motion: IntervalLane, drawn: PyTree
+    ) -> tuple[IntervalLane, Trace]:
+        moved, stick, distances, _ = cross_with_distances(self.engine.law, shared, motion, drawn)
+        if not self.with_distances:
+            return moved, Trace(stick, None, None)
+        return moved, Trace(stick, distances, distances.any_active & (distances.time <= shared.t1))
+
+    def distances(self, samples: IntervalSample, candidates: BoundaryDistances) -> BoundaryDistances:
+        """The signed distances of candidates (slots, lanes)."""
+        return candidates
+
+    def ended(self, motion: IntervalLane, before: IntervalLane) -> BoolArray:
+        return is_over(motion.motion, before.motion, self.engine.t1)
+
+    def results(self, sample: IntervalSample, motion: IntervalLane) -> IntArray:
+        """The `Status`."""
+        return status_of(motion.motion, jnp.asarray(self.engine.t1, motion.motion.t.dtype))
+
+
+class StepSample(NamedTuple):
+    """Constants of a sample: the smooth part of its excitation, and when the first random thing happens in it, s."""
+
+    smooth: Signal | None
+    deterministic_until: FloatArray
+
+
+class StepMotion(NamedTuple):
+    """A lane of the switched engine, and its `Step.crossed`."""
+
+    lane: Lane
+    crossed: FloatArray
+
+
+class StepRecording(Engine[SwitchedShared, StepSample, StepMotion, Trace, IntArray]):
+    """A `SwitchedEngine` that also records candidates, if `with_distances`; `fixed_start` as in `IntervalRecording`."""
+
+    engine: SwitchedEngine
+    fixed_start: bool = eqx.field(static=True)
+    with_distances: bool = eqx.field(static=True, default=True)
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[StepSample, StepMotion]:
+        smooth, lane = self.engine.begin(key_data, dtype)
+        laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
+        ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
+        # All samples move alike until their first random segment ends, if nothing else is random from the start on.
+        is_deterministic = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomSignal)
+        until = jnp.min(jnp.stack(ends)) if is_deterministic else jnp.zeros((), dtype)
+        return StepSample(smooth, until), StepMotion(lane, -jnp.ones((), dtype))
+
+    def shared(self, dtype) -> SwitchedShared:
+        return self.engine.shared(dtype)
+
+    def step(
+        self, shared: SwitchedShared, sample: StepSample, motion: StepMotion, drawn: None
+    ) -> tuple[StepMotion, Trace]:
+        lane, crossed = motion
+        model = self.engine.system.one_contact_model(sample.smooth, self.engine.solver)
+        moved, stick = advance(model, *shared, lane)
+        if not self.with_distances:
+            return StepMotion(moved, crossed), Trace(stick, None, None)
+        taken = Step.of(lane, moved, crossed)
+        following = crossed_after(shared.segment_laws, shared.t1, taken)
+        return StepMotion(moved, following), Trace(stick, taken, is_candidate(model, *shared, taken))
+
+    def distances(self, samples: StepSample, candidates: Step) -> BoundaryDistances:
+        """The signed distances of candidates (slots, lanes)."""
+        return jax.vmap(self.distances_of, in_axes=(0, None))(candidates, samples.smooth)
+
+    def distances_of(self, candidates: Step, smooth: Signal | None) -> BoundaryDistances:
+        """The signed distances of candidates (candidates,), each under its own smooth excitation."""
+        engine, shared = self.engine, self.shared(candidates.t.dtype)
+
+        def of(candidate, smooth):
+            return distances_of_step(engine.system.one_contact_model(smooth, engine.solver), *shared, candidate)
+
+        return jax.vmap(of)(candidates, smooth)
+
+    def ended(self, motion: StepMotion, before: StepMotion) -> BoolArray:
+        return self.engine.ended(motion.lane, before.lane)
+
+    def results(self, sample: StepSample, motion: StepMotion) -> IntArray:
+        """The `Status`."""
+        return jnp.asarray(self.engine.results(sample.smooth, motion.lane).status)
+
+
+def recording(engine: IntervalEngine | SwitchedEngine, fixed_start: bool) -> IntervalRecording | StepRecording:
+    """`engine` with its candidates recorded; `fixed_start`: whether all samples begin in the same state."""
+    if isinstance(engine, IntervalEngine):
+        return IntervalRecording(engine, fixed_start)
+    return StepRecording(engine, fixed_start)
+
+
+# Counts of sticks whose derivative is that of the expected count, accumulated during the simulation.
+#
+# To that derivative each stick and near miss adds an event part for every boundary that it is close to
+# (`boundaries.py`, `boundaries.py`). Where the gaps between switches are exponential, the time left at an arrival is
+# exponential too (memorylessness): its density at 0 is the rate, for every stick. So the distance to the switch needs
+# no kernel.
 
 
 class Likelihood(NamedTuple):
@@ -118,3 +272,104 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
         sums = sums._replace(event_parts=tuple(part + exact for part in sums.event_parts))
         distances, bandwidths = distances.only(~is_fixed, switch_where), jnp.asarray(self.bandwidths, arrival.dtype)
         return jax.tree.map(jnp.add, sums, BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths))
+
+
+# Counts of sticks as in `counting.py`, for any motion that is simulated in time steps.
+#
+# Most steps are close to no boundary. The others are collected for a block, and their signed distances are found
+# together.
+
+
+class _StepMotion(NamedTuple):
+    """The motion of one lane, and its sums so far."""
+
+    recorded: StepMotion
+    sums: BoundarySums
+
+
+class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counted]):
+    """Engine that counts the sticks that `engine` simulates; `bandwidths`, `fixed_start` as for `IntervalCounting`.
+
+    Without `bandwidths` it gives only pathwise derivatives.
+    """
+
+    engine: SwitchedEngine
+    bandwidths: AnyArray
+    fixed_start: bool = eqx.field(static=True)
+    looks_back = True
+
+    @property
+    def _recording(self) -> StepRecording:
+        return StepRecording(self.engine, self.fixed_start, with_distances=len(self.bandwidths) > 0)
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[StepSample, _StepMotion]:
+        sample, motion = self._recording.begin(key_data, dtype)
+        return sample, _StepMotion(motion, BoundarySums.none(len(self.bandwidths), dtype))
+
+    def shared(self, dtype) -> SwitchedShared:
+        return self.engine.shared(dtype)
+
+    def step(
+        self, shared: SwitchedShared, sample: StepSample, motion: _StepMotion, drawn: None
+    ) -> tuple[_StepMotion, Trace]:
+        moved, trace = self._recording.step(shared, sample, motion.recorded, drawn)
+        return _StepMotion(moved, motion.sums), trace
+
+    def after_block(self, samples: StepSample, motions: _StepMotion, records: Trace) -> _StepMotion:
+        if records.candidates is None:
+            return motions
+        return motions._replace(sums=self._with_block(samples, motions.sums, records))
+
+    def ended(self, motion: _StepMotion, before: _StepMotion) -> BoolArray:
+        return self._recording.ended(motion.recorded, before.recorded)
+
+    def results(self, sample: StepSample, motion: _StepMotion) -> Counted:
+        totals = self.engine.results(sample.smooth, motion.recorded.lane)
+        return Counted(totals.status, totals.stick_time, totals.sticks, *motion.sums)
+
+    def _with_block(self, samples: StepSample, sums: BoundarySums, trace: Trace) -> BoundarySums:
+        """`sums` with those over all candidates of a block added."""
+        bandwidths = jnp.asarray(self.bandwidths, samples.deterministic_until.dtype)
+        sums = _with_first_sticks(samples, sums, trace.sticks, bandwidths)
+        assert trace.is_candidate is not None
+        steps, lanes = trace.is_candidate.shape
+        found = jnp.cumsum(trace.is_candidate.reshape(-1))
+        taken = jax.tree.map(lambda leaf: leaf.reshape(steps * lanes, *leaf.shape[2:]), trace.candidates)
+
+        def some_more(carry):
+            # As many candidates at once as there are lanes: the k-th is where k have been found.
+            done, sums = carry
+            wanted = done + jnp.arange(1, lanes + 1)
+            at = jnp.minimum(jnp.searchsorted(found, wanted), steps * lanes - 1)
+            lane, exists = at % lanes, wanted <= found[-1]
+            smooth, deterministic_until = jax.tree.map(lambda leaf: leaf[lane], samples)
+            distances = self._recording.distances_of(jax.tree.map(lambda leaf: leaf[at], taken), smooth)
+            # Before anything random happens no distance has a density, except that to the base's first change.
+            distances = distances.only(exists & (distances.time >= deterministic_until), exists)
+            more = BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths)
+            return done + lanes, jax.tree.map(lambda so_far, new: _put(so_far, lane, new), sums, more)
+
+        return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), sums))[1]
+
+
+def _with_first_sticks(
+    samples: StepSample, sums: BoundarySums, sticks: StickRecord, bandwidths: FloatArray
+) -> BoundarySums:
+    """`sums` with those over sticks from t = 0, which vanish as their duration falls to 0."""
+
+    def add(sums, stick):
+        may_vanish = vanishes_from_start(stick.start, stick.ending, samples.deterministic_until)
+        duration = SignedDistance(stick.end - stick.start, may_vanish)
+        return jax.tree.map(jnp.add, sums, BoundarySums.over((), (duration,), bandwidths)), None
+
+    return lax.scan(add, sums, sticks)[0]
+
+
+def _put(so_far: FloatArray, lane: IntArray, more: FloatArray) -> FloatArray:
+    """`so_far` (lanes,) with each of `more` added to its lane. (XLA does not compile a scatter to a native loop.)"""
+
+    def one(i, kept):
+        new = lax.dynamic_index_in_dim(kept, lane[i], keepdims=False) + more[i]
+        return lax.dynamic_update_index_in_dim(kept, new, lane[i], 0)
+
+    return lax.fori_loop(0, len(lane), one, so_far)

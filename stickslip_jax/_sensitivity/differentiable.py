@@ -1,31 +1,111 @@
-"""A statistic as a function of parameters, for the user's own objectives, with the corrected derivative."""
+"""A statistic or the mean of an output as a function of parameters, for the user's own objectives."""
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
-from .. import _checks
 from .._dynamics.common.lanes import Job, summarize
-from .._excitation.excitation import BaseMotion
-from .._status import Status
+from .._dynamics.common.method import Arguments, Exact, Regularized
+from .._dynamics.switched.engine import steps_for
+from .._ensemble.setup import EnsembleSetup
+from .._excitation.excitation import BaseMotion, is_random
+from .._excitation.segments import SegmentLaw
+from .._foundation import checks
+from .._foundation.types import FloatArray, InitialState, Status
+from .._simulation.call import simulate
+from .._statistics.accumulator import Numbering
 from .._systems.system import System
-from .._types import Array, FloatArray, InitialState
-from .._uncertainty.numbers import with_numbers
+from .._uncertainty.families import RandomNumber
+from .._uncertainty.numbers import number_at, shown, with_numbers
+from .counting import recording
 from .estimators import counting_engine, score_paths, wrapped_paths
-from .output_means import output_means
-from .pilot import problem_of, relative_bandwidth_of, require_correctable, require_precision
-from .problem import Pilot, Problem, buffer_sizes_for
-from .random_inputs import wrapped
-from .recording import recording
-from .sequences import BufferSizes, features_of, record_sequences
-from .statistic import AnyStatistic, OfTotals
+from .problem import (
+    Pilot,
+    Problem,
+    buffer_sizes_for,
+    problem_of,
+    relative_bandwidth_of,
+    require_correctable,
+    require_precision,
+)
+from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, features_of, record_sequences, wrapped
+
+# The mean of an output as a function of parameters, for `differentiable`: compiled, with differences as derivative.
+
+
+_OUTPUT_LANES = 64
+_SPARE = 2  # times as many steps and intervals as at the parameters given
+
+
+def output_means(problem: Problem, samples: int) -> Callable[[Array], Float[Array, "2"]]:
+    """A function of the parameters' values: the sums of the output, and of 1, over the samples that finish.
+
+    NaN where a sample needs more steps, or intervals of the base, than twice as many as at the parameters given.
+    """
+    statistic, model = problem.statistic, problem.model
+    assert isinstance(statistic, OfOutput)
+    assert model is not None
+    for parameter in problem.parameters:
+        if any(isinstance(number_at(model, parameter.path[:end]), RandomNumber) for end in range(len(parameter.path))):
+            raise ValueError(
+                f"Argument wrt must name plain numbers for outputs, but {shown(parameter.path)} is that of a "
+                "distribution; use sensitivity."
+            )
+    key = jax.random.wrap_key_data(problem.key_data)
+    options = (problem.samples, 0, key, None, problem.method, "totals", Numbering(1, True))
+    inputs = EnsembleSetup.checked(model, problem.t1, *options).inputs
+    rows = -(-samples // _OUTPUT_LANES)
+    columns = tuple(jnp.asarray(column) for column in inputs.drawn(0, rows * _OUTPUT_LANES, problem.dtype))
+    numbers = jnp.asarray(inputs.realization_numbers(0, rows * _OUTPUT_LANES))
+    bases = inputs.realizations(0, rows * _OUTPUT_LANES, problem.t1)
+    paths, method = tuple(parameter.path for parameter in problem.parameters), _method_of(problem)
+
+    def sample(values: Array, column: tuple[Array, ...], number: Array, base: Any) -> Float[Array, "2"]:
+        system, law, y0 = with_numbers(inputs.filled(column), paths, values)
+        if base is None:
+            base = _realization(law, problem, jax.random.fold_in(key, number)) if is_random(law) else law
+        one = simulate(system, base, t1=problem.t1, y0=y0, method=method)
+        finished = one.status == Status.FINISHED
+        short = (one.status == Status.OUT_OF_STEPS) | (one.status == Status.BASE_TOO_SHORT)
+        value = jnp.where(finished, statistic.output.number(one, problem.dtype), jnp.where(short, jnp.nan, 0))
+        return jnp.stack([value, finished.astype(value.dtype)])
+
+    def means(values: Array, varied: None = None) -> Float[Array, "2"]:
+        del varied
+        batches = jax.tree.map(
+            lambda leaf: leaf.reshape(rows, _OUTPUT_LANES, *leaf.shape[1:]), (columns, numbers, bases)
+        )
+        each = lax.map(lambda batch: jax.vmap(partial(sample, values))(*batch), batches)
+        return jnp.sum(each, axis=(0, 1))
+
+    return means
+
+
+def _method_of(problem: Problem) -> Exact | Regularized:
+    """The method, with a number of steps that does not depend on the parameters."""
+    if problem.by_intervals or not isinstance(problem.method, Exact):
+        return problem.method
+    excitation, step = Arguments(problem.system, problem.law, problem.method, problem.t1).checked_step("law")
+    return Exact(max_steps=_SPARE * steps_for(problem.system, excitation, problem.t1, step))
+
+
+def _realization(law: Any, problem: Problem, key: Array) -> Any:
+    """The realisation of a law whose numbers may be traced."""
+    if isinstance(law, SegmentLaw):
+        assert isinstance(problem.law, SegmentLaw)
+        return law.sample(key, problem.t1, capacity=_SPARE * problem.law.segments(problem.t1))
+    return law.sample(key, problem.t1)
+
+
+# A statistic as a function of parameters, for the user's own objectives, with the corrected derivative.
+
 
 _LANES = 256
 
@@ -70,7 +150,7 @@ def differentiable(
         ValueError: As for `sensitivity` with ``estimator="corrected"``.
     """
     if isinstance(statistic, (list, tuple)):
-        raise _checks.refused("statistic", "be one statistic (sensitivity takes several)", statistic)
+        raise checks.refused("statistic", "be one statistic (sensitivity takes several)", statistic)
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
     rows, bandwidth = -(-problem.samples // _LANES), relative_bandwidth_of(problem, pilot)
     if problem.is_output:

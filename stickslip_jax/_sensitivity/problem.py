@@ -1,25 +1,45 @@
-"""A sensitivity problem: statistic, motion and parameters, and the results of its pilot simulation."""
+"""A sensitivity problem: statistic, motion and parameters, its pilot simulation, and where no derivative exists."""
 
-from typing import NamedTuple
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple, TypeAlias
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
-from .._dynamics.common.engine import Engine
-from .._dynamics.common.lanes import BLOCK, Job
-from .._dynamics.common.method import EXACT, Exact, Regularized
-from .._dynamics.common.validation import Arguments
+from .._dynamics.common.lanes import BLOCK, Engine, Job
+from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, check_method, state_of
 from .._dynamics.engine_choice import ByIntervals, engine_for
-from .._dynamics.switched.run import steps_for
-from .._excitation.excitation import BaseMotion, path_in_excitation
-from .._excitation.merged import merged, path_in_merged
-from .._excitation.piecewise_constant import PiecewiseConstantLaw
-from .._systems.system import System
-from .._types import AnyArray, Array, DType, Scalar
+from .._dynamics.interval.arcs import Scales
+from .._dynamics.interval.crossing import scales_of, start_motion
+from .._dynamics.interval.engine import IntervalEngine
+from .._dynamics.switched.engine import steps_for
+from .._ensemble.call import simulate_ensemble
+from .._ensemble.data import Keep
+from .._excitation.excitation import (
+    BaseMotion,
+    is_random,
+    key_data_for,
+    law_of,
+    merged,
+    path_in_excitation,
+    path_in_merged,
+)
+from .._excitation.piecewise_constant import GivenSteps, PiecewiseConstantLaw, VelocitySteps
+from .._foundation import checks
+from .._foundation.processes import cores, require_threads_of_jax
+from .._foundation.types import AnyArray, DType, InitialState, Scalar
+from .._numerics.elementary import random_words
+from .._systems.system import System, require_system
 from .._uncertainty.inputs import Inputs, Model
-from .._uncertainty.numbers import Parameter, Path
-from .random_inputs import RandomInputs
-from .sequences import BufferSizes
-from .statistic import OfOutput, OfTotals, StickStatistic
+from .._uncertainty.numbers import Parameter, Path, number_at, parameters_of, with_numbers
+from .boundaries import relative_excess
+from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, RandomInputs, StickStatistic, statistics_of
+
+# A sensitivity problem: statistic, motion and parameters, and the results of its pilot simulation.
 
 
 class Pilot(NamedTuple):
@@ -222,3 +242,230 @@ def sequence_lanes(problem: Problem) -> int:
 def _share(problem: Problem) -> int:
     share = -(-problem.samples // problem.threads)
     return share if problem.chunk is None else min(share, problem.chunk)
+
+
+# Check of the arguments, and a pilot simulation of few samples, from which the widths of the kernels are chosen.
+
+
+_PILOT = 1024  # samples
+_RELATIVE_BANDWIDTH, _STICKS = 0.005, 1e6  # relative bandwidth of the widest window at so many sticks
+_LARGEST_BANDWIDTH = 0.05
+
+
+def problem_of(
+    statistic: AnyStatistic | Sequence[AnyStatistic],
+    system: System,
+    law: BaseMotion,
+    wrt: str | tuple[str, ...] | list[str],
+    t1: float,
+    samples: int,
+    key: Array | None,
+    y0: InitialState | None,
+    *,
+    method: Exact | Regularized = EXACT,
+    threads: int | None = None,
+    chunk: int | None = None,
+) -> tuple[Problem, Pilot]:
+    """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
+    require_threads_of_jax()
+    statistics = statistics_of(statistic)
+    threads = cores() if threads is None else checks.whole_number("threads", threads)
+    size = None if chunk is None else checks.whole_number("chunk", chunk)
+    check_method(method)
+    number = checks.whole_number("samples", samples, minimum=2, maximum=2**31)
+    inputs = Inputs.of(Model(system, law_of(law), y0), number, key)
+    dtype = jnp.result_type(float)
+    inputs.check(dtype)
+    first = inputs.of_sample(0, dtype)
+    first = first._replace(y0=state_of(require_system(first.system), first.y0))
+    inputs = inputs.with_start(first.y0)
+    _require_chance(first.law, inputs)
+    smoothed = isinstance(method, Regularized)
+    from_totals = all(one.is_of_totals or isinstance(one, OfOutput) for one in statistics)
+    keep: Keep = "totals" if from_totals and not smoothed else "sticks"
+    pilot = _pilot(inputs, t1, key, method, keep, threads)
+    parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
+    base = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
+    base = GivenSteps(base) if isinstance(base, VelocitySteps) else base
+    problem = Problem(
+        statistics, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
+        dtype,
+    )  # fmt: skip
+    problem = problem._replace(model=inputs.model)
+    return problem if smoothed else problem.with_inputs(inputs), pilot
+
+
+def require_precision(problem: Problem) -> None:
+    """Raise ValueError where float32 resolves neither near misses nor the derivatives of slips that begin slowly."""
+    if problem.dtype.itemsize < 8 and not (problem.by_intervals or problem.has_sudden_switches):
+        raise ValueError(
+            "Argument system (or law) must be a MassSpring without damping or force on a base of piecewise-constant "
+            "velocity, in single precision: for any other motion round-off hides how close an arc came to the base "
+            "velocity, and how slowly a slip began. Call jax.config.update('jax_enable_x64', True) first, or use "
+            "estimator='finite-difference'."
+        )
+
+
+def require_correctable(problem: Problem) -> None:
+    """Raise ValueError where the corrected method does not know what differs from sample to sample."""
+    if not problem.can_be_corrected:
+        raise ValueError(
+            "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
+            "differ from sample to sample and the motion has no closed form from jump to jump of the base, where the "
+            "law is an object of your own with a method sample(key, t1), where the parameter belongs to a Beta "
+            "distribution or to the distribution of a switching rate, for systems with a list of contacts, and for "
+            "outputs and statistics of slips."
+        )
+
+
+def relative_bandwidth_of(problem: Problem, pilot: Pilot) -> float:
+    """Default relative bandwidth of the kernels: ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05.
+
+    As in density estimation: with a bias of second order, the mean squared error is least for widths that shrink as the
+    fifth root of the number of sticks.
+    """
+    return min(_RELATIVE_BANDWIDTH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_BANDWIDTH)
+
+
+def _pilot(
+    inputs: Inputs, t1: float, key: Array | None, method: Exact | Regularized, keep: Keep, threads: int
+) -> Pilot:
+    """A pilot simulation, which also checks the arguments."""
+    number = min(inputs.samples, _PILOT)
+    system, law, y0 = inputs.head(number)
+    many = simulate_ensemble(
+        system, law, t1=t1, samples=number, key=key, y0=y0, method=method, keep=keep, threads=threads, progress=False
+    )
+    if many.moments.number < 2:
+        raise ValueError(f"Fewer than two of {number} trajectories reached t1, so that there is no statistic: {many}")
+    stick_time, sticks = (float(mean) for mean in many.moments.mean[:2])
+    return Pilot(stick_time, sticks, int(many.require_sticks().count.max()) if keep == "sticks" else None)
+
+
+def _require_chance(law: BaseMotion, inputs: Inputs) -> None:
+    """Raise ValueError where nothing is random."""
+    if not is_random(law) and not inputs.are_random:
+        raise ValueError(
+            "Argument law must be random, or system or y0 hold a distribution such as Uniform: without chance the "
+            "number of sticks is a step function of the parameters, and has no derivative to correct. Differentiate "
+            "simulate(...) with jax.jvp."
+        )
+
+
+# Warnings where no derivative exists: a first arc that grazes exactly in every trajectory; special base speeds.
+
+
+_LANES = 64  # enough to draw every first velocity that is not rare
+_EXACTLY = 1e-9  # tolerance relative to the squared velocities, and to w
+_SPECIAL = (1.0, 2.0, 3.0, 8.0, 15.0)  # values of w (docs/sensitivity.md)
+
+_Function: TypeAlias = Callable[[IntervalEngine, Scales, Float[Array, " lanes"]], Array]
+"""Of an engine, its scales, and the first base velocity of each lane: numbers of each lane, (lanes, ...)."""
+
+
+def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
+    """Names of the parameters by which no derivative exists because the first arc grazes; warns (RuntimeWarning)."""
+    if not (problem.by_intervals and problem.fixed_start):
+        return ()
+    grazes, moved = _zeros(problem, _excess)
+    if moved:
+        warnings.warn(
+            f"The derivative with respect to {', '.join(moved)} does not exist: {np.mean(grazes):.0%} of the "
+            "trajectories begin with an arc that grazes the base velocity exactly, so that a change of one sign, "
+            "however small, makes a stick there, and one of the other sign none. The derivative is given as NaN; "
+            "change y0, or make it random.",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+    return tuple(moved)
+
+
+def warn_at_special_speeds(problem: Problem, already_warned: tuple[str, ...]) -> None:
+    """RuntimeWarning where the base speed over ``a omega``, w, is one of `_SPECIAL`, and a parameter changes it.
+
+    There the circle on which the mass leaves a stick passes through special points of the phase plane, or the mass,
+    where the base reverses as it is farthest out, comes back on the edge of the stick band. The mean number of sticks
+    has no derivative: differences grow as steps shrink. `already_warned`: parameters with a warning.
+    """
+    if not problem.by_intervals or _speed_differs(problem):
+        return
+    found, moved = _zeros(problem, _from_special_speeds)
+    moved = [name for name in moved if name not in already_warned]
+    if moved:
+        special = _SPECIAL[int(np.argmax(np.any(found, axis=0)))]
+        warnings.warn(
+            f"The dimensionless base speed w = speed / (a omega) is exactly {special:g}, where the mean number of "
+            f"sticks has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it "
+            "is taken. The slope over about `relative_bandwidth` is given; see docs/sensitivity.md.",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def _excess(engine: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Float[Array, " lanes"]:
+    """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above."""
+    motion = start_motion(scales, (engine.y0[0], engine.y0[1]))
+    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(velocities)
+
+
+def _from_special_speeds(_: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Array:
+    """``w`` of the first base speed less each special one, (lanes, special speeds); 1 for a base at rest."""
+    velocity = velocities[:, None]
+    squared = scales.spring.squared
+    omega = jnp.sqrt(jnp.where(squared > 0, squared, 1))
+    w = jnp.where(squared > 0, jnp.abs(velocity) * omega / scales.deceleration, 0)
+    return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], velocity.dtype))
+
+
+def _velocities(engine: IntervalEngine, key_data: tuple[Array, Array], dtype: DType) -> Float[Array, " lanes"]:
+    """The first base velocity of each lane, m/s."""
+
+    def of(high, low):
+        memory = engine.law.begin((high, low), dtype)
+        drawn = engine.law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
+        return engine.law.next_interval(memory, drawn, dtype)[1]
+
+    return jax.vmap(of)(*key_data)
+
+
+def _zeros(problem: Problem, function: _Function) -> tuple[Bool[np.ndarray, "..."], list[str]]:
+    """Where a function of the engine is exactly 0, and the names of the parameters that change it there."""
+    # Only where all samples are the same system; what differs in their starts does not matter here.
+    problem = problem._replace(
+        random=None, parameters=tuple(one for one in problem.parameters if _is_shared(problem, one))
+    )
+    engine, dtype = problem.engine(), problem.dtype
+    if not problem.parameters:
+        return np.zeros(0, bool), []
+    key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
+    # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.
+    found, slopes = _with_slopes(engine, key_data, function=function, paths=problem.paths(), dtype=dtype)
+    zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
+    moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
+    return zero, moved
+
+
+def _speed_differs(problem: Problem) -> bool:
+    """Whether ``speed / (a omega)`` differs from sample to sample."""
+    entries = () if problem.random is None else problem.random.inputs.entries
+    return any(entry.path[0] == "system" or entry.path == ("law", "speed") for entry in entries)
+
+
+def _is_shared(problem: Problem, parameter: Parameter) -> bool:
+    """Whether the parameter is a number of all samples, not one of a distribution."""
+    entries = () if problem.random is None else problem.random.inputs.entries
+    return not any(parameter.path[: len(entry.path)] == entry.path for entry in entries)
+
+
+@partial(jax.jit, static_argnames=("function", "paths", "dtype"))
+def _with_slopes(
+    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, paths: tuple[Path, ...], dtype: DType
+) -> tuple[Array, Array]:
+    """Values of the function, and its derivatives by the parameters along a last axis."""
+
+    def of(values: Array) -> Array:
+        here = with_numbers(engine, paths, values)
+        return function(here, scales_of(here.system, here.t1, dtype), _velocities(here, key_data, dtype))
+
+    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
+    return of(values), jax.jacfwd(of)(values)

@@ -16,14 +16,13 @@ from jax import lax
 from jaxtyping import PyTree
 
 from .._compiler import sharing
-from .._dynamics.common.segments import SegmentLaws, following_segments
-from .._dynamics.switched.lane import Lane
+from .._dynamics.common.path import SegmentLaws, following_segments
+from .._dynamics.switched.stepping import Lane
 from .._excitation.segments import SegmentState
-from .._numerics.primal import without_derivatives
-from .._numerics.roots import steepest_fall
-from .._systems.one_contact import OneContactModel
-from .._systems.switched_model import Segments, State
-from .._types import BoolArray, FloatArray
+from .._foundation.types import BoolArray, FloatArray
+from .._numerics.derivatives import without_derivatives
+from .._numerics.steps import steepest_fall
+from .._systems.switched_model import OneContactModel, Segments, State
 from .boundaries import BoundaryDistances, SignedDistance
 
 _ROUND_OFF = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a minimum closer to 0 is exactly 0 but for round-off

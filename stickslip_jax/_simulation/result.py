@@ -1,35 +1,281 @@
-"""One simulated trajectory: `Simulation`."""
+"""One simulated trajectory: `Simulation`, with its friction force, energies and labelled arrays."""
 
+import math
 import os
 import warnings
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .. import _checks, _html
-from .._conventions import flags, variable
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.common.path import Path
-from .._events.sticks import Slips, Sticks, Totals, of_contact, slips_between
-from .._events.tables import table_of, write_table
+from .._dynamics.regularized.implicit_step import Switch
+from .._dynamics.switched.engine import Beginnings, StepPath, follow_steps, state_in_step
+from .._events.sticks import NUMBERS, FlatSticks, Slips, Sticks, Totals, of_contact, slips_between
+from .._events.tables import Columns, slip_variables, stick_columns, stick_variables, table_of, write_table
 from .._excitation.excitation import BaseMotion
-from .._fields import with_fields
-from .._forks import require_threads_of_jax
-from .._methods import WithMethods
-from .._status import Status
-from .._systems.system import System
-from .._types import AnyArray, FloatArray, Scalar
-from .energy import Energies, energies_of, friction_force_of
-from .labeled import columns_of, dataset_of, provenance
+from .._foundation import checks, html
+from .._foundation.extras import Entries, flags, labeled_dataset, variable
+from .._foundation.fields import with_fields
+from .._foundation.methods import WithMethods
+from .._foundation.processes import require_threads_of_jax
+from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
+from .._systems import energy
+from .._systems.memory_models import InnerStates
+from .._systems.switched_model import F, OneContactModel
+from .._systems.system import Coordinate, System
 
 if TYPE_CHECKING:
     import pandas
     import xarray
+
+
+# Friction force and energies along one trajectory.
+
+
+Times: TypeAlias = Float[Array, " times"]
+
+_MOST_HALVES = 40  # of a step: it then resolves what dies out in 1e-12 of its length
+
+
+class Energies(NamedTuple):
+    """Energies along a trajectory, J: dicts of arrays with the shape of the times, by name.
+
+    Attributes:
+        stored: Kinetic and elastic energy (of a `MotorCart` kinetic and magnetic), at each time.
+        supplied: From the start to each time, by the base (the friction force times the base velocity; negative where
+            the mass drives the base) and by the load (external force and ground acceleration), of a `MotorCart` by the
+            voltage.
+        dissipated: From the start to each time, by friction (only in slips) and by damping, of a `MotorCart` also in
+            the resistance.
+        imbalance: What was stored at the start and supplied, less what is stored and was dissipated: round-off, and
+            for a trajectory without a closed form the error of its steps.
+    """
+
+    stored: dict[str, Float[Array, "*times"]]
+    supplied: dict[str, Float[Array, "*times"]]
+    dissipated: dict[str, Float[Array, "*times"]]
+    imbalance: Float[Array, "*times"]
+
+
+class _Rule(NamedTuple):
+    """Nodes and weights of Gauss's rule on [0, 1], the unit of which is a time step."""
+
+    nodes: Float[np.ndarray, " nodes"]
+    weights: Float[np.ndarray, " nodes"]
+
+    @classmethod
+    def of(cls, decay: Scalar, longest: Scalar) -> "_Rule":
+        """The rule for steps of at most `longest` (s), at whose beginning a motion may die out at the rate `decay`.
+
+        No step is longer than a tenth of the shortest period, so that powers are smooth in it, unless damping is so
+        strong that a motion dies out within the step. Then the step is cut into parts, each half as long as the next.
+        """
+        if not checks.is_traced(decay) and decay == 0:
+            halves = 0
+        elif checks.is_traced(decay) or checks.is_traced(longest):
+            halves = _MOST_HALVES
+        else:
+            halves = min(math.ceil(math.log2(max(float(decay) * float(longest), 1))), _MOST_HALVES)
+        nodes, weights = np.polynomial.legendre.leggauss(8 if halves == 0 else 16)
+        bounds = np.concatenate([[0.0], 0.5 ** np.arange(halves, -1, -1)])
+        parts = np.diff(bounds)[:, None]
+        return cls((bounds[:-1, None] + parts * (nodes + 1) / 2).reshape(-1), (parts * weights / 2).reshape(-1))
+
+
+def _sum(terms: energy.Terms) -> FloatScalar:
+    return jnp.stack(list(terms.values())).sum(axis=0)
+
+
+def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float[Array, "*times"]:
+    """The friction force of a `Simulation` at `times`; see there."""
+    inner = one.system.inner_model(one._path.smooth)
+    if inner is not None and isinstance(inner.inner, OneContactModel):
+        energy.require_known(one.system, inner.inner, "friction_force")
+        found = _inner_forces(inner, one._path, one.time_reached, times.reshape(-1))
+        return found.reshape(times.shape)
+    model = one.system.one_contact_model(one._path.smooth, None)
+    energy.require_known(one.system, model, "friction_force")
+    found = _forces(model, one._path, one.method, one.sticks, one.time_reached, times.reshape(-1))
+    return found.reshape(times.shape)
+
+
+@jax.jit
+def _inner_forces(model: InnerStates, path: Path, last: FloatScalar, times: Times) -> Times:
+    def at(time: FloatScalar) -> FloatScalar:
+        y, forcing = path.state(time), model.forcing(time, path.segments(time))
+        coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
+        force = energy.friction_force(model.inner, y[:-1], coefficient)
+        return jnp.where((time >= 0) & (time <= last), force, jnp.nan)
+
+    return jax.vmap(at)(times)
+
+
+@jax.jit
+def _forces(
+    model: OneContactModel, path: Path, method: Exact | Regularized, sticks: Sticks, last: FloatScalar, times: Times
+) -> Times:
+    def at(time: FloatScalar) -> FloatScalar:
+        y, forcing = path.state(time), model.forcing(time, path.segments(time))
+        if isinstance(method, Regularized):
+            assert method.width is not None
+            speed = model.relative_velocity(forcing, jnp.zeros_like(time), y)
+            coefficient = Switch(method.width, method.shape).coefficient(model.friction_at(y), speed)
+        else:
+            lasts = (time < sticks.end) | ((sticks.ending == Ending.HORIZON) & (time <= sticks.end))
+            # At isolated instants of no relative velocity the friction of the slip that follows.
+            sign = jnp.where(model.at_rest(forcing, y), model.release_sign(forcing, y), model.slip_sign(forcing, y))
+            now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
+            coefficient = _coefficient(model, forcing, y, sign, now)
+        inside = (time >= 0) & (time <= last)
+        return jnp.where(inside, energy.friction_force(model, y, coefficient), jnp.nan)
+
+    return jax.vmap(at)(times)
+
+
+def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatScalar, sticks: BoolScalar) -> FloatScalar:
+    """The signed friction coefficient in a stick, or in a slip of this sign."""
+    none = jnp.zeros_like(y[0])
+    velocity = model.relative_velocity(forcing, none, y)
+    slip = model.slip_direction(y, sign) * model.friction_at(y).slip_coefficient(velocity)
+    return jnp.where(sticks, model.holding_coefficient(forcing, none, y), slip)
+
+
+def energies_of(one: "Simulation", times: Float[Array, "*times"]) -> Energies:
+    """The energies of a `Simulation` at `times`; see there."""
+    if not isinstance(one.method, Exact):
+        raise ValueError(
+            f"energies needs a simulation with method=Exact(), but one with {checks.show(one.method)} was given."
+        )
+    path = one._path
+    if not isinstance(path, StepPath):
+        # Its steps end at each change of sign of the relative velocity, which intervals do not record.
+        y0 = tuple(path.state(jnp.zeros_like(one.time_reached)))
+        path = follow_steps(one.system, one.base, Exact(), one.t1, y0, one.time_reached.dtype).path
+        assert isinstance(path, StepPath)
+    model = one.system.one_contact_model(path.smooth, path.solver)
+    energy.require_known(one.system, model, "energies")
+    energy.require_energy(one.system)
+    lengths = jnp.append(path.beginnings.t[1:], one.time_reached) - path.beginnings.t
+    rule = _Rule.of(energy.fastest_decay(model), jnp.max(lengths))
+    found = _energies(model, path.beginnings, one.time_reached, times.reshape(-1), rule)
+    return jax.tree.map(lambda values: values.reshape(times.shape), found)
+
+
+@jax.jit
+def _energies(model: OneContactModel, beginnings: Beginnings, last: FloatScalar, times: Times, rule: _Rule) -> Energies:
+    def worked(begun: Beginnings, h: FloatScalar) -> energy.Powers:
+        """What is supplied and dissipated in the first `h` (s) of a step, J."""
+
+        def power(node: FloatScalar) -> energy.Powers:
+            now = begun.t + node * h
+            y, forcing = state_in_step(model, begun, node * h), model.forcing(now, begun.segments)
+            coefficient = _coefficient(model, forcing, y, begun.sign, begun.sign == 0)
+            return energy.powers(model, forcing, y, energy.friction_force(model, y, coefficient))
+
+        rates = jax.vmap(power)(jnp.asarray(rule.nodes, h.dtype))
+        return jax.tree.map(lambda values: h * jnp.dot(jnp.asarray(rule.weights, h.dtype), values), rates)
+
+    ends = jnp.append(beginnings.t[1:], last)
+    steps = jax.vmap(worked)(beginnings, ends - beginnings.t)
+    before = jax.tree.map(lambda values: jnp.cumsum(values) - values, steps)
+
+    def at(time: FloatScalar) -> Energies:
+        index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
+        begun, sums = jax.tree.map(lambda values: values[index], (beginnings, before))
+        h = time - begun.t
+        done = jax.tree.map(jnp.add, sums, worked(begun, h))
+        stored = energy.stored_energies(model, state_in_step(model, begun, h))
+        start = energy.stored_energies(model, tuple(values[0] for values in beginnings.y))
+        left = _sum(start) + _sum(done.supplied) - _sum(stored) - _sum(done.dissipated)
+        found = Energies(stored, done.supplied, done.dissipated, left)
+        inside = (time >= 0) & (time <= last)
+        return jax.tree.map(lambda value: jnp.where(inside, value, jnp.nan), found)
+
+    return jax.vmap(at)(times)
+
+
+# One trajectory as a table of its sticks and as labelled arrays.
+
+
+def columns_of(sticks: Sticks, position: Coordinate) -> Columns:
+    """The columns of the table of the sticks of one trajectory. `position`: what the position of a stick is.
+
+    Of several contacts, those of one after those of another, with the number of the contact.
+    """
+    if sticks.contact is None:
+        return stick_columns(*_in_order(sticks), position)
+    last = int(np.max(np.asarray(sticks.contact), initial=-1))
+    parts = [columns_of(of_contact(sticks, number), position) for number in range(last + 1)]
+    numbers = np.repeat(np.arange(last + 1), [len(part["order"]) for part in parts])
+    empty = columns_of(of_contact(sticks, -2), position)
+    columns = {name: np.concatenate([empty[name], *(part[name] for part in parts)]) for name in empty}
+    return {"contact": numbers} | columns
+
+
+def dataset_of(
+    sticks: Sticks, slips: Slips, position: Coordinate, totals: Entries, attributes: Mapping[str, object]
+) -> "xarray.Dataset":
+    """The sticks and slips of one trajectory with units and long names, with `totals`; see `Simulation.to_xarray`."""
+    mask = np.asarray(slips.mask)
+    columns = (np.asarray(column)[mask] for column in (slips.start, slips.end, slips.censored))
+    variables = {**stick_variables(*_in_order(sticks), position), **slip_variables(*columns), **totals}
+    return labeled_dataset(variables, {}, {**source(), **attributes})
+
+
+def source() -> dict[str, object]:
+    """Attributes that say which program made a data set."""
+    from .. import __version__  # noqa: PLC0415 - the package imports this module
+
+    return {"source": f"stickslip_jax {__version__}", "stickslip_jax_version": __version__}
+
+
+def provenance(system: object, base: object, method: object, t1: float | None = None) -> dict[str, object]:
+    """Attributes that say what was simulated and how, and for how long. Numbers are in SI units."""
+    horizon = {} if t1 is None else {"t1": t1}
+    return {"system": _brief(system), "base": _brief(base), **horizon, **method_attributes(method)}
+
+
+def method_attributes(method: object) -> dict[str, object]:
+    """Attributes that state the method and its criterion of a stick, in SI units: numbers, or arrays (contacts,)."""
+    if isinstance(method, Exact):
+        return {"method": "exact"} if method.step is None else {"method": "exact", "time_step": float(method.step)}
+    if not isinstance(method, Regularized):
+        return {"method": "none" if method is None else str(method)}
+    numbers = {
+        "width": method.width,
+        "stick_threshold": method.threshold,
+        "stick_minimum_duration": method.minimum_duration,
+        "time_step": method.step,
+    }
+    known = {name: np.asarray(number, float) for name, number in numbers.items() if number is not None}
+    known = {name: number if number.ndim else float(number) for name, number in known.items()}
+    return {"method": "regularised", "shape": method.shape, **known}
+
+
+def _in_order(sticks: Sticks) -> tuple[FlatSticks, np.ndarray]:
+    """The sticks without empty slots, and the number of each from 1; 0 for one that begins at t = 0.
+
+    So ensembles count by default.
+    """
+    mask = np.asarray(sticks.mask)
+    columns = {name: np.asarray(getattr(sticks, name))[mask] for name in (*NUMBERS, "ending")}
+    flat = FlatSticks.of(np.array([mask.sum()]), **columns)
+    return flat, np.arange(len(flat.start)) + (0 if flat.begins_at_zero[0] else 1)
+
+
+def _brief(module: object) -> str:
+    return " ".join(eqx.tree_pformat(module, short_arrays=True).split())
+
+
+# One simulated trajectory: `Simulation`.
 
 
 class Simulation(WithMethods):
@@ -100,7 +346,7 @@ class Simulation(WithMethods):
         if self.sticks.contact is None:
             raise ValueError("This system has one contact: its sticks are in simulation.sticks.")
         contacts = self.totals.sticks.shape[-1]
-        _checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
+        checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
         parts = self.totals._replace(**{name: values[..., number] for name, values in self.totals._asdict().items()})
         return with_fields(
             self, type(self), sticks=of_contact(self.sticks, number), totals=parts, _of_all_contacts=None
@@ -201,7 +447,7 @@ class Simulation(WithMethods):
         """The place of a coordinate in the state."""
         self._require_one()
         names = [one.name for one in self.system.coordinates]
-        return 0 if coordinate is None else names.index(_checks.chosen("coordinate", coordinate, names))
+        return 0 if coordinate is None else names.index(checks.chosen("coordinate", coordinate, names))
 
     def friction_force(self, times: AnyArray | float) -> FloatArray:
         """The friction force on the mass at `times` (s, any shape), N: positive in the direction of positive velocity.
@@ -310,7 +556,7 @@ class Simulation(WithMethods):
 
     def _require_numbers(self, call: str) -> None:
         """Check that this is one trajectory with known numbers, which `call` asks for; warn if it did not finish."""
-        if _checks.holds_traced(self):
+        if checks.holds_traced(self):
             raise ValueError(
                 f"{call} needs numbers, but JAX is tracing this simulation; return it from the function that jit, vmap "
                 f"or grad transforms, and call {call} on what comes back."
@@ -331,7 +577,7 @@ class Simulation(WithMethods):
             )
 
     def _checked(self, times: AnyArray | float) -> Array:
-        _checks.numeric("times", times, ndim=None)
+        checks.numeric("times", times, ndim=None)
         self._require_one()
         return jnp.asarray(times, self.sticks.start.dtype)
 
@@ -359,13 +605,13 @@ class Simulation(WithMethods):
         title = f"Simulation on [0, {float(self.t1):g}] s"
         if status != Status.FINISHED:
             reached = f", NOT FINISHED: stopped at {float(self.time_reached):g} s"
-            return _html.titled(title + reached) + _html.table(rows)
-        return _html.titled(title) + _html.table(rows) + _html.small_figure(self)
+            return html.titled(title + reached) + html.table(rows)
+        return html.titled(title) + html.table(rows) + html.small_figure(self)
 
     @property
     def _is_one(self) -> bool:
         """Whether this is a single trajectory, which JAX does not trace."""
-        return np.ndim(self.status) == 0 and not _checks.holds_traced(self)
+        return np.ndim(self.status) == 0 and not checks.holds_traced(self)
 
     def __repr__(self) -> str:
         require_threads_of_jax()

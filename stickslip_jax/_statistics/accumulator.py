@@ -1,23 +1,183 @@
-"""The accumulator of an ensemble: sums and histograms of its sticks, updated while they stream by.
+"""The accumulator of an ensemble: sums and histograms of its sticks, updated while they stream in."""
 
-Accumulators of parts of an ensemble are merged exactly: sums of deviations by the formulas of Chan, Golub and LeVeque
-(1983) and Pebay (2008), histograms by adding. Apart from round-off the result does not depend on how the samples were
-cut into parts.
-"""
-
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from .. import _checks
-from .._events.stick_stream import StickStream
-from .._events.sticks import FlatSticks
-from .._numerics.dyadic import DyadicCounts
-from .._numerics.power_sums import PowerSums
-from .._status import Ending
+from .._events.sticks import NUMBERS, FlatSticks, StickStream
+from .._foundation import checks
+from .._foundation.types import Ending
+from .._numerics import sums
+from .._numerics.sums import BinnedNumbers, DyadicCounts, PowerSums
 from .distribution import BINS
-from .stick_sums import sums_of_orders, sums_of_sticks
+from .quantities import STICK_QUANTITIES, STREAMED_PAIRS
+
+# Sums and histograms of sticks and of the slips between them, by compiled loops over the sticks of a part.
+
+
+BINS_BY_ORDER = 1024
+BINS_OF_PAIRS = 128  # at most, along each axis
+
+_NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)
+_SLIP = len(_NAMES)  # the column of slips, after those of the sticks
+_OTHERS = [NUMBERS.index(name) for name in _NAMES[3:]]  # rows of `StickStream.numbers`
+_X, _Y = ([_NAMES.index(pair[axis]) for pair in STREAMED_PAIRS] for axis in (0, 1))
+
+
+class StickSums(NamedTuple):
+    """Sums and histograms of all sticks, and of the durations of all slips, s.
+
+    `sticks`, `stick_bins`: by `STICK_QUANTITIES`. `pair_bins`: by `STREAMED_PAIRS`.
+    """
+
+    sticks: PowerSums
+    stick_bins: tuple[DyadicCounts, ...]
+    slips: PowerSums
+    slip_bins: DyadicCounts
+    pair_bins: tuple[DyadicCounts, ...]
+
+
+class OrderSums(NamedTuple):
+    """Sums and histograms of the 1st, 2nd, ... stick of each sample that has it, with one entry for each order.
+
+    `first_two`, `first_two_bins`: of the durations of the first and of the second stick, s.
+    """
+
+    by_order: PowerSums
+    order_bins: tuple[DyadicCounts, ...]
+    first_two: PowerSums
+    first_two_bins: DyadicCounts
+
+
+def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1: float) -> StickSums:
+    """Sums and histograms of the numbered sticks of finished samples, simulated up to `t1`, s.
+
+    `skipped`: how many sticks of each sample come before its first numbered one, 0 or 1.
+
+    Raises:
+        ValueError: Where a number of a stick is NaN: the loops check no bounds, and it would have no bin.
+    """
+    d, compiled = _SLIP + 1, sums.compiled()
+    skip_rest = bool(np.any(skipped))
+    # A sample that begins with a stick has no slip there.
+    all_slips = skip_rest or not np.any(sticks.begins_at_zero)
+    columns = (
+        sticks.start, sticks.end, sticks.position, sticks.slip, sticks.numbers[_OTHERS], skip_rest, all_slips
+    )  # fmt: skip
+    number, low, high, total = np.zeros(d, np.int64), np.full(d, np.inf), np.full(d, -np.inf), np.zeros(d)
+    compiled.survey(*columns, number, low, high, total)
+    if np.any(np.isnan(total)):
+        raise ValueError("Sticks must have finite starts, ends and positions, but some are NaN.")
+    fine = [_bins_within(*ends, BINS) for ends in zip(low, high, strict=True)]
+    coarse = [_bins_within(*ends, BINS_OF_PAIRS) for ends in zip(low[:_SLIP], high[:_SLIP], strict=True)]
+    shapes = [(one.size,) for one in fine] + [(coarse[x].size, coarse[y].size) for x, y in zip(_X, _Y, strict=True)]
+    counts, begin = _buffer(shapes)
+    mean, scatter, third = total / np.maximum(number, 1), np.zeros((d, d)), np.zeros(d)
+    compiled.count(
+        *columns,
+        mean,
+        _scales(fine),
+        begin[:d] - [one.first for one in fine],
+        np.array([wide.exponent - one.exponent for wide, one in zip(coarse, fine, strict=False)] + [0]),
+        np.array([one.first for one in coarse] + [0]),
+        np.array([_X, _Y, [coarse[y].size for y in _Y], begin[d:-1]]).T,
+        counts,
+        scatter,
+        third,
+    )
+    found = [part.reshape(shape) for part, shape in zip(np.split(counts, begin[1:-1]), shapes, strict=True)]
+    scatter += np.tril(scatter, -1).T
+    of_sticks, of_slips = (
+        PowerSums(np.array(number[at][0]), mean[at], scatter[at, at], third[at], low[at], high[at])
+        for at in (slice(_SLIP), slice(_SLIP, d))
+    )
+    each = [
+        DyadicCounts.with_counts((one,), count, BINS) if some else DyadicCounts.none(1, BINS)
+        for one, count, some in zip(fine, found, number, strict=False)
+    ]
+    after = sticks.slip_after(t1).astype(np.float64)
+    after = after[after > 0]
+    return StickSums(
+        of_sticks,
+        tuple(each[:_SLIP]),
+        of_slips.merge(PowerSums.of(after)),
+        each[_SLIP].merge(DyadicCounts.of(after, BINS)),
+        tuple(
+            DyadicCounts.with_counts((coarse[x], coarse[y]), count, BINS_OF_PAIRS)
+            if number[0]
+            else DyadicCounts.none(2, BINS_OF_PAIRS)
+            for x, y, count in zip(_X, _Y, found[d:], strict=True)
+        ),
+    )
+
+
+def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], orders: int) -> OrderSums:
+    """Sums and histograms of the 1st to the `orders`-th numbered stick.
+
+    `skipped`: how many sticks of each sample come before its first numbered one.
+    """
+    # No more orders than there are sticks, but the first two in any case.
+    most = max(2, min(orders, int(sticks.count.max(initial=0))))
+    columns, number = np.empty((_SLIP, most, len(sticks.count))), np.zeros(most, np.int64)
+    earlier, pair = np.empty(len(sticks.count)), np.empty((2, len(sticks.count)))
+    of_sticks = (sticks.start, sticks.end, sticks.position, sticks.numbers[_OTHERS], sticks.owner, sticks.order)
+    sums.compiled().numbered(*of_sticks, skipped, columns, number, earlier, pair)
+    first_two = pair[0, : number[1]], pair[1, : number[1]]
+    in_bins = DyadicCounts.of_columns(first_two, BINS_OF_PAIRS)
+    return OrderSums(*_by_order(columns, number, orders), PowerSums.of(*first_two), in_bins)
+
+
+def _by_order(
+    columns: Float[np.ndarray, "quantities orders sticks"], found: Int[np.ndarray, " orders"], orders: int
+) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
+    """Sums and histograms of each order, from the values and the number of sticks `found` that `numbered` gives."""
+    d, present = len(columns), found[:orders]
+    if not np.any(present):
+        no_bins = DyadicCounts.none(1, BINS_BY_ORDER, groups=orders)
+        return PowerSums.stacked([PowerSums.none(d)] * orders), (no_bins,) * d
+    number = np.zeros(orders, np.int64)
+    number[: len(present)] = present
+    low, high, total = (np.full((orders, d), value) for value in (np.inf, -np.inf, 0.0))
+    sums.compiled().survey_orders(columns, present, low, high, total)
+    axes = [_bins_within(*ends, BINS_BY_ORDER) for ends in zip(low.min(axis=0), high.max(axis=0), strict=True)]
+    shapes = [(orders, axis.size) for axis in axes]
+    counts, begin = _buffer(shapes)
+    mean, scatter, third = total / np.maximum(number, 1)[:, None], np.zeros((orders, d, d)), np.zeros((orders, d))
+    bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.size for axis in axes])
+    sums.compiled().count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
+    scatter += np.tril(scatter, -1).swapaxes(1, 2)
+    parts = zip(axes, np.split(counts, begin[1:-1]), shapes, strict=True)
+    return PowerSums(number, mean, scatter, third, low, high), tuple(
+        DyadicCounts.with_counts((axis,), one.reshape(shape), BINS_BY_ORDER) for axis, one, shape in parts
+    )
+
+
+def _bins_within(low: float, high: float, bins: int) -> BinnedNumbers:
+    """The bins for numbers from `low` to `high`; any bins if there are none (then ``low > high``)."""
+    ends = (float(low), float(high)) if low <= high else (0.0, 0.0)
+    return BinnedNumbers.within(np.zeros(0), *ends, bins)
+
+
+def _scales(axes: Sequence[BinnedNumbers]) -> Float[np.ndarray, " axes"]:
+    """Bins per unit of each quantity."""
+    return np.array([math.ldexp(1.0, -axis.exponent) for axis in axes])
+
+
+def _buffer(shapes: Sequence[tuple[int, ...]]) -> tuple[Int[np.ndarray, " counts"], Int[np.ndarray, " ends"]]:
+    """One array of zeros for the counts of several histograms, and where each of them begins and the last one ends."""
+    begin = np.cumsum([0, *(math.prod(shape) for shape in shapes)])
+    return np.zeros(begin[-1], np.int64), begin
+
+
+# The accumulator of an ensemble: sums and histograms of its sticks, updated while they stream by.
+#
+# Accumulators of parts of an ensemble are merged exactly: sums of deviations by the formulas of Chan, Golub and LeVeque
+# (1983) and Pebay (2008), histograms by adding. Apart from round-off the result does not depend on how the samples were
+# cut into parts.
+
 
 MOST_ORDERS = 1000  # each has histograms of its own, of 24 kB
 
@@ -34,8 +194,8 @@ class Numbering(NamedTuple):
     @classmethod
     def checked(cls, orders: int, count_initial_rest: bool) -> "Numbering":
         """The numbering with these options of `simulate_ensemble`. Raises ValueError for options out of bounds."""
-        _checks.truth("count_initial_rest", count_initial_rest)
-        return cls(_checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest))
+        checks.truth("count_initial_rest", count_initial_rest)
+        return cls(checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest))
 
     def order_of(self, sticks: FlatSticks) -> Int[np.ndarray, " sticks"]:
         """The number of each stick in its sample, from 1; 0 for one that is not numbered."""

@@ -1,19 +1,162 @@
-"""The distribution of one quantity: moments, quantiles, histogram, entropy, each with its standard error."""
+"""The distribution of one quantity: moments, quantiles, histogram, entropy, each with its standard error; tables of
+them.
+"""
 
 import dataclasses
 import math
+import textwrap
 from collections.abc import Hashable, Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from .. import _checks, _html
-from .._numerics.dyadic import CommonBins, DyadicCounts, joined_bins
-from .._numerics.power_sums import PowerSums
-from .atoms import repeated
-from .clusters import Clusters
-from .estimate import Estimate
+from .._foundation import checks, html
+from .._numerics.sums import CommonBins, DyadicCounts, PowerSums, joined_bins
+from .estimate import Estimate, RatioOfMeans, format_with_error
+
+# Values, and pairs of values, that occur again and again: the atoms of a distribution.
+
+
+# Values that repeat have more than _REPEATS others within round-off, and are either _DENSER times as dense as an
+# interval around them that is _WIDER times as wide (where the density is singular like the inverse of a square root,
+# the ratio is only 7), or _FAR_DENSER times as dense as values spread evenly over the range.
+_REPEATS = 10
+_WIDER, _DENSER = 32, 10
+_FAR_DENSER = 1000
+_SHARE_OF_RANGE = 1e-9
+_LEAST_SHARE = 1e-3  # of all pairs: what is rarer is not told apart as an atom
+
+
+class Atoms(NamedTuple):
+    """Points that have a probability of their own, the most frequent first.
+
+    - `x`, `y`: where they are, (atoms,). `share` of all pairs at each, (atoms,).
+    - `of_pair`: which pairs are at one of them, (pairs,).
+    """
+
+    x: Float[np.ndarray, " atoms"]
+    y: Float[np.ndarray, " atoms"]
+    share: Float[np.ndarray, " atoms"]
+    of_pair: Bool[np.ndarray, " pairs"]
+
+
+def repeated(values: np.ndarray, round_off: float, span: float) -> np.ndarray:
+    """Which of `values` have more than `_REPEATS` others within round-off, (values,); `span`: from least to largest.
+
+    They must also be far denser than their surroundings, because in float32 millions of values are close by chance; or
+    so dense that no smooth density explains it, because motion that becomes periodic leaves atoms side by side.
+    """
+    within, ranked = _within(round_off, span), np.sort(values)
+
+    def number_within(distance: float) -> np.ndarray:
+        below = np.searchsorted(ranked, values - distance, side="left")
+        return np.searchsorted(ranked, values + distance, side="right") - below
+
+    near = number_within(within)
+    around = (number_within(_WIDER * within) - near) / (_WIDER - 1)
+    usual = len(values) * 2 * within / max(span, within)  # if all were spread evenly
+    return (near > _REPEATS) & ((near > _DENSER * around) | (near > _FAR_DENSER * usual))
+
+
+def atoms_of(x: np.ndarray, y: np.ndarray, round_off: tuple[float, float]) -> Atoms:
+    """The atoms of the pairs `x`, `y` (pairs,): points with more than 10 pairs and 0.1 % of them all.
+
+    Both values of such a pair are `repeated`. `round_off`: of x and of y.
+    """
+    spans = [float(np.ptp(values)) if len(values) else 0.0 for values in (x, y)]
+    axes = list(zip((x, y), round_off, spans, strict=True))
+    both = np.flatnonzero(np.logical_and(*(repeated(*axis) for axis in axes)))
+    place = np.stack([_groups(values[both], _within(off, span)) for values, off, span in axes])
+    _, first, pair, counts = np.unique(place, axis=1, return_index=True, return_inverse=True, return_counts=True)
+    atoms = np.flatnonzero(counts > max(_REPEATS, _LEAST_SHARE * len(x)))
+    atoms = atoms[np.argsort(-counts[atoms], kind="stable")]
+    of_pair = np.zeros(len(x), bool)
+    of_pair[both[np.isin(pair.ravel(), atoms)]] = True
+    here = both[first[atoms]]
+    return Atoms(x[here], y[here], counts[atoms] / max(len(x), 1), of_pair)
+
+
+def _within(round_off: float, span: float) -> float:
+    return max(round_off, _SHARE_OF_RANGE * span, float(np.finfo(float).tiny))
+
+
+def _groups(values: np.ndarray, within: float) -> np.ndarray:
+    """The number of the group that each value belongs to: neighbours no farther apart than `within` share one."""
+    order = np.argsort(values, kind="stable")
+    group = np.empty(len(values), int)
+    group[order] = np.cumsum(np.diff(values[order], prepend=values[order[:1]]) > within)
+    return group
+
+
+# Standard errors of statistics of pooled sticks: realisations are independent, the sticks of one are not.
+#
+# A statistic is a function of averages over all sticks; to first order its error is the average of one influence value
+# for each stick. The influence values of one realisation are summed, and the spread of these sums over realisations is
+# the error (the linearised, "sandwich" error of a ratio of totals; Cochran, Sampling Techniques, 1977, chapter 6).
+
+
+class Clusters:
+    """Values of the retained realisations of an ensemble.
+
+    - `values`: (number,). `owner`: the realisation of each value, (number,).
+    - `realizations`: number of retained ones, those without any value included.
+    - `of_all`: number of realisations that the statistic is from. Errors are measured on the retained ones and scaled.
+    """
+
+    def __init__(self, values: np.ndarray, owner: Int[np.ndarray, " number"], realizations: int, of_all: int):
+        self.values = np.asarray(values, np.float64)
+        self.owner, self.realizations, self.of_all = owner, realizations, of_all
+
+    @property
+    def scale(self) -> float:
+        """Factor from the standard deviation of sums over realisations to a standard error.
+
+        NaN for fewer than two realisations with values.
+        """
+        if self.realizations < 2 or len(self.values) < 2 or self.owner.min() == self.owner.max():
+            return math.nan
+        return self.realizations / len(self.values) / math.sqrt(self.of_all)
+
+    def error(self, influence: Float[np.ndarray, " number"]) -> float:
+        """The standard error of a statistic with these influence values."""
+        if math.isnan(self.scale):
+            return math.nan
+        sums = np.bincount(self.owner, weights=influence, minlength=self.realizations)
+        return float(sums.std(ddof=1)) * self.scale
+
+    def of_mean(self, mean: float) -> RatioOfMeans:
+        """What the interval of the `mean` needs, which is the ratio of the sum of all values to their number."""
+        if math.isnan(self.scale):
+            return RatioOfMeans(math.nan, math.nan)
+        each, sums = (np.bincount(self.owner, weights, self.realizations) for weights in (None, self.values - mean))
+        together = np.cov(each, sums) * self.scale**2
+        return RatioOfMeans(float(together[0, 0]), float(together[0, 1]))
+
+    def errors_of_shares(self, bins: Int[np.ndarray, " values"], number: int) -> Float[np.ndarray, " bins"]:
+        """The standard errors of the shares of values in bins 0, 1, ..., `number` - 1.
+
+        `bins`: the bin of each value; below 0 for none.
+        """
+        if math.isnan(self.scale):
+            return np.full(number, math.nan)
+        each = np.bincount(self.owner, minlength=self.realizations).astype(float)
+        inside = bins >= 0
+        cells, counts = np.unique(self.owner[inside] * number + bins[inside], return_counts=True)
+        cell, owner = cells % number, cells // number
+        # Sums over realisations of the count in a bin c, of c^2 and of c times the count in all bins n.
+        total, square, product = (
+            np.bincount(cell, weights=weights, minlength=number)
+            for weights in (counts, counts.astype(float) ** 2, counts * each[owner])
+        )
+        share = total / len(self.values)
+        spread = square - 2 * share * product + share**2 * (each @ each)  # sum of (c - share n)^2, whose mean is 0
+        return np.sqrt(np.maximum(spread, 0) / (self.realizations - 1)) * self.scale
+
+
+# The distribution of one quantity: moments, quantiles, histogram, entropy, each with its standard error.
+
 
 DEFAULT_BINS = 50
 BINS = 8192  # at most, of each quantity: fine enough to read quantiles off
@@ -130,7 +273,7 @@ class Distribution:
         Raises:
             ValueError: Unless ``0 <= share <= 1``.
         """
-        _checks.numeric("share", share)
+        checks.numeric("share", share)
         if not 0 <= share <= 1:
             raise ValueError(f"Argument share must lie between 0 and 1, such as 0.5, but {share} was given.")
         name = "median" if share == 0.5 else f"{share:.6g}-quantile"
@@ -247,7 +390,7 @@ class Distribution:
                     "with common_bins of all distributions that are compared."
                 )
             return bins.edges, self.bins.in_bins(bins)
-        bins = _checks.whole_number("bins", bins, maximum=_MOST_BINS)
+        bins = checks.whole_number("bins", bins, maximum=_MOST_BINS)
         if self.number == 0:
             return np.array([0.0, 1.0]), np.zeros(1, np.int64)
         (edges,), counts = joined(self.bins, bins)
@@ -281,10 +424,10 @@ class Distribution:
     def _repr_html_(self) -> str:
         head, *_ = repr(self).splitlines()
         if self.number == 0:
-            return _html.titled(head)
+            return html.titled(head)
         ends = [("smallest", f"{self.smallest:.6g}"), ("largest", f"{self.largest:.6g}")]
         rows = [(name, text.replace("+-", "±")) for name, text in [*self._told(), *ends]]
-        return _html.titled(head) + _html.table(rows) + _html.small_figure(self)
+        return html.titled(head) + html.table(rows) + html.small_figure(self)
 
     def __repr__(self) -> str:
         if self.number == 0:
@@ -341,15 +484,111 @@ def common_bins(distributions: Sequence[Distribution], bins: int | None = None) 
     entropy of the histogram in 32 bins of stick duration: 3.4213 +- 0.0034 nat
     """
     if bins is not None:
-        bins = _checks.whole_number("bins", bins, maximum=_MOST_BINS)
+        bins = checks.whole_number("bins", bins, maximum=_MOST_BINS)
     found = list(distributions) if isinstance(distributions, (list, tuple)) else []
     if not found or not all(isinstance(one, Distribution) for one in found) or len({one.unit for one in found}) > 1:
         raise ValueError(
             "Argument distributions must be a list of distributions in one unit, such as many.statistics.duration of "
-            f"several ensembles, but {_checks.show(distributions)} was given."
+            f"several ensembles, but {checks.show(distributions)} was given."
         )
     most = default_bins(all(one.is_whole for one in found)) if bins is None else bins
     common = CommonBins.of((one.bins for one in found), most)
     if common is None:
         raise ValueError("Argument distributions must have a value among them, but all of them are empty.")
     return common
+
+
+# Statistics as tables to read, in text and in HTML.
+
+
+Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
+_FIRST = 6  # columns of the first part in text: up to the quantiles
+WIDEST = 100
+"""Characters of a line of text: what the pages of the documentation hold, and most windows."""
+_HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy (nat)", "values")
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Summary:
+    """The statistics of an ensemble in tables: print it, or show it in a notebook.
+
+    `tables`: each a caption, the heads of the columns, and rows of text. `notes`: sentences below the tables.
+    """
+
+    title: str
+    tables: tuple[Table, ...]
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        parts = [self.title]
+        for caption, head, rows in self.tables:
+            lines = _lines(head, rows)
+            parts.append("\n".join([caption, "-" * max(map(len, lines)), *lines]))
+        notes = [wrapped(note) for note in self.notes]
+        return "\n\n".join([*parts, "\n".join(notes)] if notes else parts)
+
+    def _repr_html_(self) -> str:
+        parts = [html.table(rows, head, caption) for caption, head, rows in self.tables]
+        return "".join([html.titled(self.title), *parts, *map(html.escaped, self.notes)])
+
+
+def table_of(caption: str, distributions: Sequence[Distribution]) -> Table:
+    """A table with a row for each of some distributions."""
+    return caption, _HEAD, tuple(map(_row, distributions))
+
+
+def summary_of_distributions(title: str, distributions: Sequence[Distribution]) -> Summary:
+    """One table, a row for each of some distributions."""
+    return Summary(title, (table_of("Mean +- standard error", distributions),), ())
+
+
+def _row(of: Distribution) -> tuple[str, ...]:
+    unit = "" if of.unit == "1" else f" ({of.unit})"
+    others = (of.standard_deviation, of.quantile(0.05), of.median, of.quantile(0.95), of.skewness, of.entropy())
+    return (f"{of.name}{unit}", shown(of.mean), *map(_value, others), f"{of.number:,}")
+
+
+def shown(estimate: Estimate) -> str:
+    """Value and standard error of an estimate, as far as they are known."""
+    if math.isnan(estimate.value):
+        return "-"
+    if math.isnan(estimate.standard_error):
+        return f"{estimate.value:.6g}"
+    return format_with_error(estimate.value, estimate.standard_error)
+
+
+def shown_share(share: Estimate) -> str:
+    """A share of the samples in percent with its standard error; or in a word, where all of them are meant."""
+    if share.value == 1:
+        return "all"
+    percent = dataclasses.replace(share, value=100 * share.value, standard_error=100 * share.standard_error)
+    return f"{shown(percent)} %"
+
+
+def _value(estimate: Estimate) -> str:
+    return "-" if math.isnan(estimate.value) else f"{estimate.value:.4g}"
+
+
+def wrapped(text: str, indent: str = "", after: str = "") -> str:
+    """A sentence in lines of at most `WIDEST` characters, indented; numbers stay beside their names and errors."""
+    for sign in ("+-", "=", "<", "%"):
+        text = text.replace(f" {sign}", f"\u00a0{sign}")
+        text = text if sign == "%" else text.replace(f"{sign} ", f"{sign}\u00a0")
+    lines = textwrap.wrap(text, WIDEST, initial_indent=indent, subsequent_indent=after, break_long_words=False)
+    return "\n".join(lines).replace("\u00a0", " ")
+
+
+def _lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table in text; one that has too many columns for a line in two parts, with the names of its rows again."""
+    columns = range(len(head))
+    widths = [max(len(row[column]) for row in (head, *rows)) for column in columns]
+    groups = [columns] if tuple(head) != _HEAD else [columns[:_FIRST], (0, *columns[_FIRST:])]
+    return [
+        "  ".join(_aligned([row[column] for column in group], [widths[column] for column in group])).rstrip()
+        for group in groups
+        for row in (head, *rows)
+    ]
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int]) -> list[str]:
+    return [row[0].ljust(widths[0]), *(text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True))]

@@ -1,27 +1,24 @@
 """The statistics of the sticks and slips of an ensemble, by quantity and by order."""
 
+import abc
 import dataclasses
-from collections.abc import Hashable, Iterable
+import math
+from collections.abc import Hashable, Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from .. import _checks
-from .._events.slips import slips_after
-from .._events.stick_stream import StickStream
-from .._events.sticks import FlatSticks
-from .._numerics.dyadic import DyadicCounts
-from .._numerics.power_sums import PowerSums
-from .._status import Ending
+from .._events.sticks import FlatSticks, StickStream
+from .._events.tables import FlatSlips, slips_after, slips_among
+from .._foundation import checks
+from .._foundation.types import Ending
+from .._numerics.sums import DyadicCounts, PowerSums
 from .accumulator import Numbering, StickAccumulator
-from .clusters import Clusters
-from .distribution import Distribution
-from .estimate import Estimate
-from .joint import JointDistribution
-from .labeled import dataset_of_statistics
-from .orders import NAMES, ByQuantity, OrderStatistics
+from .distribution import BINS, Clusters, Distribution, Summary, shown, shown_share, summary_of_distributions, table_of
+from .estimate import Estimate, Share, origin_of, require_ensemble
+from .joint import JointDistribution, dataset_of_statistics
 from .quantities import (
     BY_NAME,
     DISTRIBUTIONS,
@@ -33,20 +30,137 @@ from .quantities import (
     SLIP_COUNT,
     SLIP_DURATION,
     SLIP_QUANTITIES,
+    SLIP_START,
     STICK_COUNT,
     STICK_FRACTION,
     STICK_QUANTITIES,
     STREAMED_PAIRS,
     SampledQuantity,
     StickValue,
+    ordinal,
 )
-from .slip_statistics import SlipStatistics
-from .source import origin_of, require_ensemble
-from .summary import Summary, shown, shown_share, table_of
 from .totals import TOTALS
 
 if TYPE_CHECKING:
     import xarray
+
+
+# Statistics of the i-th stick, or of the i-th slip, of each sample.
+
+
+NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)  # in the order of the accumulator's columns
+
+
+class ByQuantity(abc.ABC):
+    """Gives the distribution of each quantity of sticks, or of slips, as an attribute of its name without "slip_"."""
+
+    distributions: Mapping[str, Distribution]
+
+    @property
+    @abc.abstractmethod
+    def _summary(self) -> Summary:
+        """The tables that show it."""
+
+    def __repr__(self) -> str:
+        return repr(self._summary)
+
+    def _repr_html_(self) -> str:
+        return self._summary._repr_html_()
+
+    def __getattr__(self, name: str) -> Distribution:
+        if name in NAMES:
+            for key in (name, f"slip_{name}"):
+                if key in self.distributions:
+                    return self.distributions[key]
+            if SLIP_START.name not in self.distributions:
+                raise ValueError(f"The sticks of this ensemble have no {name}, which was not measured.")
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *(name.removeprefix("slip_") for name in self.distributions)})
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class OrderStatistics(ByQuantity):
+    """Statistics of the `number`-th stick, or slip, over the samples that have it.
+
+    - `share`: the share of samples that have it.
+    - `start`, `duration` (s), and of sticks `position` (m; of a motor rad): each a `Distribution`; `distributions`:
+      these by the names of their quantities, for slips `slip_start` and so on.
+    """
+
+    number: int
+    share: Estimate
+    distributions: Mapping[str, Distribution]
+
+    @classmethod
+    def of(
+        cls, number: int, body: str, having: int, samples: int, distributions: Mapping[str, Distribution],
+        origin: Hashable,
+    ) -> "OrderStatistics":  # fmt: skip
+        """Those of the `number`-th `body`, "stick" or "slip", which so many of the samples have."""
+        share = having / samples if samples else math.nan
+        error = math.sqrt(share * (1 - share) / (samples - 1)) if samples > 1 else math.nan
+        label = f"share of samples that have a {ordinal(number)} {body}"
+        return cls(number, Estimate(label, share, error, "1", samples, origin, Share()), distributions)
+
+    @property
+    def _summary(self) -> Summary:
+        return summary_of_distributions(str(self.share), list(self.distributions.values()))
+
+
+# The statistics of the slips of an ensemble: when they begin and how long they last, of all and by order.
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class SlipStatistics(ByQuantity):
+    """Statistics of the slips of the retained samples, those cut by the horizon with the part before it.
+
+    `start`, `duration`: each the `Distribution` over all slips, s. `order(i)`: of the i-th slip of each sample. The
+    first slip is that before the first stick, or after it where a sample begins with a stick. The duration of the
+    slips of all samples, retained or not, is ``statistics.slip_duration``.
+
+    - `sticks`: those of the retained samples. `t1`: s. `origin`: of the random numbers; see `Estimate`.
+    """
+
+    sticks: FlatSticks
+    t1: float
+    origin: Hashable
+
+    @cached_property
+    def distributions(self) -> dict[str, Distribution]:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
+        """The distribution over all slips of each of the `SLIP_QUANTITIES`, by name."""
+        every = np.ones(len(self._slips.start), bool)
+        return {one.name: self._distribution(one, one.label, every) for one in SLIP_QUANTITIES}
+
+    def order(self, number: int) -> OrderStatistics:
+        """Statistics of the `number`-th slip of each sample that has so many. Raises ValueError below 1."""
+        chosen = self._slips.order == checks.whole_number("number", number)
+        found = {one.name: self._distribution(one, one.label_of_order(number), chosen) for one in SLIP_QUANTITIES}
+        return OrderStatistics.of(number, "slip", int(chosen.sum()), len(self.sticks.count), found, self.origin)
+
+    @cached_property
+    def _slips(self) -> FlatSlips:
+        return slips_among(self.sticks, self.t1)
+
+    def _distribution(self, quantity: SampledQuantity, label: str, chosen: np.ndarray) -> Distribution:
+        """The distribution of a quantity of the `chosen` slips."""
+        column = getattr(self._slips, quantity.name.removeprefix("slip_"))
+        values, samples = np.asarray(column, np.float64)[chosen], len(self.sticks.count)
+        assert quantity.unit is not None
+        return Distribution(
+            label, quantity.unit, samples, PowerSums.of(values), DyadicCounts.of(values, BINS),
+            Clusters(values, self._slips.sample[chosen], samples, samples),
+            4 * float(np.finfo(column.dtype).eps) * self.t1, quantity.is_whole, self.origin,
+        )  # fmt: skip
+
+    @property
+    def _summary(self) -> Summary:
+        title = f"Slips of {len(self.sticks.count):,} samples on [0, {self.t1:g}] s"
+        return summary_of_distributions(title, list(self.distributions.values()))
+
+
+# The statistics of the sticks and slips of an ensemble, by quantity and by order.
 
 
 def statistics_of_ensemble(ensemble: object) -> "EnsembleStatistics":
@@ -198,10 +312,10 @@ class EnsembleStatistics(ByQuantity):
         Raises:
             ValueError: Unless ``1 <= number <= orders``.
         """
-        if _checks.whole_number("number", number) > self.orders:
+        if checks.whole_number("number", number) > self.orders:
             raise ValueError(
-                f"Argument number must be at most {self.orders}, but {_checks.show(number)} was given; "
-                f"call simulate_ensemble(..., orders={_checks.show(number)})."
+                f"Argument number must be at most {self.orders}, but {checks.show(number)} was given; "
+                f"call simulate_ensemble(..., orders={checks.show(number)})."
             )
         number = int(number)
         skipped = self.numbering.skipped(self.sticks)
@@ -363,10 +477,10 @@ def _stick_value(argument: str, value: object) -> tuple[SampledQuantity, int | N
     if not (isinstance(name, str) and name in BY_NAME):
         raise ValueError(
             f"Argument {argument} must be one of {', '.join(map(repr, BY_NAME))}, or such a name with the number of "
-            f"the stick, as in ('duration', 1), but {_checks.show(value)} was given."
+            f"the stick, as in ('duration', 1), but {checks.show(value)} was given."
         )
     if isinstance(value, tuple):
-        number = _checks.whole_number(f"{argument}[1]", number)
+        number = checks.whole_number(f"{argument}[1]", number)
     return BY_NAME[name], number
 
 

@@ -1,16 +1,68 @@
-"""A number estimated from samples, with its error: it can be computed with like a number."""
+"""A number estimated from samples, with its error: it can be computed with like a number; what it is estimated
+from.
+"""
 
 import dataclasses
 import html
 import math
 import operator
+import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, SupportsFloat, TypeGuard
+from typing import Any, NamedTuple, Protocol, SupportsFloat, TypeAlias, TypeGuard, runtime_checkable
 
 import numpy as np
 
-from .. import _checks
-from .units import same_unit, unit_of_product
+from .._events.sticks import FlatSticks
+from .._foundation import checks
+from .._foundation.types import Status
+from .._numerics.sums import Moments
+
+# Units of products and quotients of estimates.
+
+
+_FACTOR = re.compile(r"([^\d\s/^*()-]+)(?:\^?(-?\d+))?")
+
+
+def unit_of_product(one: str, other: str, power: int = 1) -> str:
+    """The unit of a quantity in `one` times a quantity in `other` to the `power` 1 or -1, such as "m/s" times "s": "m".
+
+    Units that are no products of powers, such as "s per stick", stay as they are, in parentheses.
+    """
+    powers = dict(_powers(one))
+    for name, exponent in _powers(other).items():
+        powers[name] = powers.get(name, 0) + power * exponent
+    above = [_shown(name, exponent) for name, exponent in powers.items() if exponent > 0]
+    below = [_shown(name, -exponent) for name, exponent in powers.items() if exponent < 0]
+    if not below:
+        return " ".join(above) or "1"
+    return f"{' '.join(above) or '1'}/{below[0] if len(below) == 1 else '(' + ' '.join(below) + ')'}"
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Whether two units are the same, however their factors are ordered."""
+    return _powers(one) == _powers(other)
+
+
+def _powers(unit: str) -> dict[str, int]:
+    """The exponent of each factor."""
+    powers: dict[str, int] = {}
+    for place, part in enumerate(unit.split("/")):
+        for factor in part.strip().removeprefix("(").removesuffix(")").replace("*", " ").split():
+            found = _FACTOR.fullmatch(factor)
+            if found and factor != "per":
+                exponent = int(found[2] or 1) * (-1 if place else 1)
+                powers[found[1]] = powers.get(found[1], 0) + exponent
+            elif factor != "1":
+                return {f"({unit.strip().removeprefix('(').removesuffix(')')})": 1}
+    return {name: exponent for name, exponent in powers.items() if exponent}
+
+
+def _shown(name: str, exponent: int) -> str:
+    return name if exponent == 1 else f"{name}^{exponent}"
+
+
+# A number estimated from samples, with its error: it can be computed with like a number.
+
 
 DEFAULT_LEVEL = 0.95
 """The level of intervals that are asked for without one, everywhere in the package."""
@@ -235,7 +287,7 @@ def _quantile_of_t(freedom: int, level: float) -> float:
 
 def check_level(level: float) -> None:
     """Raise ValueError unless ``0 < level < 1``."""
-    _checks.numeric("level", level)
+    checks.numeric("level", level)
     if not 0 < level < 1:
         raise ValueError(f"Argument level must lie between 0 and 1, such as 0.95, but {level} was given.")
 
@@ -254,7 +306,7 @@ def _is_number(other: object) -> TypeGuard[SupportsFloat]:
     """Whether an estimate can be computed with `other`: an estimate, or a real number that JAX does not trace."""
     if isinstance(other, Estimate):
         return True
-    if isinstance(other, (bool, str, bytes)) or other is None or _checks.is_traced(other):
+    if isinstance(other, (bool, str, bytes)) or other is None or checks.is_traced(other):
         return False
     array = np.asarray(other)
     return array.ndim == 0 and array.dtype.kind in "iuf"
@@ -272,7 +324,7 @@ def _one_unit(one: SupportsFloat, other: SupportsFloat, what: str) -> str:
     units = [number.unit for number in (one, other) if isinstance(number, Estimate)]
     if not same_unit(units[0], units[-1]):
         raise ValueError(
-            f"Estimates must have one unit to be {what}, but {_checks.show(units[0])} and {_checks.show(units[-1])} "
+            f"Estimates must have one unit to be {what}, but {checks.show(units[0])} and {checks.show(units[-1])} "
             "were given; multiply or divide one by a quantity that has the missing unit."
         )
     return units[0]
@@ -445,3 +497,144 @@ class Computable:
 def _plain(other: Any) -> Any:
     """The estimate of what has one; other things as they are."""
     return other.estimate if isinstance(other, Computable) else other
+
+
+# What the statistics need of an ensemble, and the check that it is one.
+
+
+@runtime_checkable
+class EnsembleLike(Protocol):
+    """The result of `simulate_ensemble`, as far as the statistics of totals use it; see `Ensemble`."""
+
+    @property
+    def t1(self) -> float: ...
+    @property
+    def moments(self) -> Moments: ...
+    @property
+    def status_counts(self) -> dict[Status, int]: ...
+    def finished_sticks(self) -> FlatSticks: ...
+    def require_sticks(self) -> FlatSticks: ...
+
+
+@runtime_checkable
+class WithNumberedSticks(Protocol):
+    """The result of `simulate_ensemble`, as far as the tests of independence use it; see `Ensemble`."""
+
+    def numbered_sticks(self) -> FlatSticks: ...
+
+
+StickSource: TypeAlias = WithNumberedSticks | FlatSticks
+"""An `Ensemble`, or the sticks of many samples themselves."""
+
+
+Statistic: TypeAlias = Callable[[Any], Estimate]
+"""A function of an ensemble's totals, such as `stick_fraction`."""
+
+
+def require_ensemble(ensemble: object) -> Any:
+    """`ensemble` itself, an `Ensemble`. Raises ValueError if it is no result of `simulate_ensemble`."""
+    if not hasattr(ensemble, "status_counts") or not hasattr(ensemble, "moments"):
+        raise ValueError(
+            f"Argument ensemble must be the result of simulate_ensemble, but {checks.show(ensemble)} was given; "
+            "a single simulation has .stick_fraction, .sticks and .slips itself."
+        )
+    return ensemble
+
+
+def origin_of(ensemble: EnsembleLike) -> Hashable:
+    """What the samples of an ensemble have in common with those of others: its key; without one, their own means."""
+    key_data = getattr(ensemble, "key_data", None)
+    if key_data is not None:
+        return tuple(int(word) for word in key_data)
+    moments = ensemble.moments
+    return ("no key", float(ensemble.t1), int(moments.number), *map(float, moments.mean))
+
+
+def by_totals(statistic: Statistic, ensemble: object) -> tuple[np.ndarray, Estimate, Callable[[Moments], Estimate]]:
+    """The totals of the retained samples, and the estimates from all samples and from other moments of their totals.
+
+    Raises ValueError for an ensemble without sticks, and unless `statistic` is a function that returns an `Estimate`.
+    """
+    whole = require_ensemble(ensemble)
+    whole.finished_sticks()  # refuses an ensemble that has none
+    if not callable(statistic) or isinstance(statistic, type):
+        raise ValueError(
+            "Argument statistic must be a function such as stick_fraction or mean_stick_duration, but "
+            f"{checks.show(statistic)} was given."
+        )
+    found: object = statistic(whole)
+    if not isinstance(found, Estimate):
+        raise ValueError(
+            "Argument statistic must be a function that returns an Estimate, such as stick_fraction or "
+            f"mean_stick_duration, but it returned {checks.show(found)}."
+        )
+    return whole.retained.totals, found, lambda moments: statistic(dataclasses.replace(whole, moments=moments))
+
+
+# Confidence intervals by resampling whole samples, for skewed statistics where Student's t is too crude.
+
+
+_AT_ONCE = 2**22  # random weights: 32 MB
+
+
+def bootstrap_interval(
+    statistic: Statistic,
+    ensemble: EnsembleLike,
+    *,
+    level: float = DEFAULT_LEVEL,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """The bootstrap-t confidence interval of a statistic at `level` (Efron and Tibshirani 1993, section 12.5).
+
+    Whole samples are drawn with replacement, never single sticks, because the sticks of one sample are dependent. The
+    deviation of each resample is divided by the resample's own standard error, which accounts for skewness.
+
+    Args:
+        statistic: A function of an ensemble's totals such as `stick_fraction` or `mean_stick_duration`.
+        ensemble: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``. The draws are from its retained samples; the
+            interval is for all its samples.
+        level: The probability that the interval holds the true value.
+        resamples: Their number.
+        seed: Of the draws.
+
+    Returns:
+        The two ends, in the unit of the statistic; NaN, NaN where the statistic or its error is not defined.
+
+    Raises:
+        ValueError: For other arguments.
+    """
+    check_level(level)
+    checks.whole_number("resamples", resamples, minimum=100, maximum=10**7)
+    totals, whole, estimate_from = by_totals(statistic, ensemble)
+    number = len(totals)
+    if number < 2 or not whole.standard_error > 0:
+        return math.nan, math.nan
+    center = estimate_from(Moments.of(totals)).value
+    rng = np.random.default_rng(checks.whole_number("seed", seed, minimum=0))
+    at_once = max(1, _AT_ONCE // number)
+    scores = np.empty(resamples)
+    for first in range(0, resamples, at_once):
+        weights = rng.multinomial(number, np.full(number, 1 / number), size=min(at_once, resamples - first))
+        for index, moments in enumerate(_weighted_moments(totals, weights), first):
+            one = estimate_from(moments)
+            scores[index] = (one.value - center) / one.standard_error if one.standard_error > 0 else math.nan
+    if not np.any(np.isfinite(scores)):  # all samples are the same
+        return math.nan, math.nan
+    low, high = np.nanquantile(scores, ((1 + level) / 2, (1 - level) / 2))
+    return whole.value - float(low) * whole.standard_error, whole.value - float(high) * whole.standard_error
+
+
+def _weighted_moments(totals: np.ndarray, weights: np.ndarray) -> list[Moments]:
+    """`Moments` of resamples of the rows of `totals` (samples, d).
+
+    `weights` (resamples, samples): how often each resample holds each row.
+    """
+    number, center = len(totals), totals.mean(axis=0)
+    rows = totals - center
+    products = (rows[:, :, None] * rows[:, None, :]).reshape(number, -1)
+    means, squares = weights @ rows / number, weights @ products
+    return [
+        Moments(number, center + mean, square.reshape(len(mean), -1) - number * np.outer(mean, mean))
+        for mean, square in zip(means, squares, strict=True)
+    ]

@@ -1,18 +1,353 @@
-"""Tests whether values that follow each other, of one quantity or two, are independent; and identically distributed."""
+"""Tests of independence and of identical distribution, combined into one verdict."""
 
+import dataclasses
+import itertools
 import math
-from collections.abc import Iterable
-from typing import NamedTuple
+import warnings
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
-from .. import _checks
-from .complete_values import plural, sequences_of
-from .identical import identically_distributed
-from .quantities import IN_A_CYCLE, TESTED, TestedQuantity
-from .source import StickSource
-from .verdicts import HypothesisTest, Verdict, check_significance
+from .._foundation import checks
+from .accumulator import MOST_ORDERS
+from .distribution import wrapped
+from .estimate import StickSource
+from .quantities import IN_A_CYCLE, TESTED, TestedQuantity, plural, sequences_of
+
+# The Anderson-Darling test of k samples, with p-values of any size.
+#
+# Scholz and Stephens 1987, Journal of the American Statistical Association 82, 918. Tables of critical values, as in
+# scipy, end at 0.25 and 0.001; here the p-value is computed from the limiting distribution itself.
+
+
+def anderson_darling(groups: list[np.ndarray]) -> tuple[float, float]:
+    """Normalised statistic and p-value for two or more groups of values, arrays (n_i,) of at least 5 each.
+
+    Ties count by midranks. The statistic is standardised by its exact mean and variance for these group sizes, then
+    compared with the limiting distribution, standardised likewise. If all values are equal the result is (0, 1).
+    """
+    pooled, ties = np.unique(np.concatenate(groups), return_counts=True)
+    if len(pooled) < 2:
+        return 0.0, 1.0
+    number, degrees = int(ties.sum()), len(groups) - 1
+    below = np.cumsum(ties) - ties / 2
+    weight = ties / number / (below * (number - below) - number * ties / 4)
+    squares = []
+    for group in groups:
+        values = np.sort(group)
+        mid = (np.searchsorted(values, pooled, "left") + np.searchsorted(values, pooled, "right")) / 2
+        squares.append(float(weight @ (number * mid - len(group) * below) ** 2) / len(group))
+    total = (number - 1) / number * sum(squares)  # A^2_akN of eq. (7)
+    normalized = (total - degrees) / math.sqrt(_variance(np.array([len(group) for group in groups])))
+    # The limit is sum_j X_j / (j (j + 1)), X_j chi-square of k - 1 degrees: mean k - 1, variance below.
+    limit_deviation = math.sqrt(2 * degrees * (math.pi**2 / 3 - 3))
+    return normalized, limit_tail(degrees + normalized * limit_deviation, degrees)
+
+
+def _variance(sizes: np.ndarray) -> float:
+    """Variance of the statistic if all groups have the same continuous distribution, eq. (4)."""
+    k, n = len(sizes), int(sizes.sum())
+    big_h = (1 / sizes).sum()
+    partial = np.cumsum(1 / np.arange(n - 1, 1, -1))
+    h = partial[-1] + 1
+    g = (partial / np.arange(2, n)).sum()
+    a = (4 * g - 6) * (k - 1) + (10 - 6 * g) * big_h
+    b = (2 * g - 4) * k**2 + 8 * h * k + (2 * g - 14 * h - 4) * big_h - 8 * h + 4 * g - 6
+    c = (6 * h + 2 * g - 2) * k**2 + (4 * h - 4 * g + 6) * k + (2 * h - 6) * big_h + 4 * h
+    d = (2 * h + 6) * k**2 - 4 * h * k
+    return (((a * n + b) * n + c) * n + d) / ((n - 1) * (n - 2) * (n - 3))
+
+
+def limit_tail(x: float, degrees: int) -> float:
+    """P(Q > x) for ``Q = sum over j >= 1 of X_j / (j (j + 1))``, X_j independent chi-square variables of `degrees`.
+
+    Q has the moment generating function ``M(s) = (-2 pi s / cos(pi q / 2))^(degrees / 2)``, ``q = sqrt(1 + 8 s)``
+    (Anderson and Darling 1952, Annals of Mathematical Statistics 23, 193), with its singularities on s >= 1. So
+    ``P(Q > x) = 1 / (2 pi i) int M(s) exp(-s x) / s ds`` along the parabola ``s = 1 - (a - i u)^2`` around them, on
+    which the integrand falls off like exp(-x u^2): the trapezoidal rule then gives nearly all digits, in the tail too.
+    """
+    if x <= 0.05 * degrees:  # P(Q <= x) is below 1e-8 there, and the integrand falls off slowly
+        return 1.0
+
+    def slope(c):  # derivative of the logarithm of the integrand on the real axis
+        q = math.sqrt(1 + 8 * c)
+        return degrees / 2 * (1 / c + 2 * math.pi * math.tan(math.pi * q / 2) / q) - x - 1 / c
+
+    # The parabola crosses the axis where the integrand is smallest there, so that little cancels.
+    saddle = np.asarray(optimize.brentq(slope, 1e-6, 1 - 1e-12), float).item()
+    root, step = math.sqrt(1 - saddle), math.sqrt((50 + 2 * degrees) / x) / 400
+    one_step = root - 1j * step * np.arange(401)
+    s = 1 - one_step**2
+    ratio = -2 * math.pi * s / np.cos(math.pi / 2 * np.sqrt(1 + 8 * s))
+    logarithm = degrees / 2 * (np.log(np.abs(ratio)) + 1j * np.unwrap(np.angle(ratio))) - s * x
+    integrand = (np.exp(logarithm) / s * 2j * one_step).imag
+    return float(np.clip((integrand.sum() - integrand[0] / 2) * step / math.pi, 0, 1))
+
+
+# Several hypothesis tests combined into one answer, with a bound on the probability of any false rejection.
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class HypothesisTest:
+    """One test of one hypothesis.
+
+    - `name`: of the test, with the orders or bins it used. `statistic`: its value; the function that made the test says
+      which statistic.
+    - `p_value`: probability of a statistic at least as extreme if the hypothesis holds; NaN if there was no test.
+    - `effect`: size of the deviation from the hypothesis, in the measure `effect_name`; unlike the p-value it does not
+      shrink with the number of samples. `effect_error`: its standard error, NaN where none is given.
+    - `sizes`: number of values, or pairs of values, in each group.
+    - `reason`: why the test could not be made, else empty.
+    - `parts`: the tests that this one combines; its p-value is then the smallest of theirs, adjusted by Holm's method.
+    """
+
+    name: str
+    statistic: float = math.nan
+    p_value: float = math.nan
+    effect: float = math.nan
+    effect_name: str = ""
+    effect_error: float = math.nan
+    sizes: tuple[int, ...] = ()
+    reason: str = ""
+    parts: "tuple[HypothesisTest, ...]" = ()
+
+    @property
+    def made(self) -> bool:
+        """Whether there is a p-value."""
+        return not math.isnan(self.p_value)
+
+    @property
+    def smallest_p_value(self) -> float:
+        """The smallest p-value of its `parts`, not adjusted; its own where it has none."""
+        return min((part.p_value for part in self.parts), default=self.p_value)
+
+    def line(self, adjusted: float | None = None) -> str:
+        """The test on one line; `adjusted` is its p-value adjusted for all tests made with it."""
+        if not self.made:
+            return f"{self.name}: not made, {self.reason}"
+        error = "" if math.isnan(self.effect_error) else f" +- {self.effect_error:.2g}"
+        own = _shown(self.p_value)
+        if self.parts:
+            own = f"smallest {_shown(self.smallest_p_value)}, adjusted for its {len(self.parts)} tests {own}"
+        together = "" if adjusted is None else f", adjusted for all tests {_shown(adjusted)}"
+        return f"{self.name}: {own}{together}; {self.effect_name} {self.effect:.3g}{error}"
+
+    def __repr__(self) -> str:
+        return self.line()
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Verdict:
+    """The answer to one question, by one or several tests.
+
+    - `question`: in words. `significance`: largest probability that any test rejects a true hypothesis.
+    - `tests`: in the order in which the docstring of the function names them.
+    - `samples`: number of samples given. `values`: number of values of the quantity used.
+    - `reason`: why nothing can be decided, else empty.
+    - `remarks`: sentences on which values were used and which were left out.
+    """
+
+    question: str
+    significance: float
+    tests: tuple[HypothesisTest, ...]
+    samples: int
+    values: int
+    reason: str = ""
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def adjusted_p_values(self) -> tuple[float, ...]:
+        """The p-value of each test, adjusted by Holm's method (see `holm`); NaN for tests that could not be made."""
+        return holm([test.p_value for test in self.tests])
+
+    @property
+    def p_value(self) -> float:
+        """The smallest of the adjusted p-values; NaN if no test was made.
+
+        It answers the question as a whole. Near 1 it says no more than that no test found anything: each test's own
+        ``tests[i].p_value`` is what is spread evenly from 0 to 1 where the hypothesis holds.
+        """
+        return min((p for p in self.adjusted_p_values if not math.isnan(p)), default=math.nan)
+
+    @property
+    def rejected(self) -> bool | None:
+        """True: rejected at this significance. False: no evidence against it. None: not decided, for `reason`."""
+        if self.p_value <= self.significance:
+            return True
+        return None if self.reason else False
+
+    def __repr__(self) -> str:
+        level = f"at the {100 * self.significance:g} % level"
+        answers = {
+            True: f"Rejected {level}.",
+            False: f"No evidence against it {level}.",
+            None: f"Not decided: {self.reason}.",
+        }
+        answer = answers[self.rejected]
+        rows = [test.line(p) for test, p in zip(self.tests, self.adjusted_p_values, strict=True)]
+        told = [wrapped(row, "  ", "    ") for row in (*rows, *self.remarks)]
+        return "\n".join([wrapped(f"{self.question} {answer}", "", "    "), *told])
+
+
+def _shown(p_value: float) -> str:
+    return "p < 1e-300" if p_value < 1e-300 else f"p = {p_value:.2g}"
+
+
+def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
+    """P-values adjusted for several tests: rejecting those up to ``a`` is wrong with probability at most ``a``.
+
+    Holm's method (1979, Scandinavian Journal of Statistics 6, 65): the i-th smallest of n p-values is multiplied by
+    n - i + 1, and is at least as large as the adjusted one before it.
+
+    Args:
+        p_values: Numbers in [0, 1]; NaN (no test) stays NaN.
+    """
+    given = np.array(p_values, float)
+    adjusted = np.full(given.shape, np.nan)
+    order = np.argsort(given)[: np.count_nonzero(~np.isnan(given))]  # NaN are sorted to the end
+    factors = np.arange(len(order), 0, -1)
+    adjusted[order] = np.minimum(np.maximum.accumulate(factors * given[order]), 1)
+    return tuple(float(p) for p in adjusted)
+
+
+def check_significance(significance: float) -> None:
+    """Raise ValueError unless `significance` is a number between 0 and 1."""
+    checks.numeric("significance", significance)
+    if not 0 < significance < 1:
+        raise ValueError(f"Argument significance must lie between 0 and 1, but {checks.show(significance)} was given.")
+
+
+# Test whether the values of the first, second, third, ... stick of a motion are identically distributed.
+
+
+FEWEST_VALUES = 5
+"""Smaller groups are left out: their Anderson-Darling statistic is still far from its limiting distribution."""
+
+
+def identically_distributed(
+    source: StickSource,
+    quantity: TestedQuantity = "duration",
+    *,
+    orders: int | Iterable[int] = 5,
+    significance: float = 0.05,
+    starts_before: float | None = None,
+) -> Verdict:
+    """Test whether the values of all orders (first, second and so on in a sample) have the same distribution.
+
+    Sample i gives its value of one order only, the one with index i modulo the number of orders. So all values that are
+    compared come from different samples and are independent, whatever the dependence within a sample. The question is
+    that of Lima and Sampaio (2017, introduction).
+
+    The tests: that of Anderson and Darling on all orders at once (statistic: normalised; effect: the largest difference
+    between the means of two orders, in standard deviations within an order); then that of Kolmogorov and Smirnov on
+    every pair of orders, by Holm's method (effect: the largest distance between two distribution functions; `parts`
+    holds the test of each pair). Orders for which fewer than 5 samples give a value are left out; the answer is None if
+    fewer than two remain. Values that are all equal, as in periodic motion, are identically distributed; differences of
+    a few hundred rounding errors are ignored.
+
+    Args:
+        source: An `Ensemble` with ``keep="statistics"`` (its retained samples) or ``"sticks"``, or its ``flat_sticks``.
+            Which stick of an ensemble is the first is set by its ``count_initial_rest``; of ``flat_sticks`` all are
+            numbered.
+        quantity: "duration" of the sticks (s), "position" of the mass at their start (m), "slip_duration", that of the
+            slip after each stick (s); or the instants "start" and "slip_start" at which a stick, or the slip after it,
+            begins (s). Instants increase with the order, so they are neither identically distributed nor independent;
+            tests on them show by how much.
+        orders: Their number, from the first on, or a sequence of at least two different ones.
+        significance: Largest probability, in (0, 1), of rejecting a true hypothesis.
+        starts_before: Only values that begin before this instant (s) are used; a position begins with the slip before
+            it. By default the end of the simulation minus the longest value, so that none is cut; where the motion
+            comes to rest for good, that leaves no value. With ``math.inf`` all complete values are used; these are too
+            short on average, more so for later orders, and the tests detect it if many are cut.
+
+    Raises:
+        ValueError: For another source, an ensemble that kept only totals, and arguments outside these bounds.
+    """
+    check_significance(significance)
+    wanted = _orders(orders)
+    sequences = sequences_of(source, quantity, starts_before)
+    samples = len(sequences.count)
+    member = np.arange(samples) % len(wanted)
+    order = np.array(wanted)[member]
+    has = sequences.count >= order
+    at = sequences.first + order - 1
+    groups = [sequences.values[at[has & (member == index)]] for index in range(len(wanted))]
+    kept = {order: group for order, group in zip(wanted, groups, strict=True) if len(group) >= FEWEST_VALUES}
+    remarks = [sequences.remark, f"Each of the {samples} samples gives a value of one order; {has.sum()} have one."]
+    if left := [str(order) for order in wanted if order not in kept]:
+        remarks.append(f"Orders left out, with fewer than {FEWEST_VALUES} values: {', '.join(left)}.")
+    if len(kept) >= 2:
+        tests, reason = (_all_at_once(kept), _by_pairs(kept)), ""
+    else:
+        reason = f"fewer than two orders have {FEWEST_VALUES} values"
+        names = ("Anderson-Darling", "Kolmogorov-Smirnov")
+        tests = tuple(HypothesisTest(name, reason=reason) for name in names)
+    question = f"Are the {plural(quantity)} of all orders identically distributed?"
+    return Verdict(question, significance, tests, samples, len(sequences.values), reason, tuple(remarks))
+
+
+def _orders(orders: Any) -> tuple[int, ...]:
+    if not hasattr(orders, "__len__") or checks.dimensions(orders) == 0:
+        return tuple(range(1, checks.whole_number("orders", orders, minimum=2, maximum=MOST_ORDERS) + 1))
+    if isinstance(orders, (bytes, bytearray)):
+        raise checks.refused("orders", "be whole numbers", orders)
+    few = orders[: MOST_ORDERS + 1]
+    chosen = sorted({checks.whole_number(f"orders[{at}]", order) for at, order in enumerate(few)})
+    if not 2 <= len(chosen) == len(orders):
+        raise ValueError(
+            f"Argument orders must hold at least two different whole numbers, but {checks.show(orders)} was given."
+        )
+    return tuple(chosen)
+
+
+def _all_at_once(groups: dict[int, np.ndarray]) -> HypothesisTest:
+    statistic, p_value = anderson_darling(list(groups.values()))
+    sizes = np.array([len(group) for group in groups.values()])
+    means = np.array([group.mean() for group in groups.values()])
+    # Less the first value, so that a group of equal values has the deviation 0 exactly.
+    squares = sum(len(group) * (group - group[0]).var() for group in groups.values())
+    deviation = math.sqrt(squares / (sizes.sum() - len(sizes)))
+    spread = float(np.ptp(means))
+    effect = spread / deviation if deviation > 0 else math.copysign(math.inf, spread) if spread else 0.0
+    return HypothesisTest(
+        f"Anderson-Darling, orders {', '.join(map(str, groups))}",
+        statistic,
+        p_value,
+        effect,
+        "largest difference of means (in standard deviations)",
+        sizes=tuple(int(size) for size in sizes),
+    )
+
+
+def _by_pairs(groups: dict[int, np.ndarray]) -> HypothesisTest:
+    pairs = tuple(_pair(a, b, groups[a], groups[b]) for a, b in itertools.combinations(groups, 2))
+    farthest = max(pairs, key=lambda pair: pair.effect)
+    return HypothesisTest(
+        f"Kolmogorov-Smirnov, {len(pairs)} pairs of orders",
+        farthest.statistic,
+        min(holm([pair.p_value for pair in pairs])),
+        farthest.effect,
+        "largest distance",
+        sizes=tuple(len(group) for group in groups.values()),
+        parts=pairs,
+    )
+
+
+def _pair(a: int, b: int, first: np.ndarray, second: np.ndarray) -> HypothesisTest:
+    # The cost of the exact distribution is the product of the sizes; the limiting one is close beyond a hundred each.
+    method = "exact" if len(first) * len(second) <= 10_000 else "asymp"
+    with warnings.catch_warnings():
+        # Where round-off takes an exact p-value above 1, scipy warns and takes the limiting one, also about 1.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        distance, p_value = np.asarray(stats.ks_2samp(first, second, method=method), float).tolist()
+    name, sizes = f"Kolmogorov-Smirnov, orders {a} and {b}", (len(first), len(second))
+    return HypothesisTest(name, distance, p_value, distance, "distance", sizes=sizes)
+
+
+# Tests whether values that follow each other, of one quantity or two, are independent; and identically distributed.
+
 
 FEWEST_PAIRS = 10
 """The least number of pairs, or of samples that have pairs, for a test of independence."""
@@ -67,8 +402,8 @@ def independent(
         ValueError: As `identically_distributed`.
     """
     check_significance(significance)
-    lag, first = _checks.whole_number("lag", lag, maximum=_MOST), _checks.whole_number("first", first, maximum=_MOST)
-    bins = _checks.whole_number("bins", bins, minimum=2, maximum=1000)
+    lag, first = checks.whole_number("lag", lag, maximum=_MOST), checks.whole_number("first", first, maximum=_MOST)
+    bins = checks.whole_number("bins", bins, minimum=2, maximum=1000)
     earlier, later = quantity if isinstance(quantity, tuple) and len(quantity) == 2 else (quantity, quantity)
     pairs, remarks, values = _pairs(source, (earlier, later), lag, first, starts_before)
     at = np.flatnonzero(pairs.order == first)

@@ -1,10 +1,20 @@
-"""The quantities whose distributions are estimated: numbers of each stick, of each slip or of each sample.
-
-Each is defined here, once, and every other module reads it from here.
-"""
+"""The quantities whose distributions are estimated, and their values sample by sample."""
 
 import dataclasses
-from typing import Literal, TypeAlias
+import math
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .._events.sticks import FlatSticks
+from .._foundation import checks
+from .._foundation.types import Ending
+from .estimate import EnsembleLike, StickSource, WithNumberedSticks, require_ensemble
+
+# The quantities whose distributions are estimated: numbers of each stick, of each slip or of each sample.
+#
+# Each is defined here, once, and every other module reads it from here.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +73,7 @@ OWN_MEAN_DURATION = SampledQuantity("own_mean_duration", "mean stick duration of
 STICK_QUANTITIES = (START, DURATION, POSITION)
 """Quantities of each stick that are summed over all sticks, and by order, while the sticks stream by.
 
-A new one goes to the end, and has the name of one of the `QUANTITIES` of a stick (`_events/stick_quantities.py`).
+A new one goes to the end, and has the name of one of the `QUANTITIES` of a stick (`_events/sticks.py`).
 """
 
 StickQuantity: TypeAlias = Literal["start", "duration", "position", "slip_before", "slip_start", "slip_duration"]
@@ -101,3 +111,210 @@ STREAMED_PAIRS: tuple[tuple[StickQuantity, StickQuantity], ...] = (("duration", 
 
 FIRST_TWO: tuple[StickValue, StickValue] = (("duration", 1), ("duration", 2))
 """The pair of two sticks of a sample whose joint histogram is summed over all samples."""
+
+
+# Values of a quantity in order of time within each sample, without the bias from the end of the simulation.
+#
+# The simulation ends at t1 and cuts the stick or slip that is under way. One that begins shortly before t1 is complete
+# only if it is short. So the complete ones alone are too short on average, more so the later they come in order, and a
+# long one leaves less time for the next. Tests would take both for a drift of the distribution, or for dependence. All
+# sticks, or slips, that begin before ``t1 - (the longest)`` are complete, and whether one begins before a given instant
+# depends on what happened earlier, not on its own duration.
+
+
+class Sequences(NamedTuple):
+    """The values of one quantity, sample after sample, those of a sample in order of time.
+
+    - `values`: (values,). `first`, `count`: index of each sample's first value, and its number of values, (samples,).
+    - `remark`: a sentence that says how many values were used and left out.
+    """
+
+    values: Float[np.ndarray, " values"]
+    first: Int[np.ndarray, " samples"]
+    count: Int[np.ndarray, " samples"]  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
+    remark: str
+
+    @property
+    def order(self) -> np.ndarray:
+        """The order of each value within its sample, from 1; (values,)."""
+        return np.arange(len(self.values)) - np.repeat(self.first, self.count) + 1
+
+
+class _Intervals(NamedTuple):
+    """The stick or slip from which each stick's value is known, arrays (all sticks,).
+
+    - `begin`: when that stick or slip begins, s.
+    - `length`: durations of all such sticks or slips, up to the end of the simulation, s, in any order.
+    - `exists`: whether there is such a value. `complete`: whether the simulation did not cut it. `values`: the value.
+    """
+
+    begin: Float[np.ndarray, " sticks"]
+    length: Float[np.ndarray, " intervals"]
+    exists: Bool[np.ndarray, " sticks"]
+    complete: Bool[np.ndarray, " sticks"]
+    values: Float[np.ndarray, " sticks"]
+
+
+def sequences_of(source: StickSource, quantity: str, starts_before: float | None) -> Sequences:
+    """The values of `quantity` that begin before `starts_before` (s; None: ``t1 - longest``, as explained above).
+
+    Arguments, and errors raised, as in `identically_distributed`.
+    """
+    if not (isinstance(quantity, str) and quantity in TESTED):
+        raise ValueError(
+            f"Argument quantity must be one of {', '.join(map(repr, TESTED))}, but {checks.show(quantity)} was given."
+        )
+    if not (isinstance(starts_before, float) and starts_before == math.inf) and starts_before is not None:
+        checks.numeric("starts_before", starts_before)
+    given = _sticks_of(source)
+    sticks = given._replace(count=given.count.astype(np.int64), numbers=given.numbers.astype(np.float64))
+    interval = _INTERVALS[quantity](sticks) if quantity in _INTERVALS else _at_start(sticks, quantity)
+    longest, horizon = np.max(interval.length, initial=0.0), _horizon(sticks)
+    before = horizon - longest if starts_before is None else float(starts_before)
+    used = interval.complete & (interval.begin < before)
+    values = interval.values[used]
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"Argument source must have finite {plural(quantity)}, but some are NaN or infinite.")
+    scale = horizon if quantity in _INTERVALS else np.max(np.abs(values), initial=0.0)
+    values = _rounded(values, scale * float(np.finfo(given.numbers.dtype).eps))
+    count = np.bincount(sticks.sample[used], minlength=len(sticks.count))
+    remark = f"Used {len(values)} {plural(quantity)}"
+    if left := int(interval.exists.sum()) - len(values):
+        late = "" if before == math.inf else f"begin at {max(before, 0):.4g} s or later, or "
+        remark += f"; left out {left}, which {late}are cut by the end of the simulation"
+    return Sequences(values, np.cumsum(count) - count, count, remark + ".")
+
+
+def plural(quantity: str) -> str:
+    """A tested quantity in sentences: "stick durations"."""
+    label = TESTED[quantity].label
+    return f"values of the {label}" if label.endswith("the stick") else f"{label}s"
+
+
+def _sticks_of(source: StickSource) -> FlatSticks:
+    """The numbered sticks of an ensemble's finished samples, or `source` itself if it is `FlatSticks`."""
+    sticks = source.numbered_sticks() if isinstance(source, WithNumberedSticks) else source
+    if not isinstance(sticks, FlatSticks):
+        raise ValueError(
+            "Argument source must be the result of simulate_ensemble or its flat_sticks, "
+            f"but {type(source).__name__} was given."
+        )
+    shapes = [np.shape(column) for column in (*sticks.numbers, sticks.ending)]
+    if any(shape != (sticks.count.sum(),) for shape in shapes):
+        raise ValueError(
+            f"Argument source must have as many sticks as its counts add up to, {sticks.count.sum()}, "
+            f"but arrays of shapes {', '.join(map(str, shapes))} were given."
+        )
+    if not (np.all(np.isfinite(sticks.start)) and np.all(np.isfinite(sticks.end))):
+        raise ValueError("Argument source must have finite starts and ends, but some are NaN or infinite.")
+    return sticks
+
+
+def _horizon(sticks: FlatSticks) -> float:
+    """The end of the last stick of all, s."""
+    return float(np.max(sticks.end, initial=0.0))
+
+
+def _rounded(values: np.ndarray, error: float) -> np.ndarray:
+    """The values rounded to multiples of a power of two that is at least 256 times the rounding `error`.
+
+    In periodic motion all sticks are equally long up to round-off, in which tests by rank would find a pattern.
+    """
+    if error == 0:
+        return values
+    grid = math.ldexp(1.0, math.frexp(256 * error)[1])
+    return grid * np.round(values / grid)
+
+
+def _durations(sticks: FlatSticks) -> _Intervals:
+    """The duration of each stick, known from that stick."""
+    length = sticks.duration
+    everything = np.ones(len(length), bool)
+    return _Intervals(sticks.start, length, everything, sticks.ending != Ending.HORIZON, length)
+
+
+def _slips(sticks: FlatSticks) -> _Intervals:
+    """The duration of the slip after each stick, known from that slip.
+
+    The slip after the last stick of a sample is cut; there is none if that stick itself was cut.
+    """
+    is_last = np.zeros(len(sticks.start), bool)
+    is_last[(sticks.first + sticks.count - 1)[sticks.count > 0]] = True
+    stop = np.where(is_last, _horizon(sticks), np.append(sticks.start[1:], 0.0))
+    exists = ~(is_last & (sticks.ending == Ending.HORIZON))
+    length = np.where(exists, stop - sticks.end, 0.0)
+    return _Intervals(sticks.end, length, exists, ~is_last, length)
+
+
+def _slip_starts(sticks: FlatSticks) -> _Intervals:
+    """The instant at which the slip after each stick begins, known from that stick."""
+    known = _durations(sticks)
+    return known._replace(exists=known.complete, values=sticks.end)
+
+
+def _at_start(sticks: FlatSticks, quantity: str) -> _Intervals:
+    """A quantity such as the position, known when the stick starts: from the slip before, which may be cut."""
+    is_first = np.zeros(len(sticks.start), bool)
+    is_first[sticks.first[sticks.count > 0]] = True
+    begin = np.where(is_first, 0.0, np.append(0.0, sticks.end[:-1]))
+    everything = np.ones(len(begin), bool)
+    return _Intervals(begin, _slips(sticks).length, everything, everything, getattr(sticks, quantity))
+
+
+_INTERVALS = {DURATION.name: _durations, SLIP_START.name: _slip_starts, SLIP_DURATION.name: _slips}
+"""Quantities that are times; all others are known when the stick starts."""
+
+
+# The first stick of every sample.
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FirstSticks:
+    """The first stick of every sample; arrays (samples,), NaN (ending: -1) where `mask` is False: no stick.
+
+    - `start`, `duration`: s. `position`: of the mass, m; of a motor its angle, rad.
+    - `ending`: an `Ending` code. HORIZON marks a duration cut short by the end of the simulation.
+    - `mask`: whether the sample has a stick.
+    """
+
+    start: Float[np.ndarray, " samples"]
+    duration: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, " samples"]
+    ending: Int[np.ndarray, " samples"]
+    mask: Bool[np.ndarray, " samples"]
+
+    @property
+    def count(self) -> int:
+        """Number of samples that have a first stick."""
+        return int(self.mask.sum())
+
+    def __repr__(self) -> str:
+        return f"FirstSticks({self.count} in {len(self.mask)} samples)"
+
+
+def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> FirstSticks:
+    """The first stick of every sample.
+
+    Args:
+        ensemble: An `Ensemble` with ``keep="sticks"``.
+        count_initial_rest: Whether a stick that begins at t = 0, because the mass starts at rest, counts as the first.
+            By default it does not, and the next one is the first. Lima and Sampaio (2022) count it, since they call any
+            interval without motion a stick.
+
+    Raises:
+        ValueError: For an ensemble that kept no sticks, and if `count_initial_rest` is not True or False.
+    """
+    checks.truth("count_initial_rest", count_initial_rest)
+    sticks = require_ensemble(ensemble).require_sticks()
+    if not count_initial_rest:
+        sticks = sticks.without_initial_rest()
+    mask = sticks.count > 0
+    at = sticks.first[mask]
+
+    def fill(values, padding):
+        filled = np.full(len(mask), padding, values.dtype)
+        filled[mask] = values[at]
+        return filled
+
+    start, duration, position = (fill(values, np.nan) for values in (sticks.start, sticks.duration, sticks.position))
+    return FirstSticks(start, duration, position, fill(sticks.ending, -1), mask)

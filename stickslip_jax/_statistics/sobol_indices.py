@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from .. import _checks
-from .._conventions import Entries, labeled_dataset, variable
+from .._foundation import checks
+from .._foundation.extras import Entries, labeled_dataset, variable
 from .._uncertainty.design import Design
 from .estimate import DEFAULT_LEVEL, check_level
 
@@ -138,11 +138,11 @@ def sobol_indices(
     if not isinstance(design, Design) or not design.factors:
         raise ValueError(
             "Argument design must be made by stickslip_jax.design.saltelli, but "
-            f"{_checks.show(design)} was given."
+            f"{checks.show(design)} was given."
         )  # fmt: skip
     check_level(level)
-    _checks.whole_number("resamples", resamples, minimum=100)
-    seed = _checks.whole_number("seed", seed, minimum=0)
+    checks.whole_number("resamples", resamples, minimum=100)
+    seed = checks.whole_number("seed", seed, minimum=0)
     names, table = _output_table(outputs, design)
     count, (factors, rows) = table.shape[1], (len(design.factors), design.base_samples)
     assert rows is not None
@@ -235,7 +235,7 @@ def _symmetric(pairs: np.ndarray, factors: int) -> np.ndarray:
 
 def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None, np.ndarray]:
     """Names of the outputs, None for one without a name, and their numbers (samples, outputs)."""
-    _checks.tree("outputs", outputs)
+    checks.tree("outputs", outputs)
     names, given = None, outputs
     if isinstance(outputs, Mapping) or (hasattr(outputs, "items") and hasattr(outputs, "columns")):
         pairs = list(outputs.items())
@@ -244,13 +244,13 @@ def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None,
         given = np.stack([np.asarray(one) for _, one in pairs], axis=1) if [len(one) for one in shapes] == [1] else None
     try:
         is_yes_or_no = isinstance(given, (np.ndarray, jax.Array)) and given.dtype == bool
-        array = np.asarray(given) if is_yes_or_no else _checks.numbers("outputs", given)
+        array = np.asarray(given) if is_yes_or_no else checks.numbers("outputs", given)
     except ValueError:
         array: np.ndarray = np.empty(0)
     if array.ndim not in (1, 2) or len(array) != len(design) or not array.size or array.dtype.kind not in "biuf":
         raise ValueError(
             f"Argument outputs must hold a number for each of the {len(design)} samples of the design, (samples,) or "
-            f"(samples, outputs), but {_checks.show(outputs)} was given."
+            f"(samples, outputs), but {checks.show(outputs)} was given."
         )
     table = (array[:, None] if array.ndim == 1 else array).astype(np.float64)
     wrong = ~np.isfinite(table)

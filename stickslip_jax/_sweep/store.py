@@ -1,4 +1,4 @@
-"""The folder of a sweep: its manifest, the batches that are done, the data set, and a log."""
+"""The folder of a sweep: its manifest, the batches that are done, the data set, a log, and a lock."""
 
 import contextlib
 import dataclasses
@@ -12,7 +12,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from .._files import (
+from .._foundation.files import (
+    FULL,
     NotAFileError,
     append_regular,
     finished_name,
@@ -21,23 +22,81 @@ from .._files import (
     sync_folder,
     write_whole,
 )
-from .errors import DamagedBatchError, SweepError
-from .header import ID_LENGTH, LONGEST_HEADER, ForeignBatchError, id_and_name, with_header, without_header
-from .locking import cannot_write, is_locked, locked
 from .manifest import (
     COPY,
+    ID_LENGTH,
+    LONGEST_HEADER,
     MANIFEST,
+    ForeignBatchError,
     Manifest,
     body_in,
     body_of,
     differences,
     extended,
     has_manifest,
+    id_and_name,
     manifest_text,
+    plan_in,
     sweep_id_of,
+    with_header,
+    without_header,
 )
-from .plan import Plan, Task
-from .stored_plan import plan_in
+from .plan import DamagedBatchError, Plan, SweepError, Task
+
+# Locks that let one program at a time write to the folder of a sweep.
+
+
+_LOCK_SECONDS = 0.3  # to wait for a lock: `is_locked` holds it for a moment
+
+
+@contextlib.contextmanager
+def locked(path: Path, said: str) -> Iterator[None]:
+    """Hold the lock `path`, which the system takes back when this program ends, however it ends.
+
+    Raises SweepError with `said` if another program holds it.
+    """
+    from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra: `require_packages`
+
+    lock = FileLock(path, timeout=_LOCK_SECONDS)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise SweepError(said) from None
+    except OSError as error:
+        raise cannot_write(path.parent, error) from error
+    except NotImplementedError:  # two runs could not notice each other
+        raise SweepError(f"{path.parent} is on a disk whose files cannot be locked; choose another folder.") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a program holds the lock `path`; False where that cannot be found out."""
+    if not path.exists():
+        return False
+    from filelock import FileLock, Timeout  # noqa: PLC0415
+
+    try:
+        with FileLock(path, timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:
+        return False
+
+
+def cannot_write(folder: Path, error: OSError) -> SweepError:
+    """The error about a folder that cannot be written."""
+    todo = "choose another folder, or make it writable"
+    if error.errno in FULL:
+        todo = "make room, and run again: what is done is kept"
+    return SweepError(f"{folder} cannot be written ({error.strerror or error}); {todo}.")
+
+
+# The folder of a sweep: its manifest, the batches that are done, the data set, and a log.
+
 
 BATCHES, DATA, LOG, LOCK = "batches", "sweep.nc", "log.txt", ".lock"
 _LONGEST_NAME = 100  # of a derivative in the name of a file

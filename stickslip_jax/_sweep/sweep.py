@@ -7,27 +7,24 @@ from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from .. import _checks
-from .._dynamics.common.method import EXACT, Exact, Regularized
-from .._dynamics.common.validation import check_method
+from .._dynamics.common.method import EXACT, Exact, Regularized, check_method
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
-from .._forks import require_threads_of_jax
-from .._simulation.outputs import Outputs
+from .._foundation import checks
+from .._foundation.processes import require_threads_of_jax
+from .._foundation.types import InitialState
+from .._simulation.call import Outputs
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import SampledQuantity
 from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
-from .._types import Array, InitialState
 from .._uncertainty.design import Design
 from . import plan as plans
-from .errors import SweepError
-from .plan import Plan
-from .points import points_of
-from .setting import setting_of
+from .plan import Plan, SweepError, points_of, setting_of
 
 if TYPE_CHECKING:
     import distributed
@@ -157,7 +154,7 @@ class Sweep:
         from .store import Store  # noqa: PLC0415
 
         sweep = object.__new__(cls)
-        sweep._folder = _checks.path("folder", folder)
+        sweep._folder = checks.path("folder", folder)
         sweep._plan = Store.reading(sweep._folder).plan(every_point=True)
         return sweep
 
@@ -214,7 +211,7 @@ class Sweep:
         from .run import ExecutorChoice, run_sweep  # noqa: PLC0415 - needs an extra
 
         require_threads_of_jax()
-        path = None if folder is None else _checks.path("folder", folder)
+        path = None if folder is None else checks.path("folder", folder)
         return run_sweep(self._plan, path, ExecutorChoice(threads, workers, executor, shared_folder), progress)
 
     @property
@@ -257,11 +254,11 @@ class Sweep:
         )  # fmt: skip
 
     def _number_of(self, values: Mapping[str, float]) -> int:
-        points, given = self._plan.points, _checks.show(dict(values))
+        points, given = self._plan.points, checks.show(dict(values))
         if set(values) != set(points.parameters):
             raise ValueError(f"Arguments must be the values of {', '.join(points.parameters)}, but {given} was given.")
         for name, value in values.items():
-            _checks.numeric(name, value)
+            checks.numeric(name, value)
         number = points.number_of(values)
         if number is None:
             raise ValueError(f"Arguments must be the values at a point of the sweep, but {given} is none.")

@@ -1,17 +1,21 @@
-"""Structures that everyone draws: blocks in a row, storeys over a sliding bearing."""
+"""Structures that everyone draws: blocks in a row, storeys over a sliding bearing, drivetrains."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from .. import _checks
-from .._types import Number
-from .contact import Contact
-from .friction import FrictionLaw
-from .normal_force import NormalForce
-from .structure import BLOCKS, STOREYS, LinearStructure
-from .structure_checks import numbers_in
+from .._excitation.motion import Signal
+from .._excitation.recorded import Recorded
+from .._foundation import checks
+from .._foundation.fields import Checked, Quantity
+from .._foundation.types import AnyArray, Number
+from .contacts import Contact, NormalForce, NormalForceQuantity, entries_of
+from .friction import Coulomb, FrictionLaw
+from .structure import BLOCKS, STOREYS, LinearStructure, check_forces, numbers_in
+
+# Structures that everyone draws: blocks in a row, storeys over a sliding bearing.
+
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
 
@@ -51,13 +55,13 @@ def block_row(
      [-1.   2.1 -1. ]
      [ 0.  -1.   1.1]]
     """
-    number = _checks.whole_number("blocks", blocks, maximum=64)
-    _checks.positive("mass", mass, "kg")
+    number = checks.whole_number("blocks", blocks, maximum=64)
+    checks.positive("mass", mass, "kg")
     for name, value in (("between", between), ("to_ground", to_ground), ("damping", damping)):
-        _checks.non_negative(name, value)
+        checks.non_negative(name, value)
     stiffness = to_ground * np.eye(number) + between * row_of_springs(np.ones(number - 1))
     contacts = tuple(Contact.of_mass(i, number, normal_force, friction) for i in range(number))
-    is_damped = _checks.is_traced(damping) or damping != 0
+    is_damped = checks.is_traced(damping) or damping != 0
     ones = np.ones(number)
     # Each block has a contact of its own: known to be uncoupled, even if the mass is traced.
     return LinearStructure(
@@ -92,19 +96,19 @@ def storeys_on_bearing(
     """
     masses = np.asarray(numbers_in("mass", mass))
     if masses.ndim != 1 or len(masses) < 2 or not np.all(masses > 0):
-        raise _checks.refused("mass", "hold two positive numbers or more, the base mat's and the storeys'", mass)
+        raise checks.refused("mass", "hold two positive numbers or more, the base mat's and the storeys'", mass)
     springs = _of_storeys("stiffness", stiffness, len(masses))
     if not np.all(springs > 0):
-        raise _checks.refused("stiffness", "hold positive numbers", stiffness)
-    _checks.non_negative("bearing_stiffness", bearing_stiffness, "N/m")
-    _checks.positive("gravity", gravity, "m/s^2")
+        raise checks.refused("stiffness", "hold positive numbers", stiffness)
+    checks.non_negative("bearing_stiffness", bearing_stiffness, "N/m")
+    checks.positive("gravity", gravity, "m/s^2")
     matrix = row_of_springs(springs)
     matrix[0, 0] += float(bearing_stiffness)
     dampers = None
     if damping is not None:
         values = _of_storeys("damping", damping, len(masses))
         if not np.all(values >= 0):
-            raise _checks.refused("damping", "hold numbers of zero or more", damping)
+            raise checks.refused("damping", "hold numbers of zero or more", damping)
         dampers = row_of_springs(values)
     weight = float(gravity) * float(np.sum(masses))
     return LinearStructure(
@@ -126,5 +130,203 @@ def differences_in_row(size: int) -> np.ndarray:
 def _of_storeys(name: str, values: Any, masses: int) -> np.ndarray:
     array = np.asarray(numbers_in(name, values))
     if array.shape != (masses - 1,) or not np.all(np.isfinite(array)):
-        raise _checks.refused(name, f"hold {masses - 1} finite numbers, one for each storey", values)
+        raise checks.refused(name, f"hold {masses - 1} finite numbers, one for each storey", values)
     return array
+
+
+# Inertias in a row: drivetrains with clutches and brakes, drill strings.
+
+
+_OPENS = "what opens has a function of time, such as a ForceSteps"
+
+
+class FrictionDisk(Checked):
+    """Two surfaces of a clutch or a brake that are pressed together, at a radius.
+
+    They slide at ``radius`` times the difference of the angular velocities (m/s), which the friction law is asked with,
+    and exert the torque ``radius * normal_force * coefficient``.
+
+    Args:
+        normal_force: N, positive; or a function of time, as in `Contact`: the clutch is open where that is zero or
+            negative. Of several faces, the sum.
+        friction: The friction law, such as `Coulomb(mu)`.
+        radius: Effective radius, m, positive.
+
+    Raises:
+        ValueError: If a number is out of its range or not finite, or `friction` is no friction law.
+    """
+
+    normal_force: Annotated[NormalForce, NormalForceQuantity("N", above=0, hint=_OPENS)]
+    friction: FrictionLaw
+    radius: Annotated[Number, Quantity("m", above=0)] = 1.0
+
+    def check_parts(self) -> None:
+        checks.numeric("radius", self.radius)
+        if not isinstance(self.friction, FrictionLaw):
+            raise checks.refused("friction", "be a friction law such as Coulomb(mu=0.3)", self.friction)
+
+    def contact(self, turns: np.ndarray) -> Contact:
+        """The contact whose relative angular velocity is ``turns . angular velocities``."""
+        return Contact(self.radius * turns, self.normal_force, self.friction, on_base=0.0)
+
+
+def drivetrain(
+    inertia: Sequence[Number] | AnyArray,
+    *,
+    stiffness: Sequence[Number] | AnyArray | None = None,
+    damping: Sequence[Number] | AnyArray | None = None,
+    drag: Sequence[Number] | AnyArray | None = None,
+    clutches: Sequence[FrictionDisk | None] | None = None,
+    brakes: Sequence[FrictionDisk | None] | None = None,
+    torque: Sequence[Signal | Recorded | Number | None] | None = None,
+) -> LinearStructure:
+    """Inertias in a row, joined by shafts or clutches or both, and slowed down by brakes.
+
+    The state is the angles, then the angular velocities. The contacts are the clutches from first to last, then the
+    brakes. A clutch slides forward where the second of its inertias is the faster one; the position of its sticks is
+    the distance slid. The housing does not move, and neither does a base: simulate it with ``Constant(0.0)``.
+
+    Args:
+        inertia: kg m^2, (inertias,), positive, at least 2.
+        stiffness: Of the shaft from each to the next, N m/rad, (inertias - 1,), zero where there is none; None for no
+            shafts at all.
+        damping: Of these shafts, N m s/rad, likewise.
+        drag: Viscous damping between each inertia and the housing, N m s/rad, (inertias,), zero or positive.
+        clutches: Between each and the next, (inertias - 1,), None where there is none.
+        brakes: Between each and the housing, (inertias,), None where there is none.
+        torque: On each, N m, (inertias,): None, a number, a `Signal` or a `Recorded`.
+
+    Raises:
+        ValueError: For a number out of its range, sequences of lengths that do not fit, or no clutch and no brake.
+
+    >>> train = ss.drivetrain(
+    ...     [0.2, 0.5, 1.0],
+    ...     stiffness=[0.0, 400.0],
+    ...     clutches=(ss.FrictionDisk(900.0, ss.Coulomb(0.3), radius=0.1), None),
+    ...     brakes=(None, None, ss.FrictionDisk(50.0, ss.Coulomb(0.4), radius=0.2)),
+    ... )
+    >>> print([contact.direction.tolist() for contact in train.contacts])
+    [[-0.1, 0.1, 0.0], [0.0, 0.0, 0.2]]
+    """
+    row = _inertias(inertia)
+    size = row.shape[0]
+    disks = [
+        *_disks("clutches", clutches, differences_in_row(size), "one between each inertia and the next"),
+        *_disks("brakes", brakes, np.eye(size), "one for each inertia"),
+    ]
+    if not disks:
+        raise ValueError("Argument clutches must hold a FrictionDisk, or brakes one, but none was given.")
+    contacts = tuple(disk.contact(turns) for disk, turns in disks)
+    return _row(row, stiffness, damping, drag, contacts, torque)
+
+
+def drill_string(
+    inertia: Sequence[Number] | AnyArray,
+    stiffness: Sequence[Number] | AnyArray,
+    *,
+    weight_on_bit: NormalForce,
+    bit_radius: Number,
+    friction: FrictionLaw,
+    damping: Sequence[Number] | AnyArray | None = None,
+    drag: Sequence[Number] | AnyArray | None = None,
+    torque: Signal | Recorded | Number | None = None,
+    drive_torque: Number | None = None,
+) -> LinearStructure:
+    """A drill string: inertias in a row from the rotary table down to the bit, which rubs on the rock.
+
+    With two inertias, the table and the bit, it is the model of Navarro-Lopez and Suarez ("Practical approach to
+    modelling and controlling stick-slip oscillations in oilwell drillstrings", IEEE CCA 2004); with four, table, pipes,
+    collars and bit, that of Navarro-Lopez and Cortes ("Avoiding harmful oscillations in a drillstring through dynamical
+    analysis", J. Sound and Vibration 307, 2007). The torque on the bit is ``weight_on_bit * bit_radius`` times the
+    friction coefficient. Their coefficient ``mu + (mu_static - mu) exp(-gamma |angular velocity|)`` is a
+    ``Stribeck(mu, mu_static, bit_radius / gamma)``: friction laws ask for the speed of the bit's rim, m/s.
+
+    One of two drives turns the table. A given `torque` acts on it; simulate the string with ``Constant(0.0)``. Or a
+    drive controls its speed: simulate it on the base ``Constant(angular velocity)``, or any other base law, with the
+    table starting at this speed. The drive exerts what it takes, up to `drive_torque`; beyond that the table slips.
+
+    The state is the angles, then the angular velocities. Contact 0 is that of the bit, 1 that of the drive.
+
+    Args:
+        inertia: kg m^2, (inertias,), positive, at least 2.
+        stiffness: From each to the next, N m/rad, (inertias - 1,), positive.
+        weight_on_bit: N, positive, or a function of time, as the normal force in `Contact`: the bit is off the rock
+            where it is zero or negative.
+        bit_radius: m, positive.
+        friction: Of the bit on the rock.
+        damping: From each inertia to the next, N m s/rad, (inertias - 1,), zero or positive; None is zero.
+        drag: Viscous damping of each, by the mud and in the drive, N m s/rad, (inertias,), likewise.
+        torque: On the table, N m.
+        drive_torque: The largest torque of a drive that controls the speed of the table, N m, positive.
+
+    Raises:
+        ValueError: For a number out of its range, sequences of lengths that do not fit, or not one drive.
+    """
+    if (torque is None) == (drive_torque is None):
+        given = "neither was" if torque is None else "both were"
+        raise ValueError(f"Argument torque or drive_torque must say what turns the table, but {given} given.")
+    row = _inertias(inertia)
+    size = row.shape[0]
+    checks.positive("bit_radius", bit_radius, "m")
+    springs = _numbers("stiffness", stiffness, size - 1)
+    if not checks.is_traced(springs) and not np.all(springs > 0):
+        raise checks.refused("stiffness", "hold positive numbers", stiffness)
+    NormalForceQuantity("N", above=0, hint=_OPENS).check("weight_on_bit", weight_on_bit)
+    contacts = (FrictionDisk(weight_on_bit, friction, bit_radius).contact(np.eye(size)[-1]),)
+    if drive_torque is not None:
+        Quantity("N m", above=0).check("drive_torque", drive_torque)
+        contacts = (*contacts, Contact.of_mass(0, size, drive_torque, Coulomb(1.0)))
+    on_table = None if torque is None else (torque, *(None,) * (size - 1))
+    # Each contact has an inertia of its own: known to be uncoupled, even if they are traced.
+    return _row(row, springs, damping, drag, contacts, on_table, uncoupled=True)
+
+
+def _row(
+    inertia: Any,
+    stiffness: Sequence[Number] | AnyArray | None,
+    damping: Sequence[Number] | AnyArray | None,
+    drag: Sequence[Number] | AnyArray | None,
+    contacts: tuple[Contact, ...],
+    torque: Any,
+    uncoupled: bool | None = None,
+) -> LinearStructure:
+    """Inertias with shafts between neighbours and viscous damping of each."""
+    size = inertia.shape[0]
+    torque = entries_of(torque)
+    check_forces("torque", torque, size)
+    springs, dampers = (
+        None if values is None else row_of_springs(_numbers(name, values, size - 1))
+        for name, values in (("stiffness", stiffness), ("damping", damping))
+    )
+    if drag is not None:
+        drags = _numbers("drag", drag, size)
+        dampers = drags if dampers is None else dampers + drags[:, None] * np.eye(size)
+    springs = np.zeros(size) if springs is None else springs
+    return LinearStructure(inertia, springs, dampers, contacts, torque, uncoupled=uncoupled, rotates=True)
+
+
+def _inertias(values: Any) -> Any:
+    array = numbers_in("inertia", values)
+    is_row = np.ndim(array) == 1 and np.shape(array)[0] >= 2
+    if not is_row or not (checks.is_traced(array) or np.all((array > 0) & np.isfinite(array))):
+        raise checks.refused("inertia", "hold two positive numbers or more", values)
+    return array
+
+
+def _numbers(name: str, values: Any, count: int) -> Any:
+    """`values` as an array of `count` numbers of zero or more."""
+    array = numbers_in(name, values)
+    fits = np.shape(array) == (count,)
+    if not fits or not (checks.is_traced(array) or np.all((array >= 0) & np.isfinite(array))):
+        raise checks.refused(name, f"hold {count} numbers of zero or more", values)
+    return array
+
+
+def _disks(name: str, disks: Any, turns: np.ndarray, meaning: str) -> list[tuple[FrictionDisk, np.ndarray]]:
+    """The disks that are there, with what each angular velocity contributes to that of the disk."""
+    if disks is None:
+        return []
+    fits = isinstance(disks, (tuple, list)) and len(disks) == len(turns)
+    if not fits or not all(one is None or isinstance(one, FrictionDisk) for one in disks):
+        raise checks.refused(name, f"be a tuple of {len(turns)}, {meaning}: a FrictionDisk, or None", disks)
+    return [(one, row) for one, row in zip(disks, turns, strict=True) if one is not None]

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import _checks
-from .._fields import Checked, Quantity, varies_within
-from .._types import BoolArray, FloatArray, Number, Scalar
+from .._foundation import checks
+from .._foundation.fields import Checked, Quantity, varies_within
+from .._foundation.types import BoolArray, FloatArray, Number, Scalar
 from .friction import FrictionLaw, traceable
 
 _AGES = np.array([1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6])  # s, at which a user's growth is looked at
@@ -187,7 +187,7 @@ class Ageing(FrictionLaw):
     def check_parts(self) -> None:
         _require_law("law", self.law)
         if not callable(self.growth) or isinstance(self.growth, type):
-            raise _checks.refused("growth", "be a LogarithmicGrowth, or a function of the stick's age", self.growth)
+            raise checks.refused("growth", "be a LogarithmicGrowth, or a function of the stick's age", self.growth)
 
     def has_varying_parts(self) -> bool:
         return varies_within((self.law, self.growth))
@@ -195,11 +195,11 @@ class Ageing(FrictionLaw):
     def check_relations(self) -> None:
         if type(self.growth) in (ExponentialGrowth, LogarithmicGrowth):
             return
-        with _checks.traceable("Argument growth of Ageing"):
+        with checks.traceable("Argument growth of Ageing"):
             jax.make_jaxpr(self.growth)(jnp.zeros(()))
-        _checks.bounded("growth(0)", self.growth(jnp.zeros(())), at_least=0, below=1e-9)
+        checks.bounded("growth(0)", self.growth(jnp.zeros(())), at_least=0, below=1e-9)
         for age in _AGES:
-            _checks.non_negative(f"growth({age:g})", self.growth(jnp.asarray(age)))
+            checks.non_negative(f"growth({age:g})", self.growth(jnp.asarray(age)))
 
     @property
     def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
@@ -262,9 +262,9 @@ class AtAge(FrictionLaw):
 
 def _require_law(name: str, value: object) -> None:
     if not isinstance(value, FrictionLaw):
-        raise _checks.refused(name, "be a friction law such as Coulomb(mu=0.3)", value)
+        raise checks.refused(name, "be a friction law such as Coulomb(mu=0.3)", value)
     if value.inner_state is not None:
-        raise _checks.refused(name, "be a friction law without an inner state, such as Coulomb(mu=0.3)", value)
+        raise checks.refused(name, "be a friction law without an inner state, such as Coulomb(mu=0.3)", value)
 
 
 def least(*values: Scalar | None) -> Scalar | None:

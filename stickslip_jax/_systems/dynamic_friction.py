@@ -11,14 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy.typing as npt
 
-from .. import _checks
+from .._excitation.motion import Signal
 from .._excitation.recorded import Recorded
-from .._excitation.smooth import Signal
-from .._fields import Choice, Quantity
-from .._types import FloatArray, FloatScalar, Number, Scalar
+from .._foundation import checks
+from .._foundation.fields import Choice, Quantity
+from .._foundation.types import FloatArray, FloatScalar, Number, Scalar
 from .friction import FrictionLaw, static_at_least
-from .prescribed import force_of_dynamic
-from .series_spring import BehindSpring, SpeedBehindSpring
+from .prescribed import BehindSpring, SpeedBehindSpring, force_of_dynamic
 
 _MU = "friction coefficient of a fast slip"
 _STATIC = "largest friction coefficient of a slow slip, at least mu"
@@ -111,9 +110,9 @@ class DynamicFriction(FrictionLaw):
                 and where the steps were used up, unless JAX traces the numbers.
         """
         start = self.initial_state if initial_state is None else initial_state
-        _checks.bounded("initial_state", start)
+        checks.bounded("initial_state", start)
         if series_stiffness is None:
-            _checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
+            checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
             return force_of_dynamic(self, times, velocity, normal_force, start, rtol, max_steps, adjoint)
         law = self.behind_spring(series_stiffness, backlash, normal_force)
         return force_of_dynamic(law, times, velocity, normal_force, start, rtol, max_steps, adjoint)
@@ -132,7 +131,7 @@ class DynamicFriction(FrictionLaw):
 
 def _jumps(law: DynamicFriction, series_stiffness: Number) -> ValueError:
     return ValueError(
-        f"Argument series_stiffness must be None for {type(law).__name__}, but {_checks.show(series_stiffness)} was "
+        f"Argument series_stiffness must be None for {type(law).__name__}, but {checks.show(series_stiffness)} was "
         "given: such a slider may jump from one speed to another; with Dahl, BoucWen and DieterichRuina it does not. "
         "Give it a mass: write mass, spring and backlash as a SwitchedSystem."
     )
@@ -145,9 +144,9 @@ def _spring(
     owners = [next(kind for kind in type(law).__mro__ if name in vars(kind)) for name in ("rate", "coefficient")]
     if any(kind.__module__ != __name__ for kind in owners):  # a subclass may jump
         raise _jumps(law, series_stiffness)
-    _checks.positive("series_stiffness", series_stiffness, "N/m")
-    _checks.bounded("backlash", backlash, "m", at_least=0)
-    _checks.positive("normal_force", normal_force, "N")
+    checks.positive("series_stiffness", series_stiffness, "N/m")
+    checks.bounded("backlash", backlash, "m", at_least=0)
+    checks.positive("normal_force", normal_force, "N")
     return jnp.asarray(normal_force / series_stiffness, float), jnp.asarray(backlash, float) / 2
 
 
@@ -205,7 +204,7 @@ class Dahl(_Bristles):
 
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         left = 1 - self.stiffness * z * jnp.sign(velocity) / self.mu
-        if not _checks.is_traced(self.exponent) and self.exponent == 1:
+        if not checks.is_traced(self.exponent) and self.exponent == 1:
             return velocity * left
         # Below exponent 1 the spring yields wholly at a finite deflection, with an infinite slope: round-off limits it.
         least = jnp.sqrt(jnp.finfo(jnp.result_type(left)).eps)
@@ -236,7 +235,7 @@ class BoucWen(_Bristles):
     sharing: Annotated[Number, Quantity(meaning="0.5: unloading is as stiff as the beginning", at_least=0)] = 0.5
 
     def check_relations(self) -> None:
-        _checks.bounded("sharing", self.sharing, at_least=0, below=1 + 1e-12)
+        checks.bounded("sharing", self.sharing, at_least=0, below=1 + 1e-12)
 
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         share = jnp.abs(z) * self.stiffness / self.mu
@@ -332,7 +331,7 @@ class ElastoPlastic(LuGre):
 
     def check_relations(self) -> None:
         LuGre.check_relations(self)
-        _checks.bounded("breakaway", self.breakaway, at_least=0, below=1)
+        checks.bounded("breakaway", self.breakaway, at_least=0, below=1)
 
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         share = z * jnp.sign(velocity) * self.stiffness / self.limit(velocity)

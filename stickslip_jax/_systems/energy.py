@@ -5,15 +5,13 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
-from .. import _checks
-from .._claims import keeps
-from .._types import FloatScalar, Scalar, State
-from .ageing_model import AgeingContact
-from .cart_model import CartModel
-from .motor_cart import MotorCart
-from .one_contact import OneContactModel
-from .oscillator_model import OscillatorForcing, OscillatorModel
-from .switched_model import F
+from .._foundation import checks
+from .._foundation.methods import keeps
+from .._foundation.types import FloatScalar, Scalar, State
+from .mass_spring import OscillatorForcing, OscillatorModel
+from .memory_models import AgeingContact
+from .motor_cart import CartModel, MotorCart
+from .switched_model import F, OneContactModel
 from .system import System
 
 Terms: TypeAlias = dict[str, FloatScalar]
@@ -50,7 +48,7 @@ def require_known(system: System, model: OneContactModel, name: str) -> None:
     model = model.inner if isinstance(model, AgeingContact) else model
     if not any(keeps(model, kind, "rates", "rates_under") for kind in (OscillatorModel, CartModel)):
         raise ValueError(
-            f"{name} needs a MassSpring or a MotorCart, but a simulation of {_checks.show(system)} was given: the "
+            f"{name} needs a MassSpring or a MotorCart, but a simulation of {checks.show(system)} was given: the "
             "friction of a system of your own is known as a share of its largest kinetic force only."
         )
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .mechanism import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring
+from .system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring
 
 _STOREY, _WIDTH = 3.0, 9.0  # m: buildings are drawn with these, since nothing in the equations depends on them
 _WITH_COILS = 16  # springs between blocks; of more, coils could not be seen

@@ -1,24 +1,114 @@
-"""The force of a friction law by itself, under a motion that is prescribed."""
+"""The force of a friction law by itself under a motion that is prescribed, also behind a spring with free play."""
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 from jax import lax
+from jaxtyping import Array
 
-from .. import _checks
-from .. import _diffrax as diffrax
+from .._excitation.motion import SEEN_IN_STEPS, Signal
 from .._excitation.recorded import Recorded
-from .._excitation.smooth import SEEN_IN_STEPS, Signal
-from .._fields import require_single
-from .._numerics.known import NotKnown, largest, primal_of, smallest
-from .._numerics.primal import without_derivatives
-from .._types import Array, DType, FloatArray, Number, Scalar
-from .series_spring import BehindSpring, SpeedBehindSpring
+from .._foundation import checks
+from .._foundation import lazy_diffrax as diffrax
+from .._foundation.fields import require_single
+from .._foundation.types import DType, FloatArray, FloatScalar, Number, Scalar
+from .._numerics.derivatives import NotKnown, largest, primal_of, smallest, without_derivatives
+
+# Friction with an inner state behind a spring with free play, as one law of the motion of the spring's end.
+#
+# Bristles: those of a law that is the same at every speed are a spring themselves, `share` times as stiff as at rest.
+# So the motion v of the spring's end is shared out: they bend by ``share v / (1 + softness share)``. The state p is the
+# displacement that the end would have if nothing yielded: ``p' = v (1 + softness) share / (1 + softness share)``. Where
+# there is no force the share is 1, and ``p' = v``: p passes the free play as the end does, its rate does not jump
+# there.
+#
+# Rate and state: the force of the spring and the inner state give the velocity of the slip, since friction at any one
+# state grows with it. By what the motion of the spring's end exceeds this slip, the spring bends or the play is passed.
+
+
+class BehindSpring(eqx.Module):
+    """The `law` behind a spring.
+
+    - `softness`: of the spring, over that of the bristles at rest.
+    - `play`: the free play either way, m.
+    """
+
+    law: Any
+    softness: FloatScalar
+    play: FloatScalar
+
+    def start(self, z: Number, velocity: FloatScalar) -> FloatArray:
+        """The state in which the bristles are bent by `z` (m); in the middle of the free play if they are not."""
+        return (1 + self.softness) * jnp.asarray(z) + self.play * jnp.sign(z)
+
+    def deflection(self, p: FloatScalar) -> FloatArray:
+        """Of the bristles, m."""
+        return (p - jnp.clip(p, -self.play, self.play)) / (1 + self.softness)
+
+    def rate(self, p: FloatScalar, velocity: FloatScalar) -> FloatArray:
+        """The time derivative of the state at the `velocity` (m/s) of the spring's end."""
+        way = jnp.where(velocity < 0, -1.0, 1.0)
+        share = self.law.rate(self.deflection(p), way) * way
+        return velocity * (1 + self.softness) * share / (1 + self.softness * share)
+
+    def coefficient(self, p: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+        """The friction coefficient, with its sign."""
+        return self.law.coefficient(self.deflection(p), velocity)
+
+    @property
+    def state_scale(self) -> Scalar:
+        """A typical size of the state: that of its errors where it is small."""
+        return (1 + self.softness) * self.law.state_scale
+
+
+class SpeedBehindSpring(eqx.Module):
+    """The `law`, whose speed follows from coefficient and inner state, behind a spring. The state is (p, z), (2,).
+
+    - `softness`: deflection of the spring (m) per friction coefficient.
+    - `play`: the free play either way, m.
+    """
+
+    law: Any
+    softness: FloatScalar
+    play: FloatScalar
+    why_endless: ClassVar[str] = (
+        " Behind a soft spring a slip may accelerate without bound (after small disturbances if it is softer than "
+        "normal_force (evolution - direct) / length): then give the slider a mass (MassSpring)."
+    )
+
+    def start(self, z: Number, velocity: FloatScalar) -> FloatArray:
+        """The state in which a contact of the inner state `z` slips as fast as the spring's end moves."""
+        coefficient = self.law.coefficient(jnp.asarray(z, velocity.dtype), velocity)
+        return jnp.stack([self.softness * coefficient + self.play * jnp.sign(coefficient), z])
+
+    def rate(self, state: FloatArray, velocity: FloatScalar) -> FloatArray:
+        """The time derivative of the state at the `velocity` (m/s) of the spring's end."""
+        slip = self.law.slip_velocity(state[1], self.coefficient(state, velocity))
+        return jnp.stack([velocity - slip, self.law.rate(state[1], slip)])
+
+    def coefficient(self, state: FloatArray, velocity: FloatScalar) -> FloatArray:
+        """The friction coefficient, with its sign: that of the spring's force."""
+        return (state[0] - jnp.clip(state[0], -self.play, self.play)) / self.softness
+
+    @property
+    def state_scale(self) -> FloatArray:
+        """Typical sizes of the state: those of its errors where it is small."""
+        return jnp.stack([self.softness * self.law.mu, jnp.ones_like(self.softness)])
+
+    @property
+    def least_tolerance(self) -> FloatArray:
+        """Relative, of steps: the speed is known no better than the coefficient's round-off over `direct`."""
+        return jnp.asarray(8 * jnp.finfo(self.softness.dtype).eps * self.law.mu / self.law.direct, self.softness.dtype)
+
+
+# The force of a friction law by itself, under a motion that is prescribed.
+
 
 _FEW, _EACH = 2**20, 64  # steps that are allowed, and those for each time and point of a record
 _LEAST = 1e-18  # of the time: steps so short lead nowhere
@@ -42,22 +132,20 @@ def force_of_dynamic(
     require_single(law=law)
     times, motion = _checked(times, velocity)
     normal = _normal(normal_force, times)
-    _checks.positive("rtol", rtol)
+    checks.positive("rtol", rtol)
     # Steps end at every time, for states between steps are less accurate, and where the velocity has a kink.
     ends = jnp.append(times[1:], _knots(motion, times.dtype))
     longest = primal_of(_shortest_period(motion)) / SEEN_IN_STEPS if isinstance(motion, Signal) else math.inf
-    most = (
-        _FEW + _EACH * len(ends) if max_steps is None else _checks.whole_number("max_steps", max_steps, maximum=_MOST)
-    )
+    most = _FEW + _EACH * len(ends) if max_steps is None else checks.whole_number("max_steps", max_steps, maximum=_MOST)
     if adjoint is not None and not isinstance(adjoint, diffrax.AbstractAdjoint):
-        raise _checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", adjoint)
+        raise checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", adjoint)
     adjoint = diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint
     state, velocities = jnp.asarray(start, times.dtype), _velocities(motion, times)
     if isinstance(law, BehindSpring | SpeedBehindSpring):
         state = law.start(state, velocities[0])
     longest = jnp.asarray(longest, times.dtype)
     states, done = _states(law, times, motion, state, (ends, longest), jnp.asarray(rtol), most, adjoint)
-    if not _checks.is_traced(done) and not bool(done):
+    if not checks.is_traced(done) and not bool(done):
         raise ValueError(
             f"Argument max_steps must be larger, or rtol: {most} steps do not follow the motion to its end at "
             f"rtol = {rtol:g}.{law.why_endless if isinstance(law, SpeedBehindSpring) else ''}"
@@ -124,17 +212,17 @@ def force_of_law(
     require_single(law=law)
     times, motion = _checked(times, velocity)
     if series_stiffness is None:
-        _checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
+        checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
         velocities = _velocities(motion, times)
         coefficients = jax.vmap(law.slip_coefficient)(velocities)
         return _normal(normal_force, times) * jnp.where(velocities == 0, jnp.nan, jnp.sign(velocities) * coefficients)
-    _checks.positive("series_stiffness", series_stiffness, "N/m")
-    _checks.bounded("backlash", backlash, "m", at_least=0)
-    _checks.positive("normal_force", normal_force, "N")
+    checks.positive("series_stiffness", series_stiffness, "N/m")
+    checks.bounded("backlash", backlash, "m", at_least=0)
+    checks.positive("normal_force", normal_force, "N")
     if not law.constant or law.static_exceeds_kinetic:
         raise ValueError(
             "Argument series_stiffness must be None for a friction coefficient that depends on the speed, or that is "
-            f"larger in a stick, but {_checks.show(series_stiffness)} was given: such a slider jumps. Give it a mass: "
+            f"larger in a stick, but {checks.show(series_stiffness)} was given: such a slider jumps. Give it a mass: "
             "write mass, spring and backlash as a SwitchedSystem."
         )
     most, least = (jnp.asarray(law.slip_coefficient(jnp.full((), sign))) * normal_force for sign in (1.0, -1.0))
@@ -239,17 +327,17 @@ def _behind_a_spring(
 
 def _checked(times: npt.ArrayLike, velocity: Any) -> tuple[Array, Any]:
     """The times, and the motion: a `Recorded`, a `Signal`, or times and velocities at them."""
-    _checks.bounded("times", times, "s", ndim=1)
+    checks.bounded("times", times, "s", ndim=1)
     array = jnp.asarray(times, float)
-    if not _checks.is_traced(array) and (len(array) < 2 or np.any(np.diff(array) <= 0)):
-        raise _checks.refused("times", "increase, and be at least 2 (in s)", times)
+    if not checks.is_traced(array) and (len(array) < 2 or np.any(np.diff(array) <= 0)):
+        raise checks.refused("times", "increase, and be at least 2 (in s)", times)
     if isinstance(velocity, Signal):
         return array, velocity
     if isinstance(velocity, Recorded):
-        if not _checks.is_traced(array) and not (array[0] >= 0 and float(array[-1]) <= velocity.covered_time):
-            raise _checks.refused("times", f"be within the record of {velocity.covered_time:g} s", times)
+        if not checks.is_traced(array) and not (array[0] >= 0 and float(array[-1]) <= velocity.covered_time):
+            raise checks.refused("times", f"be within the record of {velocity.covered_time:g} s", times)
         return array, velocity
-    _checks.bounded("velocity", velocity, "m/s", ndim=1)
+    checks.bounded("velocity", velocity, "m/s", ndim=1)
     values = jnp.asarray(velocity, float)
     if values.shape != array.shape:
         raise ValueError(
@@ -261,8 +349,8 @@ def _checked(times: npt.ArrayLike, velocity: Any) -> tuple[Array, Any]:
 
 def _normal(value: Any, times: Array) -> FloatArray:
     """The normal force, one number or one for each of the times."""
-    _checks.bounded("normal_force", value, "N", at_least=0, ndim=1 if _checks.dimensions(value) else 0)
+    checks.bounded("normal_force", value, "N", at_least=0, ndim=1 if checks.dimensions(value) else 0)
     array = jnp.asarray(value, times.dtype)
     if array.shape not in ((), times.shape):
-        raise _checks.refused("normal_force", "be zero or positive (in N), one number or one for each time", value)
+        raise checks.refused("normal_force", "be zero or positive (in N), one number or one for each time", value)
     return array

@@ -1,36 +1,525 @@
-"""Linear structures with dry-friction contacts: masses, springs and dampers as matrices."""
+"""Linear structures with dry-friction contacts: masses, springs and dampers as matrices, and their motion."""
 
-from typing import Any
+from functools import reduce
+from operator import add
+from typing import Any, ClassVar, NamedTuple, TypeVar, cast
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import _checks
-from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
-from .._excitation.random import RandomPhase, RandomSignal
+from .._excitation.motion import Harmonic, RandomPhase, RandomSignal, Signal, SumOfHarmonics
 from .._excitation.recorded import Recorded
-from .._excitation.segments import SegmentLaw
-from .._excitation.smooth import Signal
-from .._fields import with_fields
-from .._numerics.primal import without_derivatives
-from .._numerics.small_matrices import WRITTEN_OUT, dense, largest_eigenvalue, linear_solve
-from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Number, Scalar, Solver
-from .ageing_model import AgeingContacts, with_ages
-from .composed_friction import least
-from .contact import Contact, entries_of, numbers_of
-from .contact_forces import Uncoupled
+from .._excitation.segments import Segment, SegmentLaw, added
+from .._foundation import checks
+from .._foundation import lazy_diffrax as diffrax
+from .._foundation.fields import with_fields
+from .._foundation.types import (
+    BoolScalar,
+    DType,
+    ExplicitSolver,
+    FloatArray,
+    FloatScalar,
+    Number,
+    Scalar,
+    Solver,
+    State,
+)
+from .._numerics.derivatives import without_derivatives
+from .._numerics.matrices import (
+    WRITTEN_OUT,
+    Matrix,
+    by_bands,
+    dense,
+    largest_eigenvalue,
+    linear_solve,
+    magnitudes,
+    times,
+)
+from .composed_friction import AtAge, least
+from .contacts import (
+    Contact,
+    ContactsModel,
+    Gain,
+    InMode,
+    Instant,
+    Limits,
+    NormalForce,
+    Uncoupled,
+    acceleration,
+    entries_of,
+    holding,
+    is_function,
+    largest_of,
+    numbers_of,
+    periods_of,
+    power_series_of,
+    rates_at,
+    recorded_in,
+    size_of,
+    solved,
+    values_at,
+)
 from .dynamic_friction import DynamicFriction
-from .inner_states import InnerStates, inner_laws_of
+from .friction import FrictionLaw
 from .layouts import blocks, disks, storeys
-from .mechanism import Mechanism, bars
-from .normal_force import NormalForce, largest_of, periods_of, recorded_in
-from .structure_arcs import ArcsModel
-from .structure_checks import check_structure, is_uncoupled
-from .structure_model import Matrices, StructureModel
-from .system import PERIOD, SOFT, SOLVED, Coordinate, TimeScale, ages_of, shortest_period
-from .with_contacts import WithContacts
+from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
+from .switched_model import Segments, base_motion
+from .system import PERIOD, SOFT, SOLVED, Coordinate, Mechanism, TimeScale, WithContacts, ages_of, bars, shortest_period
+
+# Checks of the arguments of a `LinearStructure`.
+
+
+MOST_CONTACTS = 64
+_ROUND_OFF = 1e-10  # of the largest entry of a matrix
+_LEAST = 1e-12  # the smallest eigenvalue over the largest: a smaller one is round-off
+
+
+def check_structure(mass: Any, stiffness: Any, damping: Any, contacts: Any, force: Any) -> None:
+    """Raises ValueError for matrices and contacts that do not fit each other, or have no unique motion."""
+    size = _check_matrix("mass", mass, None)
+    _check_matrix("stiffness", stiffness, size)
+    if damping is not None:
+        _check_matrix("damping", damping, size)
+    _check_mass(mass)
+    _check_contacts(mass, contacts, size)
+    check_forces("force", force, size)
+
+
+def check_forces(name: str, forces: Any, size: int) -> None:
+    """Raises ValueError unless `forces` is None, or a tuple with one for each of `size` masses."""
+    if forces is None:
+        return
+    if not isinstance(forces, tuple) or len(forces) != size:
+        raise checks.refused(name, f"be a tuple of {size} forces, one for each mass (None for no force)", forces)
+    for number, part in enumerate(forces):
+        if part is not None and not isinstance(part, (Signal, Recorded)):
+            try:
+                checks.bounded(f"{name}[{number}]", part)
+            except ValueError:
+                raise checks.refused(f"{name}[{number}]", "be a number, a Signal, a Recorded or None", part) from None
+
+
+def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:
+    """Whether no two contacts have an effect on each other; False where it is not known."""
+    if not _is_known(mass, contacts):
+        return False
+    gain = _gain(mass, contacts)
+    return bool(np.all(gain == np.diag(np.diag(gain))))
+
+
+def is_singular(eigenvalues: np.ndarray) -> bool:
+    """Whether the smallest of these, in order, is not positive, but for round-off."""
+    return bool(eigenvalues[0] <= _LEAST * eigenvalues[-1])
+
+
+def _is_known(mass: Any, contacts: tuple[Contact, ...]) -> bool:
+    return not any(checks.is_traced(value) for value in (mass, *(contact.direction for contact in contacts)))
+
+
+def _gain(mass: Any, contacts: tuple[Contact, ...]) -> np.ndarray:
+    directions = np.stack([np.asarray(contact.direction, float) for contact in contacts])
+    mass = np.asarray(mass, float)
+    by_force = directions.T / mass[:, None] if mass.ndim == 1 else np.linalg.solve(mass, directions.T)
+    return directions @ by_force
+
+
+def numbers_in(name: str, value: Any) -> Any:
+    """`value` as an array of numbers; a traced one as it is. Raises ValueError for anything else."""
+    if checks.is_traced(value):
+        return value
+    try:
+        return np.asarray(checks.numbers(name, value), float)
+    except ValueError:
+        demand = "hold real numbers, no distributions and nothing masked; make an array of traced ones by jnp.array"
+        raise checks.refused(name, demand, value) from None
+
+
+def _check_matrix(name: str, value: Any, size: int | None) -> int:
+    shape = np.shape(numbers_in(name, value))
+    square = len(shape) == 1 or (len(shape) == 2 and shape[0] == shape[1])
+    if not square or shape[0] == 0 or (size is not None and shape[0] != size):
+        many = "d" if size is None else str(size)
+        raise ValueError(
+            f"Argument {name} must be a symmetric matrix ({many}, {many}) or its diagonal ({many},), but an array of "
+            f"shape {shape} was given."
+        )
+    if checks.is_traced(value):
+        return shape[0]
+    matrix = np.asarray(value, float)
+    if not np.all(np.abs(matrix) <= checks.LARGEST):
+        raise checks.refused(name, f"hold finite numbers of a size up to {checks.LARGEST}", value)
+    if matrix.ndim == 2 and np.max(np.abs(matrix - matrix.T)) > _ROUND_OFF * np.max(np.abs(matrix)):
+        i, j = np.unravel_index(np.argmax(np.abs(matrix - matrix.T)), matrix.shape)
+        raise ValueError(
+            f"Argument {name} must be symmetric, but its entries [{i}, {j}] and [{j}, {i}] are {matrix[i, j]:g} and "
+            f"{matrix[j, i]:g}."
+        )
+    return shape[0]
+
+
+def _check_mass(value: Any) -> None:
+    if checks.is_traced(value):
+        return
+    mass = np.asarray(value, float)
+    eigenvalues = np.sort(mass) if mass.ndim == 1 else np.linalg.eigvalsh(mass)
+    if is_singular(eigenvalues):
+        raise ValueError(
+            f"Argument mass must be positive definite, but its smallest eigenvalue is {eigenvalues[0]:.4g} beside the "
+            f"largest, {eigenvalues[-1]:.4g}; leave out coordinates without mass."
+        )
+
+
+def _check_contacts(mass: Any, contacts: Any, size: int) -> None:
+    if not isinstance(contacts, tuple) or not contacts or not all(isinstance(c, Contact) for c in contacts):
+        raise checks.refused("contacts", "be a tuple of one Contact or more", contacts)
+    if len(contacts) > MOST_CONTACTS:
+        raise ValueError(f"Argument contacts must hold at most {MOST_CONTACTS}, but {len(contacts)} were given.")
+    for number, contact in enumerate(contacts):
+        if np.shape(contact.direction) != (size,):
+            raise ValueError(
+                f"Argument direction of contact {number} must hold {size} numbers, one for each mass, but "
+                f"{np.shape(contact.direction)[0]} were given."
+            )
+        if not checks.is_traced(contact.direction) and not np.any(np.asarray(contact.direction)):
+            raise ValueError(
+                f"Argument direction of contact {number} must not be zero: such a contact moves with no mass."
+            )
+    if any(checks.is_traced(contact.direction) for contact in contacts):
+        return  # `LinearStructure.redundant` tells the status
+    # Contacts are independent if their directions are, whatever the masses.
+    eigenvalues = np.linalg.eigvalsh(_gain(np.ones(size) if checks.is_traced(mass) else mass, contacts))
+    if is_singular(eigenvalues):
+        raise ValueError(
+            "Argument contacts must be independent of each other, but the relative velocity of one is implied by "
+            "others (their directions are linearly dependent); join contacts with the same direction in one."
+        )
+
+
+# A linear structure with dry-friction contacts under its excitation.
+
+
+_Tree = TypeVar("_Tree")
+
+
+class Matrices(NamedTuple):
+    """What a `LinearStructure` needs of linear algebra.
+
+    - `inverse_mass`, and from the left by it: `stiffness`, `damping`, `by_force` (the `directions` of the contacts).
+    - `gain`: see `contact_forces`. `fastest`: see `LinearStructure.fastest`.
+    """
+
+    inverse_mass: Matrix
+    stiffness: Matrix
+    damping: Matrix | None
+    directions: Matrix
+    by_force: Matrix
+    gain: Gain
+    on_base: FloatArray
+    fastest: FloatScalar
+
+    def by_bands(self) -> "Matrices":
+        """The same, large matrices with few bands by these: of ten blocks in a row, 28 of the 100 stiffnesses."""
+        products = {
+            name: by_bands(getattr(self, name)) for name in ("inverse_mass", "stiffness", "directions", "by_force")
+        }
+        return self._replace(damping=None if self.damping is None else by_bands(self.damping), **products)
+
+
+class StructureForcing(NamedTuple):
+    """The piecewise-linear parts of base velocity (m/s) and ground acceleration (m/s^2) from time `t` on, and of normal
+    forces and loads: N, one for each that is a record or steps.
+    """
+
+    t: FloatScalar
+    base: FloatScalar
+    base_slope: FloatScalar
+    ground: FloatScalar
+    ground_slope: FloatScalar
+    normal: FloatArray
+    normal_slope: FloatArray
+    load: FloatArray
+    load_slope: FloatArray
+
+
+class StructureModel(ContactsModel[StructureForcing]):
+    """A `LinearStructure` on a base. State: positions (d,) and velocities (d,)."""
+
+    smooth: Signal | None
+    structure: Any  # a LinearStructure, which makes this model
+    matrices: Matrices
+    fastest: FloatScalar
+
+    @property
+    def contacts(self) -> int:
+        return len(self.structure.contacts)
+
+    @property
+    def coupled(self) -> bool:
+        return not self.structure.uncoupled
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        given = (self.smooth, *(self.structure.force or ()), *self.structure.normal_forces)
+        return all(one.shortest_period is not None for one in given if isinstance(one, Signal))
+
+    def implicit_changes(
+        self, forcing: StructureForcing, tau: FloatScalar, y: State, weight: FloatScalar, sides: State
+    ) -> State:
+        of, (of_position, of_velocity) = self._in_precision_of(y), sides
+        matrix = jnp.eye(self.structure.size, dtype=weight.dtype) + weight**2 * dense(of.stiffness)
+        if of.damping is not None:
+            matrix = matrix + weight * dense(of.damping)
+        velocity = linear_solve(matrix, of_velocity - weight * times(of.stiffness, of_position))
+        return of_position + weight * velocity, velocity
+
+    def at_age(self, age: FloatArray) -> "StructureModel":
+        laws = [contact.friction for contact in self.structure.contacts]
+        aged = [AtAge(law, age[i]) for i, law in enumerate(laws)]
+        return eqx.tree_at(lambda model: [contact.friction for contact in model.structure.contacts], self, aged)
+
+    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+        size = self.structure.size
+        values = jnp.stack([jnp.asarray(value, dtype) for value in y0])
+        return values[:size], values[size:]
+
+    def numbers(self, y: State) -> State:
+        return tuple(part[i] for part in y for i in range(self.structure.size))
+
+    def stick_position(self, y: State) -> FloatArray:
+        return jnp.append(times(self._in_precision_of(y).directions, y[0]), y[0][0])
+
+    def time(self, forcing: StructureForcing) -> FloatScalar:
+        return forcing.t
+
+    def forcing(self, t: FloatScalar, segments: Segments) -> StructureForcing:
+        recorded = (*_each(t, segments.normal), *_each(t, segments.force))
+        return StructureForcing(t, *added(t, segments.base), *added(t, segments.ground), *recorded)
+
+    def instant(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> Instant:
+        base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, tau)
+        of = self._in_precision_of(y)
+        pull = self._load(forcing, tau) - times(of.stiffness, y[0])
+        if of.damping is not None:
+            pull = pull - times(of.damping, y[1])
+        velocity = times(of.directions, y[1]) - of.on_base * base.velocity
+        drift = times(of.directions, pull) - of.on_base * base.acceleration
+        return Instant((y[1], pull), velocity, drift, of.gain)
+
+    def effect(self, forcing: StructureForcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
+        return jnp.zeros_like(y[0]), -times(self._in_precision_of(y).by_force, force)
+
+    def limits(self, forcing: StructureForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
+        return self.limits_under(self._normal_forces(forcing, tau), velocity)
+
+    def limits_under(self, normal: FloatArray, velocity: FloatArray) -> Limits:
+        """The forces that friction can exert at these relative velocities, under these normal forces."""
+        laws = tuple(contact.friction for contact in self.structure.contacts)
+        return Limits(*(normal[:, None] * _coefficients(laws, velocity)).T)
+
+    @property
+    def varying(self) -> tuple[int, ...]:
+        return tuple(number for number, one in enumerate(self.structure.normal_forces) if is_function(one))
+
+    def varying_normal_forces(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> FloatArray:
+        return self._normal_forces(forcing, tau)[np.array(self.varying)]
+
+    def normal_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
+        return jnp.stack([size_of(self.structure.normal_forces[number], forcing.t) for number in self.varying])
+
+    def normal_forces_at(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> FloatArray:
+        return self._normal_forces(forcing, tau)
+
+    def _normal_forces(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
+        recorded = forcing.normal + tau * forcing.normal_slope
+        return values_at(self.structure.normal_forces, forcing.t + tau, recorded)
+
+    def velocity_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
+        base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, jnp.zeros_like(forcing.t))
+        of = self._in_precision_of(y)
+        return times(magnitudes(of.directions), jnp.abs(y[1])) + jnp.abs(of.on_base * base.velocity)
+
+    def gross_changes(self, forcing: StructureForcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
+        x, v = jnp.abs(y[0]), jnp.abs(y[1])
+        of = self._in_precision_of(y)
+        load = jnp.abs(self._load(forcing, jnp.zeros_like(h))) + times(magnitudes(of.by_force), friction)
+        load = load + times(magnitudes(of.stiffness), x)
+        if of.damping is not None:
+            load = load + times(magnitudes(of.damping), v)
+        return h * (v + h * load), h * load
+
+    def _load(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
+        """What ground and external forces do to each mass, m/s^2."""
+        ground = forcing.ground + tau * forcing.ground_slope
+        load = jnp.full((self.structure.size,), -ground)
+        if self.structure.force is None:
+            return load
+        t = forcing.t + tau
+        applied = values_at(self.structure.force, t, forcing.load + tau * forcing.load_slope)
+        return load + times(in_dtype(self.matrices.inverse_mass, t.dtype), applied)
+
+    def _in_precision_of(self, y: State) -> Matrices:
+        return in_dtype(self.matrices, y[0].dtype)
+
+
+def in_dtype(tree: _Tree, dtype: DType) -> _Tree:
+    return jax.tree.map(lambda values: values.astype(dtype), tree)
+
+
+def _each(t: FloatScalar, segments: tuple[Segment, ...]) -> tuple[FloatArray, FloatArray]:
+    """The values and slopes of segments at the time `t`, (segments,) each; there may be none."""
+    values, slopes = [t[None][:0]], [t[None][:0]]
+    for segment in segments:
+        value, slope = added(t, (segment,))
+        values.append(value[None])
+        slopes.append(slope[None])
+    return jnp.concatenate(values), jnp.concatenate(slopes)
+
+
+def _coefficients(laws: tuple[FrictionLaw, ...], velocity: FloatArray) -> FloatArray:
+    """The friction coefficients (contacts, 4) of slips forward and backward and of sticks that break into them."""
+
+    def of_one(law: FrictionLaw, v: FloatScalar) -> FloatArray:
+        one = jnp.ones_like(v)
+        values = [law.continued_coefficient(v, one), law.continued_coefficient(-v, -one)]
+        values += [law.stick_limit(one), law.stick_limit(-one)]
+        return jnp.stack([jnp.asarray(value, v.dtype) for value in values])
+
+    if len({jax.tree.structure(law) for law in laws}) == 1:  # the same law with other numbers
+        stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves]), *laws)
+        return jax.vmap(of_one)(stacked, velocity)
+    return jnp.stack([of_one(law, velocity[i]) for i, law in enumerate(laws)])
+
+
+# A linear structure whose modes are linear with constant coefficients: their motion as power series.
+
+
+# Terms that reach round-off in the longest steps allowed, a tenth of the shortest period: a term is at most r^k / k!,
+# r = 0.63 without damping, and with it 1.02 (where the decay rate is as high as the frequency).
+_TERMS = {8: (16, 18), 4: (10, 11)}
+
+
+class ArcsModel(StructureModel):
+    """A `StructureModel` with constant friction coefficients, whose excitation is piecewise linear or harmonic.
+
+    Each mode is linear then, with constant coefficients: a step is the power series of its solution, summed to
+    round-off, for any damping and with masses that no spring holds.
+    """
+
+    has_kinks: ClassVar[bool] = False
+
+    def flow_and_error(
+        self, forcing: StructureForcing, y: State, h: FloatScalar, sign: FloatArray
+    ) -> tuple[State, None]:
+        of, sticks = self._in_precision_of(y), self._own(sign) == 0
+        terms = _TERMS[h.dtype.itemsize][of.damping is not None]
+        held = _Held(of, holding(of.gain, sticks))
+        sources = self._sources(held, forcing, y, sign, terms)
+        stiffness, damping, in_terms = of.stiffness, of.damping, len(y[0]) > WRITTEN_OUT
+        if not in_terms:  # few masses: to hold the matrices costs less than to hold each term of the series
+            stiffness, damping = held(dense(stiffness)), None if damping is None else held(dense(damping))
+        x, v, power = [y[0]], [y[1]], jnp.ones_like(h)
+        for k, source in enumerate(sources):
+            pull = times(stiffness, x[k])
+            if damping is not None:
+                pull = pull + times(damping, v[k])
+            rate = -(held(pull) if in_terms else pull)
+            if source is not None:
+                rate = rate + power * source
+            share = (1 / (k + 1)) * h
+            x.append(share * v[k])
+            v.append(share * rate)
+            power = power * h
+        reached = tuple(reduce(add, reversed(series)) for series in (x, v))
+        return self._held(forcing, h, reached, sticks), None
+
+    def _sources(
+        self, held: "_Held", forcing: StructureForcing, y: State, sign: FloatArray, terms: int
+    ) -> list[FloatArray | None]:
+        """The coefficients in the power series of accelerations (masses,) that do not depend on the state."""
+        t, of, none = forcing.t, held.of, jnp.zeros_like(forcing.t)
+        # Constant friction coefficients: at any relative velocity.
+        share = self._closed(self.limits_under(jnp.ones_like(of.on_base), jnp.zeros_like(of.on_base)), sign)
+        slip = share.slip(self._own(sign))
+        normal = power_series_of(self.structure.normal_forces, t, forcing.normal, forcing.normal_slope, terms)
+        load = power_series_of(self.structure.force or (), t, forcing.load, forcing.load_slope, terms)
+        base: tuple[FloatArray | None, ...] = (None,) * (terms + 1)
+        if self.smooth is not None:
+            base = cast(Harmonic | SumOfHarmonics, self.smooth).power_series(t, terms + 1)
+        sources: list[FloatArray | None] = []
+        for k, (of_normal, of_load, of_base) in enumerate(zip(normal, load, base[1:], strict=True)):
+            parts = [] if of_normal is None else [-times(of.by_force, slip * of_normal)]
+            if k < 2:
+                parts.append(jnp.full_like(y[0], -(forcing.ground_slope if k else forcing.ground)))
+            if of_load is not None:
+                parts.append(times(of.inverse_mass, of_load))
+            found = [held(reduce(add, parts))] if parts else []
+            # The sticks follow the base.
+            following = none if of_base is None else (k + 1) * of_base
+            if k == 0 or of_base is not None:
+                found.append(held.by(of.on_base * (following + (forcing.base_slope if k == 0 else none))))
+            sources.append(reduce(add, found) if found else None)
+        return sources
+
+    def in_mode(self, forcing: StructureForcing, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
+        of, own, sticks = self._in_precision_of(y), self._own(sign), self._own(sign) == 0
+        now = self.instant(forcing, tau, y)
+        normal, normal_rate = self._normal_forces(forcing, tau), self._normal_rates(forcing, tau)
+        limits, changing = (
+            self._closed(self.limits_under(forces, now.velocity), sign) for forces in (normal, normal_rate)
+        )
+        force = solved(now.gain, now.drift, limits.slip(own), sticks)
+        moving = now.rates[1] - times(of.by_force, force)
+        pull = self._load_rate(forcing, tau) - times(of.stiffness, y[1])
+        if of.damping is not None:
+            pull = pull - times(of.damping, moving)
+        drift = times(of.directions, pull)
+        if self.smooth is not None:
+            drift = drift - of.on_base * self.smooth.curvature(forcing.t + tau)
+        rate = solved(now.gain, drift, changing.slip(own), sticks)
+        velocity = acceleration(now.gain, now.drift, force)
+        (middle, limit), (middle_rate, limit_rate) = (forces.band(force) for forces in (limits, changing))
+        return (
+            InMode(now.velocity, force - middle, limit, self._varying(normal)),
+            InMode(velocity, rate - middle_rate, limit_rate, self._varying(normal_rate)),
+        )
+
+    def _varying(self, normal: FloatArray) -> FloatArray | None:
+        return normal[np.array(self.varying)] if self.varying else None
+
+    def _normal_rates(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
+        return rates_at(self.structure.normal_forces, forcing.t + tau, forcing.normal_slope)
+
+    def _load_rate(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
+        """The rate of what ground and external forces do to each mass, m/s^3."""
+        load = jnp.full((self.structure.size,), -forcing.ground_slope)
+        if self.structure.force is None:
+            return load
+        applied = rates_at(self.structure.force, forcing.t + tau, forcing.load_slope)
+        return load + times(in_dtype(self.matrices.inverse_mass, load.dtype), applied)
+
+
+class _Held(NamedTuple):
+    """A structure whose sticks are held by friction; `hold`: see `holding`."""
+
+    of: Matrices
+    hold: FloatArray
+
+    def __call__(self, accelerations: FloatArray) -> FloatArray:
+        """`accelerations` (masses,) or (masses, masses) without what the friction of sticks takes away."""
+        return accelerations - self.by(times(self.of.directions, accelerations))
+
+    def by(self, relative: FloatArray) -> FloatArray:
+        """What the friction of sticks does, where they would have these `relative` accelerations (contacts, ...)."""
+        if self.hold.ndim > 1:
+            return times(self.of.by_force, times(self.hold, relative))
+        return times(self.of.by_force, self.hold * relative if relative.ndim == 1 else self.hold[:, None] * relative)
+
+
+# Linear structures with dry-friction contacts: masses, springs and dampers as matrices.
+
 
 BARS, BLOCKS, STOREYS = _DRAWN_AS = ("bars", "blocks", "storeys")
 
@@ -73,7 +562,7 @@ class LinearStructure(WithContacts):
     def __post_init__(self):
         # Equinox converts the fields after this.
         contacts, force = entries_of(self.contacts), entries_of(self.force)
-        _checks.chosen("drawn_as", self.drawn_as, _DRAWN_AS)
+        checks.chosen("drawn_as", self.drawn_as, _DRAWN_AS)
         check_structure(self.mass, self.stiffness, self.damping, contacts, force)
         if self.uncoupled is None:
             object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, contacts))
@@ -172,7 +661,7 @@ class LinearStructure(WithContacts):
 
     @property
     def redundant(self) -> BoolScalar | None:
-        if self.uncoupled or not any(_checks.is_traced(contact.direction) for contact in self.contacts):
+        if self.uncoupled or not any(checks.is_traced(contact.direction) for contact in self.contacts):
             return None
         matrices = self.matrices
         gain = dense(matrices.directions) @ dense(matrices.by_force)

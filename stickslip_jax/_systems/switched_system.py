@@ -16,28 +16,31 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 
-from .. import _checks
-from .. import _diffrax as diffrax
 from .._excitation.excitation import Excitation
-from .._excitation.force_steps import ForceSteps
-from .._excitation.recorded import Recorded
-from .._excitation.smooth import Signal
-from .._numerics.primal import without_derivatives
-from .._numerics.runge_kutta import gross_changes, relative_error, runge_kutta_step
-from .._types import BoolScalar, ExplicitSolver, FloatArray, FloatScalar, InitialState, Number, Scalar, Solver, State
-from .ageing_model import AgeingContact, AgeingContacts, with_ages
+from .._excitation.motion import Signal
+from .._excitation.recorded import ForceSteps, Recorded
+from .._foundation import checks
+from .._foundation import lazy_diffrax as diffrax
+from .._foundation.types import (
+    BoolScalar,
+    ExplicitSolver,
+    FloatArray,
+    FloatScalar,
+    InitialState,
+    Number,
+    Scalar,
+    Solver,
+    State,
+)
+from .._numerics.derivatives import without_derivatives
+from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .dynamic_friction import DynamicFriction
 from .friction import Coulomb, FrictionLaw
-from .general_contacts import GeneralContactsModel
-from .inner_states import InnerStates
-from .one_contact import OneContactModel
-from .switched_model import FloatPair, Segments, with_change
-from .system import AGE, SHORTEST_TIME, SOLVED, Coordinate, TimeScale, ages_of
-from .user_contacts_checks import check_contacts
-from .user_system_checks import check_fields, check_ground, check_motion
-from .users_forcing import GeneralForcing, UsersBase, records_in
-from .users_time import depends_on_time, differs_between
-from .with_contacts import WithContacts
+from .memory_models import AgeingContact, AgeingContacts, InnerStates, with_ages
+from .switched_model import FloatPair, OneContactModel, Segments, with_change
+from .system import AGE, SHORTEST_TIME, SOLVED, Coordinate, TimeScale, WithContacts, ages_of
+from .users_checks import check_contacts, check_fields, check_ground, check_motion
+from .users_models import GeneralContactsModel, GeneralForcing, UsersBase, depends_on_time, differs_between, records_in
 
 _SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
 _NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
@@ -261,7 +264,7 @@ class SwitchedSystem(WithContacts):
         return *known, *(law.state_scale for law in self.inner_laws)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
-        with _checks.traceable(f"The property shortest_time of {type(self).__name__}"):
+        with checks.traceable(f"The property shortest_time of {type(self).__name__}"):
             shortest = self.shortest_time
         times = {SHORTEST_TIME: shortest} | self.driving_times(excitation)
         return {name: TimeScale(time, SOLVED) for name, time in times.items()}

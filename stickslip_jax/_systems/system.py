@@ -1,26 +1,212 @@
-"""The interface of a system, which engines, statistics, sensitivities, sweeps and figures use."""
+"""The interface of a system, which engines, statistics, sensitivities, sweeps and figures use; how it is drawn in
+motion.
+"""
 
 import abc
 import math
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar, cast
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, PyTree
 
-from .. import _checks
-from .._claims import keeps
 from .._excitation.excitation import Excitation
-from .._excitation.random import RandomPhase, RandomSignal
+from .._excitation.motion import SIGNAL_UNIT, RandomPhase, RandomSignal, Signal, SourceVoltage
 from .._excitation.segments import SegmentLaw
-from .._excitation.smooth import Signal
-from .._excitation.voltage import SourceVoltage
-from .._fields import Checked
-from .._types import AnyArray, Array, BoolScalar, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
+from .._foundation import checks
+from .._foundation.fields import PACKAGE, Checked, Option, modules_in, with_fields
+from .._foundation.methods import keeps
+from .._foundation.types import AnyArray, BoolScalar, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
+from .._uncertainty.families import RandomNumber
+from .._uncertainty.numbers import Path, number_at, quantity_at
 from .dynamic_friction import DynamicFriction
-from .inner_states import InnerStates
-from .mechanism import Mechanism, bars
-from .one_contact import OneContactModel
-from .switched_model import SwitchedModel
+from .memory_models import InnerStates
+from .switched_model import OneContactModel, SwitchedModel
+
+# Whether a pytree holds only the package's own modules, or user-defined functions too.
+
+
+def is_built_in(tree: PyTree) -> bool:
+    """Whether every module in `tree` is the package's own, or a solver of diffrax."""
+    return all(
+        type(module).__module__.startswith((f"{PACKAGE}.", "diffrax."))
+        and not getattr(module, "holds_users_code", False)
+        for module in modules_in(tree)
+    )
+
+
+# The units of numbers by their paths.
+
+
+def unit_at(setting: Any, path: Path) -> str:
+    """The unit of the number at `path` in a `setting`, which has a system; "1" where it has none, or none is known.
+
+    The numbers of a distribution have the unit of what is random, but for those that only give its shape.
+    """
+    *above, last = path
+    if above == ["y0"]:
+        return setting.system.coordinates[int(last)].unit
+    holder = number_at(setting, tuple(above))
+    if isinstance(holder, RandomNumber):
+        return "1" if last in holder.shape_numbers else unit_at(setting, tuple(above))
+    unit = quantity_at(setting, path).unit
+    if unit == SIGNAL_UNIT:  # the base's own, or a force of the system
+        return "N" if path[0] == "system" else "m/s"
+    return unit or "1"
+
+
+# How a system is drawn in motion: bodies, springs, rods, disks and belts whose places follow from its states.
+#
+# Plain data, which ``plot.animate`` draws. Lengths are those of the horizontal axis of the drawing, usually m. A number
+# that changes from frame to frame is an array (frames,), one that does not may be a float.
+
+
+OverTime: TypeAlias = np.ndarray | float
+Point: TypeAlias = tuple[OverTime, OverTime]
+"""Its horizontal and its vertical place."""
+
+
+class Body(NamedTuple):
+    """A rectangle, coloured as a stick while any of its contacts sticks.
+
+    Args:
+        center: Of the rectangle.
+        width: Horizontal.
+        height: Vertical.
+        contacts: Numbers of its contacts, from 0; of a system with one contact ``(0,)``.
+        label: Written on it.
+        fixed: Whether it is part of the surroundings, such as a wall.
+    """
+
+    center: Point
+    width: OverTime
+    height: OverTime
+    contacts: tuple[int, ...] = ()
+    label: str = ""
+    fixed: bool = False
+
+
+class Spring(NamedTuple):
+    """A zig-zag line that stretches.
+
+    Args:
+        start: One end.
+        end: The other.
+    """
+
+    start: Point
+    end: Point
+
+
+class Rod(NamedTuple):
+    """A straight line.
+
+    Args:
+        start: One end.
+        end: The other.
+        contacts: As those of a `Body`.
+    """
+
+    start: Point
+    end: Point
+    contacts: tuple[int, ...] = ()
+
+
+class Disk(NamedTuple):
+    """A disk that turns, with a mark from its centre to its rim.
+
+    Args:
+        center: Of the disk.
+        radius: Of the disk.
+        angle: From the horizontal axis to the mark, counterclockwise, rad; None without a mark.
+        contacts: As those of a `Body`.
+        label: Written under it.
+        is_base: Whether it is the base: a ring with marks, in the colour of bases.
+    """
+
+    center: Point
+    radius: float
+    angle: OverTime | None = None
+    contacts: tuple[int, ...] = ()
+    label: str = ""
+    is_base: bool = False
+
+
+class Belt(NamedTuple):
+    """The base: a horizontal line with marks that move with it, one of them longer than the others.
+
+    Args:
+        y: Its height in the drawing.
+        displacement: How far it has run; the marks stand at this place, and at multiples of `spacing` from it.
+        ends: Between which it is drawn: a mark that leaves at one end comes in again at the other.
+        marks: How many there are between the ends.
+    """
+
+    y: float
+    displacement: OverTime
+    ends: tuple[float, float]
+    marks: int = 8
+
+    @property
+    def spacing(self) -> float:
+        """From one mark to the next."""
+        return (self.ends[1] - self.ends[0]) / self.marks
+
+    @property
+    def mark_places(self) -> np.ndarray:
+        """Where the marks stand, (frames, marks); the first is the long one."""
+        low, high = self.ends
+        run = np.asarray(self.displacement, float)[..., None] + self.spacing * np.arange(self.marks)
+        return low + np.mod(run - low, high - low)
+
+
+Part: TypeAlias = Body | Spring | Rod | Disk | Belt
+
+
+class Mechanism(NamedTuple):
+    """What `System.mechanism` returns.
+
+    Args:
+        parts: In the order in which they are drawn, the last above the others.
+        x_range: The part of the horizontal axis that is shown.
+        y_range: That of the vertical one.
+        x_label: Of the horizontal axis; without one its numbers are not shown.
+        x_names: Places on the horizontal axis and what to write there, in place of numbers.
+        equal: Whether lengths are drawn alike in both directions, so that circles are round.
+        note: What must be known to read the drawing.
+    """
+
+    parts: tuple[Part, ...]
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    x_label: str = ""
+    x_names: tuple[tuple[float, str], ...] = ()
+    equal: bool = False
+    note: str = ""
+
+
+def bars(
+    coordinates: tuple[tuple[str, str], ...], state: tuple[np.ndarray, ...], on: tuple[tuple[int, ...], ...]
+) -> Mechanism:
+    """The numbers of a state as bars, each over its largest size.
+
+    - `coordinates`: name and unit of each number of the `state`.
+    - `on`: of each of them, the contacts that colour its bar.
+    """
+    parts, names = [], []
+    for number, ((name, unit), values, contacts) in enumerate(zip(coordinates, state, on, strict=True)):
+        largest = float(np.max(np.abs(values)))
+        shares = values / largest if largest > 0 else values
+        parts.append(Body((float(number), shares / 2), 0.6, np.abs(shares), contacts))
+        in_unit = "" if unit == "1" else f" {unit}"
+        names.append((float(number), f"{name}\n±{largest:.3g}{in_unit}"))
+    last = len(coordinates) - 0.5
+    parts.append(Rod((-0.5, 0.0), (last, 0.0)))
+    return Mechanism(tuple(parts), (-0.5, last), (-1.1, 1.5), x_names=tuple(names))
+
+
+# The interface of a system, which engines, statistics, sensitivities, sweeps and figures use.
 
 
 class Coordinate(NamedTuple):
@@ -383,7 +569,7 @@ def checked_system(system: object) -> System:
     if not isinstance(system, System):
         raise ValueError(
             "Argument system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but "
-            f"{_checks.show(system)} was given."
+            f"{checks.show(system)} was given."
         )
     return system
 
@@ -393,3 +579,64 @@ def require_system(system: object) -> System:
     known = checked_system(system)
     known.check_numbers()
     return known
+
+
+# Systems with a list of contacts: which of their sticks are counted.
+
+
+Counted: TypeAlias = int | Literal["all"] | None
+"""A contact, by its number from 0; "all": the times in which all contacts that are closed stick; None: every one."""
+
+
+class _OfCounted(Option):
+    def check(self, name: str, value: object) -> None:
+        if not (isinstance(value, str) and value == "all"):
+            checks.whole_number(name, value, minimum=0)
+
+
+C = TypeVar("C", bound="WithContacts")
+
+
+class WithContacts(System):
+    """A system that may have a list of contacts, of any number."""
+
+    counted_contact: Annotated[Counted, _OfCounted()] = eqx.field(static=True, default=None, kw_only=True)
+
+    def of_contact(self: C, number: int) -> C:
+        """The same system, of which the sticks of one contact are counted, as if it had no others.
+
+        What takes systems with one contact takes it: ensembles, studies, sensitivities, statistics, figures.
+
+        Args:
+            number: Of the contact, from 0.
+
+        Raises:
+            ValueError: For a system with one contact, and for a number that is not one of its contacts.
+        """
+        return self._counting(checks.whole_number("number", number, minimum=0, maximum=self._require_contacts() - 1))
+
+    def of_all_contacts(self: C) -> C:
+        """The same system, of which the times are counted in which every closed contact sticks.
+
+        The position of such a stick is that of the first coordinate. A time in which no contact is closed is no stick.
+
+        Raises:
+            ValueError: For a system with one contact.
+        """
+        self._require_contacts()
+        return self._counting("all")
+
+    def _require_contacts(self) -> int:
+        if self.contact_count is None:
+            raise ValueError(
+                f"Argument system must have a list of contacts, but a {type(self).__name__} with one contact was "
+                "given: its sticks are counted already."
+            )
+        return self.contact_count
+
+    def _counting(self: C, counted: Counted) -> C:
+        return with_fields(self, type(self), counted_contact=counted)
+
+    @property
+    def counted_track(self) -> int | None:
+        return -1 if self.counted_contact == "all" else self.counted_contact

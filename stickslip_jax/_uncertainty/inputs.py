@@ -1,27 +1,219 @@
-"""The inputs of an ensemble: numbers of its system, law and start that differ from sample to sample."""
+"""The inputs of an ensemble: numbers of its system, law and start that differ from sample to sample, and how they
+are correlated.
+"""
 
 import dataclasses
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+import numpy.typing as npt
+from jax.scipy.special import ndtr, ndtri
+from jaxtyping import Array, PyTree
 
-from .. import _checks
-from .._fields import Checked, Quantity, described, is_distribution, varies
-from .._numerics.random_bits import key_data_of, random_words, uniform
-from .._types import AnyArray, Array, DType, Number
-from .copula import GaussianCopula
+from .._foundation import checks
+from .._foundation.fields import Checked, Quantity, described, is_distribution, varies
+from .._foundation.methods import Module
+from .._foundation.types import AnyArray, DType, FloatArray, Number
+from .._numerics.elementary import key_data_of, random_words, uniform
 from .design import Design
-from .numbers import Path, matching, number_at, numbers_in, shown, with_numbers
-from .random_number import RandomNumber
-from .realizations import check_realizations
-from .sampled_law import SampledLaw
+from .families import RandomNumber
+from .numbers import Path, check_realizations, matching, number_at, numbers_in, shown, with_numbers
+
+# Correlated random numbers: a Gaussian copula.
+
+
+_ROUND_OFF = 1e-6
+"""How far from symmetric, or from 1 on the diagonal, a matrix may be: correlations that were stored in float32."""
+
+
+def _as_names(names: object) -> tuple[str, ...]:
+    found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes, range)) else ()
+    if len(found) < 2 or not all(isinstance(name, str) and name for name in found) or len(set(found)) < len(found):
+        raise checks.refused(
+            "names", "hold two or more different names of random numbers, such as ('mu', 'stiffness')", names
+        )
+    return found
+
+
+def _as_matrix(name: str, matrix: Any) -> AnyArray:
+    if checks.is_traced(matrix):
+        return matrix
+    checks.numeric(name, matrix, ndim=2)
+    return np.asarray(matrix, np.float64)
+
+
+class GaussianCopula(Module):
+    """Random numbers that depend on each other: each has its own distribution, their normal scores are correlated.
+
+    The normal score of a number x with distribution function F is ``z = ndtri(F(x))``; the scores are jointly normal
+    (Nataf 1962).
+
+    - `names`: of the numbers that are correlated, at least two, such as ``("mu", "stiffness")``.
+    - `correlation`: (names, names), Pearson's correlations of their normal scores, in the order of `names`. Of numbers
+      that are not normally distributed, Pearson's correlations are a little smaller in size; for rank correlations take
+      `from_spearman`.
+
+    Raises ValueError for names that are not distinct, and for a matrix that is not symmetric, has not 1 on its
+    diagonal, or is not positive definite.
+    """
+
+    names: tuple[str, ...] = eqx.field(converter=_as_names, static=True)
+    correlation: AnyArray = eqx.field(converter=lambda matrix: _as_matrix("correlation", matrix))
+
+    def __check_init__(self):
+        _check_correlation("correlation", self.correlation, len(self.names))
+
+    @classmethod
+    def from_spearman(cls, names: Sequence[str], matrix: npt.ArrayLike) -> "GaussianCopula":
+        """The copula whose numbers have these rank correlations, whatever their distributions.
+
+        - `matrix`: (names, names), Spearman's correlations rho; those of the normal scores are ``2 sin(pi rho / 6)``
+          (Pearson 1907).
+
+        Raises ValueError for what the constructor refuses, and for rank correlations that no Gaussian copula has.
+        """
+        names, matrix = _as_names(names), _as_matrix("matrix", matrix)
+        _check_correlation("matrix", matrix, len(names))
+        module = jnp if checks.is_traced(matrix) else np
+        scores = 2 * module.sin(module.pi / 6 * module.asarray(matrix))
+        if not checks.is_traced(scores):
+            _check_definite("matrix", scores, "normal scores with these rank correlations", "2 sin(pi rho / 6)")
+        return cls(names, scores)
+
+    def correlated(self, u: FloatArray) -> FloatArray:
+        """Uniform numbers with this dependence, made of independent ones.
+
+        - `u`: (..., names), in (0, 1), in the order of `names`.
+
+        Returns an array of the same shape and precision, in (0, 1). The first number stays as it is but for round-off,
+        the others move; all change smoothly with `u` and with the correlations. Raises ValueError for another last
+        dimension.
+        """
+        if jnp.ndim(u) == 0 or jnp.shape(u)[-1] != len(self.names):
+            raise ValueError(
+                f"Argument u must have a last dimension of {len(self.names)}, one number for each of "
+                f"{', '.join(self.names)}, but an array of shape {jnp.shape(u)} was given."
+            )
+        z = ndtri(jnp.asarray(u, jnp.result_type(u, jnp.float32)))
+        module = jnp if checks.is_traced(self.correlation) else np
+        root = jnp.asarray(module.linalg.cholesky(self.correlation), z.dtype)[(None,) * (z.ndim - 1)]
+        # One term after the other: a product of matrices may round differently for other numbers of samples.
+        scores = sum(root[..., index] * z[..., index, None] for index in range(len(self.names)))
+        limits = jnp.finfo(z.dtype)
+        return jnp.clip(ndtr(scores), limits.tiny, 1 - limits.epsneg)
+
+
+def _check_correlation(name: str, matrix: AnyArray, number: int) -> None:
+    if np.shape(matrix) != (number, number):
+        raise ValueError(
+            f"Argument {name} must have shape ({number}, {number}), a row and a column for each of the names, but an "
+            f"array of shape {np.shape(matrix)} was given."
+        )
+    if checks.is_traced(matrix):
+        return
+    uneven = np.argwhere(np.abs(matrix - matrix.T) > _ROUND_OFF)
+    if len(uneven):
+        i, j = (int(part) for part in uneven[0])
+        raise ValueError(
+            f"Argument {name} must be symmetric, but {name}[{i}, {j}] = {matrix[i, j]} and {name}[{j}, {i}] = "
+            f"{matrix[j, i]} were given."
+        )
+    wrong = np.abs(np.diag(matrix) - 1) > _ROUND_OFF
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise ValueError(
+            f"Argument {name} must have 1 on its diagonal, but {name}[{i}, {i}] = {matrix[i, i]} was given; divide "
+            "covariances by both standard deviations."
+        )
+    _check_definite(name, matrix, "random numbers", "it")
+
+
+def _check_definite(name: str, matrix: AnyArray, of: str, what: str) -> None:
+    smallest = float(np.linalg.eigvalsh(matrix)[0])
+    if not smallest > _ROUND_OFF:
+        raise ValueError(
+            f"Argument {name} must be positive definite, or no {of} exist, but the smallest eigenvalue of {what} is "
+            f"{smallest:.3g}; make correlations smaller, or leave out a number that others determine."
+        )
+
+
+# Laws that users write: any object with a method ``sample(key, t1)``.
+
+
+_NOT_TRACEABLE = (
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerBoolConversionError,
+    jax.errors.TracerIntegerConversionError,
+    jax.errors.ConcretizationTypeError,
+)
+
+
+@runtime_checkable
+class UserLaw(Protocol):
+    """A random base motion of your own: any object with this method. ::
+
+    class Gusts:
+        def sample(self, key, t1):
+            times = jnp.linspace(0.0, t1, 201)
+            steps = jax.random.normal(key, (201,))
+            return ss.Recorded(times, 0.1 * jnp.cumsum(steps))
+    """
+
+    def sample(self, key: Array, t1: float) -> object:
+        """One realisation that covers ``[0, t1]`` (s): a `Recorded` (joined by straight lines), a `PiecewiseConstant`
+        or `VelocitySteps` (steps), or another base motion that `simulate` takes.
+
+        All realisations must be of one class, with arrays of one length. The function may be JAX's or NumPy's; `key`
+        is a key of JAX, from which NumPy takes ``numpy.random.default_rng(jax.random.key_data(key))``.
+        """
+
+
+class SampledLaw(eqx.Module):
+    """A `UserLaw` as a law of the package.
+
+    `law`: the object with the method ``sample(key, t1)``.
+    """
+
+    law: UserLaw = eqx.field(static=True)
+    is_random = True
+
+    def sample(self, key: Array, t1: float) -> PyTree:
+        """The realisation that the user's law draws by `key`, for ``[0, t1]`` (s)."""
+        return self.law.sample(key, t1)
+
+    def realizations(self, keys: Callable[[], Array], t1: float, number: int) -> PyTree:
+        """The realisations of all `keys` (`number` of them), their arrays stacked along a first axis.
+
+        Raises ValueError for realisations of different classes or lengths.
+        """
+        try:
+            return jax.vmap(lambda key: _each_as_array(self.law.sample(key, t1)))(keys())
+        except _NOT_TRACEABLE:  # written in NumPy: one after the other
+            each = keys()
+            found = [_each_as_array(self.law.sample(each[i], t1)) for i in range(number)]
+        shapes = {(jax.tree.structure(one), tuple(np.shape(leaf) for leaf in jax.tree.leaves(one))) for one in found}
+        if len(shapes) > 1:
+            raise ValueError(
+                f"Argument law must give realisations of one class with arrays of one length, but sample of "
+                f"{checks.show(self.law)} gave {len(shapes)} kinds; fill up with equal values, or with unused "
+                "intervals of VelocitySteps (duration 0)."
+            )
+        return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *found)
+
+
+def _each_as_array(realization: PyTree) -> PyTree:
+    """The realisation; its plain numbers are arrays of their own types, so that each sample can have its own."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, (int, float)) else leaf, realization)
+
+
+# The inputs of an ensemble: numbers of its system, law and start that differ from sample to sample.
+
 
 _FIRST_STATE, _FIRST_NAMED = 0xFFFFFE00, 1 << 31
 """Numbers of the random words that initial values and other inputs are drawn from; laws draw from those below."""
@@ -94,7 +286,7 @@ class Inputs:
         if design is not None and not design.is_uniform:
             model = _with_values(model, design)
         for name, value in model._asdict().items():
-            _checks.tree(name, value)
+            checks.tree(name, value)
         entries = tuple(Input(path, *found) for path, *found in varying(model))
         for entry in entries:
             if not entry.is_random and len(entry.source) != samples:
@@ -117,7 +309,7 @@ class Inputs:
             if not _has_quantiles(entries[place].source):
                 raise ValueError(
                     f"Argument {names[place]} must be a distribution with quantiles (icdf or ppf) to follow a design "
-                    f"or a correlation, but {_checks.show(entries[place].source)} was given."
+                    f"or a correlation, but {checks.show(entries[place].source)} was given."
                 )
         key_data = None if key is None else key_data_of(key)
         return cls(model, entries, names, samples, key_data, design, columns, copula, correlated)
@@ -313,7 +505,7 @@ def _quantiles(entry: Input, u: Array, keys: Callable[[], Array]) -> AnyArray:
             if values.shape == u.shape:
                 return values
             raise ValueError(
-                f"Argument {entry.name} must be a distribution of one number, but {name} of {_checks.show(source)} "
+                f"Argument {entry.name} must be a distribution of one number, but {name} of {checks.show(source)} "
                 f"gave an array of shape {values.shape} for {len(u)} samples."
             )
     return np.asarray(jax.vmap(source.sample)(keys()), u.dtype)
@@ -368,12 +560,12 @@ def _columns(y0: Any) -> Any:
     Raises ValueError for one distribution, which cannot be that of all coordinates.
     """
     if is_distribution(y0):
-        raise _checks.refused(
+        raise checks.refused(
             "y0", "hold a number or a distribution for each number of the state, as (Uniform(0.0, 1.0), 0.0)", y0
         )
     if isinstance(y0, (tuple, list)):
         return tuple(y0)
-    return tuple(_checks.numbers("y0", y0).T) if _checks.dimensions(y0) == 2 else y0
+    return tuple(checks.numbers("y0", y0).T) if checks.dimensions(y0) == 2 else y0
 
 
 def varying(tree: Any, path: Path = (), about: Any = None) -> Iterator[tuple[Path, Any, Quantity | None]]:

@@ -1,4 +1,4 @@
-"""Parameters by name: numbers in a system, its excitation and its initial state."""
+"""Parameters by name: numbers in a system, its excitation and its initial state; and those in realisations."""
 
 import dataclasses
 import difflib
@@ -10,9 +10,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
-from .. import _checks
-from .._fields import Quantity, described, is_distribution
+from .._foundation import checks
+from .._foundation.fields import Quantity, described, is_distribution, modules_in
+
+# Parameters by name: numbers in a system, its excitation and its initial state.
+
 
 Path = tuple[str | int, ...]
 
@@ -34,7 +38,7 @@ def parameters_of(where: Mapping[str, object], wrt: object) -> tuple[Parameter, 
     """
     names = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (tuple, list)) else ()
     if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-        raise _checks.refused("wrt", "be a parameter's name or several different ones", wrt)
+        raise checks.refused("wrt", "be a parameter's name or several different ones", wrt)
     known = list(numbers_in(where))
     return tuple(_chosen(name, known) for name in names)
 
@@ -89,9 +93,9 @@ def matching(argument: str, name: str, paths: list[Path]) -> int:
     endings = sorted({full.rpartition(".")[2] for full in names} | set(names))
     inner = [f"{name}.{full.rpartition(f'.{name}.')[2]}" for full in names if f".{name}." in full]
     near = inner or difflib.get_close_matches(name, endings, n=1)
-    hint = f" did you mean {_checks.one_of(map(repr, near))}?" if near else ""
+    hint = f" did you mean {checks.one_of(map(repr, near))}?" if near else ""
     raise ValueError(
-        f"Argument {argument} must name one of {', '.join(names) or 'no number at all'}, but {_checks.show(name)} was "
+        f"Argument {argument} must name one of {', '.join(names) or 'no number at all'}, but {checks.show(name)} was "
         f"given{';' if hint else '.'}{hint}"
     )
 
@@ -159,3 +163,51 @@ def _is_number(value: object) -> bool:
 def shown(path: Path) -> str:
     """The path as users write it: "system.friction.mu", "y0[0]"."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).lstrip(".")
+
+
+# Checks of the realisations that a law of a user's drew while JAX traced it, when constructors check no numbers.
+
+
+def check_realizations(found: PyTree, first: int) -> None:
+    """Check stacked realisations, those of samples `first`, ``first + 1``, ... Raises ValueError for the first of them
+    that its constructors would have refused.
+    """
+    for sample in np.flatnonzero(_suspicious(found)):
+        one = jax.tree.map(lambda leaf, sample=sample: leaf[sample], found)
+        try:
+            check_numbers(one)
+        except ValueError as error:
+            raise ValueError(
+                f"Argument law must give realisations that fit, but sample {first + sample}: {error}"
+            ) from error
+
+
+def _suspicious(found: PyTree) -> np.ndarray:
+    """Which realisations the constructors may refuse, (samples,): looked at all at once."""
+    suspicious = np.zeros(len(jax.tree.leaves(found)[0]), bool)
+    for module in modules_in(found):
+        arrays = {field.name: getattr(module, field.name) for field in dataclasses.fields(module)}
+        arrays = {name: np.asarray(array) for name, array in arrays.items() if np.ndim(array) > 0}
+        for name, about in described(type(module)).items():
+            if name in arrays and isinstance(about, Quantity):
+                suspicious |= _any(about.outside(arrays[name]))
+        if "times" in arrays:
+            times = arrays["times"]
+            suspicious |= _any(np.diff(times, axis=-1) <= 0) | (times[..., 0] != 0)
+        if "durations" in arrays:
+            suspicious |= _suspicious_intervals(**arrays)
+    return suspicious
+
+
+def _suspicious_intervals(durations: np.ndarray, **others: np.ndarray) -> np.ndarray:
+    used = durations > 0
+    found = _any(~(durations >= 0)) | _any(used[..., 1:] & ~used[..., :-1])
+    for name, values in others.items():
+        found |= _any(used & ~np.isfinite(values))
+        if name == "velocities":
+            found |= _any((values[..., 1:] == values[..., :-1]) & used[..., 1:])
+    return found
+
+
+def _any(wrong: np.ndarray) -> np.ndarray:
+    return np.any(wrong.reshape(len(wrong), -1), axis=1)

@@ -1,32 +1,144 @@
 """Basins of attraction: which starts end on which attractor."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
+from scipy.spatial import KDTree
 from scipy.stats import binomtest
 
-from .. import _checks
-from .._conventions import Entries, flags, variable
 from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
+from .._foundation import checks
+from .._foundation.extras import Entries, flags, variable
+from .._foundation.types import Scalar, Status
 from .._simulation.call import simulate
-from .._status import Status
 from .._systems.system import System, checked_system
-from .._types import Scalar
-from ._attractors import Attractor, dense, matched
 from ._cases import Cases, cases_of
-from ._following import follow
-from ._labeled import START, dataset_of, names_of
-from ._recurrence import RECURS
-from ._settling import checked_periods, settled
-from ._stored import Folder, kept_in
-from ._warnings import warn_of_none, warn_of_unfinished
+from ._following import START, Folder, dataset_of, follow, kept_in, names_of, warn_of_none, warn_of_unfinished
+from ._settling import RECURS, checked_periods, settled
 
 if TYPE_CHECKING:
     import xarray
+
+
+# Attractors matched across many motions: which of them end on the same one.
+
+
+_COARSE = 0.03  # of the ranges of the state: how near the points of an irregular motion come to those of another
+_MOST_COARSE = 0.9  # of its points
+_LEAST = 1e-3  # of its size: the range of a number that is nearly the same in all motions
+_SPACING = 0.5  # of the tolerance, between neighbours on a curve
+_MOST_POINTS = 200_000  # of a curve
+
+
+class Attractor(NamedTuple):
+    """What motions end on: its `points` (points, coordinates), and the number of returns after which it repeats itself,
+    0 if none is known.
+
+    `is_stuck`: motions that stick all the time, wherever; their points may all differ.
+    """
+
+    points: np.ndarray
+    recurrence: int
+    is_stuck: bool
+
+
+def matched(
+    states: np.ndarray,
+    sizes: np.ndarray,
+    recurrences: np.ndarray,
+    stuck: np.ndarray,
+    points_of: Callable[[int], np.ndarray],
+    periods: tuple[float | None, ...],
+    tolerance: float,
+    most: int,
+) -> tuple[np.ndarray, list[Attractor]]:
+    """The label of each case, (cases,), and the attractors: case i ends on number ``labels[i]``, counted from 0.
+
+    Cases whose states (cases, returns, coordinates) are not finite have label -1, and so has what is left after the
+    `most` attractors. Cases that are `stuck` throughout are on one attractor. The others are compared with one of them
+    at a time, by the `points_of` the attractor of that case: a case is on it if all its states are within `tolerance`
+    of one of these points, relative to the ranges of the state, or to thousandths of its `sizes` (cases, coordinates)
+    if these are larger; if both are irregular (their recurrences are 0), if
+    nine tenths of its states are within 3 percent.
+    """
+    finite = np.all(np.isfinite(states), axis=(1, 2))
+    labels = np.full(len(states), -1)
+    attractors: list[Attractor] = []
+    turned = _turned(states, periods)
+    scale = _scale(turned[finite], sizes[finite], periods)
+    if np.any(finite & stuck):
+        labels[finite & stuck] = 0
+        attractors.append(Attractor(states[finite & stuck][:, -1], 1, True))
+    open_ = np.flatnonzero(finite & ~stuck)
+    while len(open_) and len(attractors) < most:
+        first = int(open_[0])
+        points = points_of(first)
+        tree = KDTree(_turned(points, periods) / scale)
+        near, _ = tree.query(turned[open_] / scale, distance_upper_bound=max(tolerance, _COARSE))
+        same = np.all(near <= tolerance, axis=1)
+        if recurrences[first] == 0:
+            same |= (recurrences[open_] == 0) & (np.mean(near <= _COARSE, axis=1) >= _MOST_COARSE)
+        same[0] = True
+        labels[open_[same]] = len(attractors)
+        attractors.append(Attractor(points, int(recurrences[first]), False))
+        open_ = open_[~same]
+    return _by_size(labels, attractors)
+
+
+def _turned(states: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
+    """The states with a sine and a cosine in place of each coordinate that turns: what is near is near there."""
+    columns = []
+    for number, period in enumerate(periods):
+        column = states[..., number]
+        if period is None:
+            columns.append(column)
+        else:
+            columns += [np.cos(2 * np.pi * column / period), np.sin(2 * np.pi * column / period)]
+    return np.stack(columns, axis=-1)
+
+
+def _scale(turned: np.ndarray, sizes: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
+    """The range of each column of states (cases, returns, columns), or a thousandth of its median size, `sizes` (cases,
+    coordinates), where that is larger: differences of round-off do not count; 1 for sines, cosines, and zeros.
+
+    Without the twentieth of the states at either end, if anything is left: a few motions that run away do not count.
+    """
+    columns = turned.reshape(-1, turned.shape[-1])
+    if not len(columns):
+        return np.ones(columns.shape[1])
+    inner, whole = np.ptp(np.percentile(columns, [5, 95], axis=0), axis=0), np.ptp(columns, axis=0)
+    number_of_columns = [1 if period is None else 2 for period in periods]
+    least = _LEAST * np.repeat(np.median(sizes, axis=0), number_of_columns)
+    ranges = np.where(inner > least, inner, np.maximum(whole, least))
+    turns = np.repeat([period is not None for period in periods], number_of_columns)
+    return np.where((ranges > 0) & ~turns, ranges, 1)
+
+
+def _by_size(labels: np.ndarray, attractors: list[Attractor]) -> tuple[np.ndarray, list[Attractor]]:
+    """The same, the attractors that most cases end on first."""
+    counts = np.bincount(labels[labels >= 0], minlength=len(attractors))
+    order = np.argsort(-counts, kind="stable")
+    new = np.append(np.argsort(order), -1)
+    return new[labels], [attractors[number] for number in order]
+
+
+def dense(curve: np.ndarray, tolerance: float) -> np.ndarray:
+    """A `curve` (points, coordinates) with more points, so that neighbours are nearer than the tolerance."""
+    ranges = np.ptp(curve, axis=0)
+    steps = np.abs(np.diff(curve, axis=0)) / np.where(ranges > 0, ranges, 1)
+    parts = np.maximum(1, np.ceil(np.max(steps, axis=1) / (_SPACING * tolerance)))
+    parts = np.minimum(parts, max(1, _MOST_POINTS // max(len(curve), 1)))
+    whole = np.append(0, np.cumsum(parts))
+    at = np.arange(int(whole[-1]) + 1)
+    return np.stack([np.interp(at, whole, column) for column in curve.T], axis=1)
+
+
+# Basins of attraction: which starts end on which attractor.
+
 
 ATTRACTOR, POINT = "attractor", "point"
 _TOLERANCE = 1e-3
@@ -91,9 +203,9 @@ def basins(
         ImportError: Without the extra ``study``.
     """
     lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
-    _checks.positive("tolerance", tolerance)
-    most = _checks.whole_number("most", most)
-    _checks.bounded("level", level, above=0, below=1)
+    checks.positive("tolerance", tolerance)
+    most = checks.whole_number("most", most)
+    checks.bounded("level", level, above=0, below=1)
     grid, starts = _starts(system, y0)
     cases = cases_of(system, base, starts, None, period, method)
     with kept_in(folder, cases, {"function": "basins", "transient": transient, "kept": kept}) as stored:
@@ -120,21 +232,21 @@ def basins(
 def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.ndarray]:
     """The values along each axis of a grid of starts, and all starts (starts, coordinates)."""
     if not isinstance(y0, Mapping):
-        if _checks.dimensions(y0) != 2:
-            raise _checks.refused(
+        if checks.dimensions(y0) != 2:
+            raise checks.refused(
                 "y0", "be starts, an array (starts, coordinates), or a dict of values by coordinate", y0
             )
-        return None, _checks.numbers("y0", y0, ndim=2)
+        return None, checks.numbers("y0", y0, ndim=2)
     names = [coordinate.name for coordinate in checked_system(system).coordinates]
     for name in y0:
         if name not in names:
             raise ValueError(
                 f"Argument y0 must have values by the names of coordinates, {', '.join(map(repr, names))}, but "
-                f"{_checks.show(name)} was given."
+                f"{checks.show(name)} was given."
             )
-    grid = {str(name): _checks.numbers(f"y0[{name!r}]", values, ndim=1) for name, values in y0.items()}
+    grid = {str(name): checks.numbers(f"y0[{name!r}]", values, ndim=1) for name, values in y0.items()}
     if not grid or any(not len(values) for values in grid.values()):
-        raise _checks.refused("y0", "have values of at least one coordinate", y0)
+        raise checks.refused("y0", "have values of at least one coordinate", y0)
     mesh = dict(zip(grid, np.meshgrid(*grid.values(), indexing="ij"), strict=True))
     zeros = np.zeros(next(iter(mesh.values())).shape)
     return grid, np.stack([mesh.get(name, zeros).reshape(-1) for name in names], axis=1)

@@ -1,30 +1,314 @@
-"""What is followed period by period: cases, each a system, what drives it, and the period after which that repeats."""
+"""What is followed period by period: cases, each a system, what drives it, and the period after which it repeats
+itself.
+"""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
+from jaxtyping import Array
 
-from .. import _checks
-from .._conventions import require_labels
-from .._dynamics.common.method import Exact
-from .._dynamics.common.time_scales import slowest_time
-from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
-from .._excitation.excitation import BaseMotion, motion_of
-from .._forks import require_threads_of_jax
-from .._numerics.leaves import as_arrays
-from .._sweep.checking import check_points
-from .._sweep.points import Points, points_of
-from .._sweep.setting import Setter, setter_of, setting_of
+from .._dynamics.common.method import Arguments, Exact, check_fixed, slowest_time, state_of, working_dtype
+from .._dynamics.common.path import Run, SegmentLaws
+from .._dynamics.engine_choice import BySteps, engine_for
+from .._dynamics.switched.engine import lane_at_start, steps_for
+from .._excitation.excitation import BaseMotion, excitation_of, motion_of
+from .._excitation.motion import Motion, Signal, UserMotion
+from .._foundation import checks
+from .._foundation.extras import require_labels
+from .._foundation.fields import is_of_package, modules_in
+from .._foundation.processes import require_threads_of_jax
+from .._foundation.types import DType, FloatArray, InitialState, Number, Scalar, Status
+from .._numerics.derivatives import NotKnown, as_arrays, values_of
+from .._simulation.call import simulate
+from .._simulation.result import Simulation
+from .._sweep.plan import Points, Setter, check_points, points_of, setter_of, setting_of
 from .._systems.system import System
-from .._types import DType, Scalar
 from .._uncertainty.numbers import with_numbers
-from ._cycle import Cycle, steps_in
-from ._own_time import changes_by_itself
-from ._period import check_signals, checked_period, drives, period_of, repetitions
+
+# The period of what drives a system: its base, and the forces in its fields.
+
+
+_MOST_CYCLES = 1000  # of the slowest motion until all motions begin anew
+_EQUAL = 1e-9  # relative
+_INSTANTS = (1024, 65_536)  # of a period, at which a signal is compared with itself one period later
+_IN_FASTEST = 16  # of them in its fastest oscillation
+_MOST_INSTANTS = 4_000_000  # of all cases
+
+
+def repetitions(system: object, base: object, by_itself: bool = False) -> list[tuple[str, Any]]:
+    """The class name of each motion that drives the system, and its `Motion.repeats_after`: numbers (s), or arrays
+    (cases,) where numbers of the motion are. `by_itself`: the system changes with time in a way of its own.
+    """
+    found = [*_outermost(base), *_outermost(system)]
+    own: list[tuple[str, Any]] = [(type(system).__name__, None)] if by_itself else []
+    return [(type(motion).__name__, motion.repeats_after) for motion in found] + own
+
+
+def _outermost(tree: object) -> Iterator[Motion]:
+    """The motions in `tree` that hold no other motion."""
+    motions = [module for module in modules_in(tree) if isinstance(module, Motion)]
+    for motion in motions:
+        inside = sum(isinstance(part, Motion) for part in modules_in(motion))
+        if inside == 1:
+            yield motion
+
+
+def drives(periods: list[tuple[str, Any]]) -> bool:
+    """Whether anything of what `repetitions` found changes with time."""
+    return any(period is None for _, period in periods) or common_period(periods) is not None
+
+
+def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any, bool]:
+    """The period (s) of what `repetitions` found, (cases,) if its times are, or the one `given`; and whether anything
+    drives the system.
+
+    Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
+    """
+    unknown = [name for name, period in periods if period is None]
+    if given is not None:
+        common = None if unknown else common_period(periods)
+        cycles = np.ones(()) if common is None else np.asarray(given / common)
+        if common is not None and not np.all(np.abs(cycles - np.round(cycles)) <= _EQUAL * cycles):
+            raise ValueError(
+                f"Argument period must be a whole number of periods of what drives the system, "
+                f"{float(np.ravel(common)[0]):.9g} s, but {checks.show(given)} was given."
+            )
+        return given, common is not None or bool(unknown)
+    if unknown:
+        raise ValueError(
+            f"Argument period must be given (s), because none is known of the {unknown[0]} that drives the system; of "
+            "a record, the duration after which it begins anew."
+        )
+    common = common_period(periods)
+    if common is None:
+        raise ValueError(
+            "Argument period must be given (s), because nothing that changes with time drives the system; it is then "
+            "the time after which the state is seen again and again. A section by events (event_section) needs none."
+        )
+    return common, True
+
+
+def common_period(periods: list[tuple[str, Any]]) -> np.ndarray | None:
+    """The common period; None if nothing changes with time. Raises ValueError where there is none."""
+    parts = [part for _, period in periods for part in (period if isinstance(period, tuple) else (period,))]
+    columns = np.broadcast_arrays(*(np.asarray(part, float) for part in parts)) if parts else []
+    changing = [column for column in columns if np.any(column > 0)]
+    if not changing:
+        return None
+    every = np.stack(changing)
+    slowest = np.max(every, axis=0)
+    common = np.full(slowest.shape, np.nan)
+    for number in range(1, _MOST_CYCLES + 1):
+        cycles = number * slowest / every
+        fits = np.all(np.abs(cycles - np.round(cycles)) <= _EQUAL * cycles, axis=0)
+        common = np.where(np.isnan(common) & fits, number * slowest, common)
+        if not np.any(np.isnan(common)):
+            return common
+    bad = int(np.flatnonzero(np.isnan(np.atleast_1d(common)))[0])
+    shown = ", ".join(f"{np.atleast_1d(column)[bad]:.6g}" for column in every)
+    raise ValueError(
+        f"Argument period must be given (s), because motions with the periods {shown} s drive the system, of which no "
+        f"{_MOST_CYCLES} of the slowest are a common period."
+    )
+
+
+def has_known_period(system: object, base: object, by_itself: bool) -> bool:
+    """Whether what drives the system has a period that is known without being given."""
+    try:
+        period_of(repetitions(system, base, by_itself), None)
+    except ValueError:
+        return False
+    return True
+
+
+def check_signals(tree: object, period: Array) -> None:
+    """Raise ValueError where a signal of a user's own in `tree` is another one a `period` (s) later, at many instants
+    of one period; of many cases, arrays have a first axis (cases,), and `period` is (cases,).
+    """
+    if any(map(checks.is_traced, jax.tree.leaves((tree, period)))):
+        return
+    periods = np.atleast_1d(np.asarray(period, float))
+    for signal in _outermost(tree):
+        held = signal.motion if isinstance(signal, UserMotion) else signal
+        if not isinstance(signal, Signal) or (held is signal and is_of_package(signal)):
+            continue
+        fastest = np.asarray(signal.shortest_period or np.inf, float)
+        number = np.clip(_IN_FASTEST * np.max(periods) / np.min(fastest), *_INSTANTS)
+        shares = (np.arange(int(min(number, max(_MOST_INSTANTS / len(periods), 64)))) + 0.382) / number
+
+        def differences(signal: Signal, period: Array, shares: np.ndarray = shares) -> tuple[Array, Array, Array]:
+            times = period * jnp.asarray(shares, period.dtype)
+            first, second = (jax.vmap(signal.value)(at) for at in (times, times + period))
+            # Beside differences of the values themselves, what the rounding of the instants makes of the rates.
+            rates, eps = jax.vmap(signal.rate)(times), jnp.finfo(period.dtype).eps
+            bound = jnp.sqrt(eps) * jnp.max(jnp.abs(first)) + 4 * eps * period * jnp.abs(rates)
+            worst = jnp.argmax(jnp.abs(first - second) - bound)
+            differs = ~(jnp.abs(first - second) <= bound)[worst]
+            return differs, times[worst], jnp.stack([first[worst], second[worst]])
+
+        found = differences if np.ndim(period) == 0 else eqx.filter_vmap(differences)
+        differs, times, values = map(np.asarray, found(signal, jnp.asarray(period)))
+        if np.any(differs):
+            case = int(np.argmax(differs))
+            one, other = values.reshape(-1, 2)[case]
+            name = type(signal).__name__ if held is signal else type(getattr(held, "held", held)).__name__
+            raise ValueError(
+                f"Argument period must be a time after which {name} repeats itself, but its value is {one:.6g} at "
+                f"{times.ravel()[case]:.6g} s and {other:.6g} {periods[case]:.9g} s later."
+            )
+
+
+def drive_period(system: object, base: object, given: Scalar | None, by_itself: bool) -> Scalar | None:
+    """The period (s) of what drives the system, differentiable; None if nothing changes with time.
+
+    Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
+    """
+    found = repetitions(system, base, by_itself)
+    parts = [part for _, period in found for part in (period if isinstance(period, tuple) else (period,))]
+    if any(part is None for part in parts):
+        return given if given is not None else period_of(found, None)[0]
+    changing = [part for part in parts if checks.is_traced(part) or float(part) > 0]
+    if not changing or given is not None:
+        if not any(map(checks.is_traced, [*parts, given])):
+            period_of(found, given or 1.0)
+        return given if changing else None
+    if len(changing) == 1:
+        return changing[0]
+    try:
+        values = [values_of(part) for part in changing]
+    except NotKnown:
+        raise ValueError(
+            "Argument period must be given (s) under jax.jit, because several motions drive the system."
+        ) from None
+    common = common_period([("", value) for value in values])
+    cycles = np.unique(np.round(common / values[0]))
+    if len(cycles) > 1:
+        raise ValueError("Argument period must be given (s): the motions that drive these systems have no common one.")
+    return float(cycles[0]) * changing[0]
+
+
+def checked_period(period: object) -> Scalar | None:
+    """`period`, a positive time (s) or None."""
+    if period is None:
+        return None
+    checks.positive("period", period, "s")
+    return period  # pyright: ignore[reportReturnType] - checked
+
+
+# Whether the equations of a user's system change with time by themselves, apart from the motions that drive them.
+
+
+_PARTS = np.array([0.0, 0.013, 0.171, 0.31, 0.4737, 0.618, 0.757, 0.893])  # of a period, or many: no simple ratios
+_FAR = np.array([1.0, 7.31, 93.7])
+
+
+def changes_by_itself(system: System, base: BaseMotion, y0: InitialState, given: Scalar | None) -> bool:
+    """Whether rates, relative velocities or normal forces of a user's system change with time otherwise than its base
+    and the motions in its fields do: looked at near `y0` at a few instants.
+
+    Raises ValueError where they do, and do not begin anew after the period (s) `given`.
+    """
+    numbers = jax.tree.leaves((system, base, y0, given))
+    if any(map(checks.is_traced, numbers)):
+        return False
+    found = repetitions(system, motion_of(base))
+    if any(period is None for _, period in found):
+        return False  # a period is asked for because of these
+    common = common_period(found)
+    if common is None:
+        times = slowest_time(system, base) * np.outer(_FAR, _PARTS).ravel()
+        changes = system.differs_between(y0, times, np.zeros_like(times))
+    else:
+        changes = system.differs_between(y0, float(common) * _PARTS, float(common) * (1 + _PARTS))
+    if changes and given is not None and system.differs_between(y0, float(given) * _PARTS, float(given) * (1 + _PARTS)):
+        raise ValueError(
+            f"Argument period must be a time after which the rates of {type(system).__name__} begin anew, but they "
+            f"differ from those {checks.show(given)} s later."
+        )
+    return changes
+
+
+# One period of a system and of what drives it.
+
+
+class Cycle(eqx.Module):
+    """A system and what drives it, for one `duration` (s), after which the drive repeats itself.
+
+    Of many cases, arrays have a first axis (cases,).
+    """
+
+    system: System
+    base: BaseMotion
+    duration: Number
+    method: Exact
+
+    def after(self, y: FloatArray) -> Simulation:
+        """The motion of one case over one period from the state `y`, (coordinates,)."""
+        return simulate(self.system, self.base, t1=self.duration, y0=tuple(y), method=self.method)
+
+    def end(self, y: FloatArray) -> FloatArray:
+        """The state after one period, (coordinates,); NaN where that is no time or the motion does not reach it."""
+        after = self.after(y)
+        is_known = (after.status == int(Status.FINISHED)) & (self.duration > 0)
+        return jnp.where(is_known, jnp.stack(after.final_state), jnp.nan)
+
+    def change(self, y: FloatArray) -> FloatArray:
+        """How far the state is from `y` after one period, without whole turns of angles, (coordinates,)."""
+        return without_turns(self.system, self.end(y) - y)
+
+    def by_steps(self, y: FloatArray) -> Run:
+        """The same motion in time steps, also where it is known over whole intervals of the base."""
+        return BySteps(Arguments(self.system, self.base, self.method, self.duration)).follow(tuple(y), y.dtype)[1]
+
+    def lasting(self, duration: Scalar) -> "Cycle":
+        """The same with another duration (s)."""
+        return Cycle(self.system, self.base, duration, self.method)
+
+    def rates(self, y: FloatArray) -> FloatArray:
+        """The rates of the state at the begin of the period, per second."""
+        step = Arguments(self.system, self.base, self.method, self.duration).checked_step()[1]
+        zero, excitation = jnp.zeros((), y.dtype), excitation_of(self.base)
+        lane = lane_at_start(
+            self.system, excitation, jnp.zeros(2, jnp.uint32), tuple(y), step + zero, self.method.solver, ()
+        )
+        model = self.system.switched_model(excitation.signal, self.method.solver)
+        forcing = model.forcing(zero, SegmentLaws.of(self.system, excitation).segments(lane.segment_states))
+        return jnp.stack(model.numbers(model.rates(forcing, zero, lane.y, lane.sign)))
+
+
+def without_turns(system: System, change: FloatArray) -> FloatArray:
+    """A change of the state without the whole turns of its angles, (coordinates,)."""
+    periods = [coordinate.period or np.inf for coordinate in system.coordinates]
+    if not np.any(np.isfinite(periods)):
+        return change
+    turn = jnp.asarray(np.where(np.isfinite(periods), periods, 0), change.dtype)
+    return change - turn * lax.stop_gradient(jnp.round(change / jnp.where(turn > 0, turn, jnp.inf)))
+
+
+def steps_in(
+    system: System, base: BaseMotion, method: Exact, duration: Scalar, *, by_steps: bool = False
+) -> int | None:
+    """How many time steps `duration` (s) needs; None where `method` says it, no steps are taken, or it is not known.
+
+    `by_steps`: time steps also where the motion is known over whole intervals of the base.
+    """
+    arguments = Arguments(system, base, method, duration)
+    if method.max_steps is not None or not (by_steps or isinstance(engine_for(arguments), BySteps)):
+        return None
+    try:
+        excitation, step = arguments.checked_step()
+        return steps_for(system, excitation, duration, step, "period")
+    except NotKnown:
+        return None
+
+
+# What is followed period by period: cases, each a system, what drives it, and the period after which that repeats.
+
 
 Over = Mapping[str, Any]
 
@@ -85,8 +369,8 @@ class Cases(NamedTuple):
 
 def checked_numbers(transient: object, kept: object, most: int = MOST_PERIODS) -> tuple[int, int]:
     """The numbers of periods, checked; at most so many in all."""
-    transient = _checks.whole_number("transient", transient, minimum=0, maximum=most)
-    return transient, _checks.whole_number("kept", kept, maximum=most - transient)
+    transient = checks.whole_number("transient", transient, minimum=0, maximum=most)
+    return transient, checks.whole_number("kept", kept, maximum=most - transient)
 
 
 def cases_of(
@@ -108,12 +392,12 @@ def cases_of(
     require_threads_of_jax()
     require_labels()
     if not isinstance(method, Exact):
-        raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
+        raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
     _check_known(system, base, y0, period)
     setting = setting_of(system, base, None, method)
     check_fixed(system=system, base=base)
     check_repeats(base)
-    several = y0 is not None and _checks.dimensions(y0) == 2
+    several = y0 is not None and checks.dimensions(y0) == 2
     starts = _starts(system, y0) if several else np.asarray([state_of(system, y0)], float)
     setting = setting._replace(y0=tuple(map(float, starts[0])))
     points = None if over is None else points_of(over)
@@ -131,7 +415,7 @@ def cases_of(
 
 def _check_known(*arguments: object) -> None:
     """Raise ValueError where JAX traces a number of the arguments."""
-    if _checks.holds_traced(*arguments):
+    if checks.holds_traced(*arguments):
         raise ValueError(
             "Sections, diagrams, basins and exponents need numbers, but JAX is tracing an argument: call them outside "
             "jit, vmap and grad, with many starts in y0 and values of parameters in over. periodic_orbit can be "
@@ -141,9 +425,9 @@ def _check_known(*arguments: object) -> None:
 
 def _starts(system: System, y0: Any) -> np.ndarray:
     """Several starts, (starts, coordinates), checked."""
-    rows = _checks.numbers("y0", y0, ndim=2)
+    rows = checks.numbers("y0", y0, ndim=2)
     if not len(rows) or not np.all(np.isfinite(rows)):
-        raise _checks.refused("y0", "hold at least one start, and finite numbers", y0)
+        raise checks.refused("y0", "hold at least one start, and finite numbers", y0)
     left_out = np.asarray(state_of(system, tuple(rows[0]))[rows.shape[1] :], float)  # ages of sticks
     return np.concatenate([rows, np.broadcast_to(left_out, (len(rows), len(left_out)))], axis=1, dtype=float)
 

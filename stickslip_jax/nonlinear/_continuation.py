@@ -6,19 +6,28 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator
 
-from .. import _checks
-from .._conventions import Entries, labeled_dataset, require_labels, variable
-from .._dynamics.common.validation import working_dtype
-from .._forks import require_threads_of_jax
-from .._simulation.labeled import provenance, source
-from .._sweep.setting import Setting, label_and_unit, setter_of
+from .._dynamics.common.method import working_dtype
+from .._foundation import checks
+from .._foundation.extras import Entries, labeled_dataset, require_labels, variable
+from .._foundation.processes import require_threads_of_jax
+from .._simulation.result import provenance, source
+from .._sweep.plan import Setting, label_and_unit, setter_of
 from .._uncertainty.numbers import number_at
-from ._branch_ends import halved, tangent_release, turning_back
-from ._branch_function import Equations
-from ._branch_points import BranchEvent, Change, Point, change_of_modes, changes, description, end_of
-from ._labeled import apart
-from ._modes import sequence, stick_count
-from ._orbits import TOLERANCE, PeriodicOrbit
+from ._branches import (
+    BranchEvent,
+    Change,
+    Equations,
+    Point,
+    change_of_modes,
+    changes,
+    description,
+    end_of,
+    halved,
+    tangent_release,
+    turning_back,
+)
+from ._following import apart
+from ._orbits import TOLERANCE, PeriodicOrbit, sequence, stick_count
 
 if TYPE_CHECKING:
     import xarray
@@ -87,7 +96,7 @@ def continue_orbit(
     require_threads_of_jax()
     require_labels()
     setting, equations, scale, begun = _problem(orbit, parameter, until, step)
-    most = _checks.whole_number("most", most)
+    most = checks.whole_number("most", most)
     branch = _Branch(equations, scale, parameter, begun, float(until), step)
     branch.follow(most)
     return OrbitBranch(_labeled(branch, setting), tuple(branch.events), branch.ending)
@@ -98,17 +107,17 @@ def _problem(
 ) -> tuple[Setting, Equations, np.ndarray, np.ndarray]:
     """The checked arguments: the setting, its equations, the scales of the unknowns, and where the branch begins."""
     if not isinstance(orbit, PeriodicOrbit) or not bool(np.all(np.asarray(orbit.converged))):
-        shown = "one that has not" if isinstance(orbit, PeriodicOrbit) else _checks.show(orbit)
+        shown = "one that has not" if isinstance(orbit, PeriodicOrbit) else checks.show(orbit)
         raise ValueError(f"Argument orbit must be a periodic_orbit that has converged, but {shown} was given.")
-    _checks.bounded("step", step, above=0, below=1)
-    _checks.bounded("until", until)
+    checks.bounded("step", step, above=0, below=1)
+    checks.bounded("until", until)
     state = np.asarray(orbit.state, float)
     setting = Setting(orbit.system, orbit.base, tuple(state.tolist()), orbit.method)
     setter = setter_of(setting, (parameter,))
     path = setter.paths.get(parameter)
     if path is None or path[0] == "y0":
         raise ValueError(
-            f"Argument parameter must name a number of the system or of what drives it, but {_checks.show(parameter)} "
+            f"Argument parameter must name a number of the system or of what drives it, but {checks.show(parameter)} "
             "was given."
         )
     value = float(number_at(setting, path))

@@ -1,24 +1,227 @@
-"""Cases followed from period to period, in blocks over threads."""
+"""Cases followed from period to period, in blocks over threads, kept in a folder if one is named."""
 
-from collections.abc import Callable
+import contextlib
+import hashlib
+import io
+import json
+import os
+import types
+import warnings
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array
 
-from .._ensemble.progress import progress_bar
+from .._ensemble.encoding import Encoder
+from .._ensemble.parts import progress_bar
 from .._events.sticks import Sticks
-from .._processor import cores, require_memory
-from .._simulation.result import Simulation
-from .._status import Ending, Status
-from .._types import AnyArray, Array, FloatArray, IntArray
-from ._cases import Cases
-from ._cycle import Cycle
-from ._stored import Kept
+from .._foundation import checks
+from .._foundation.extras import Entries, flags, labeled_dataset, variable
+from .._foundation.fields import is_of_package, modules_in
+from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
+from .._foundation.processes import cores, require_memory
+from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
+from .._simulation.call import code_of
+from .._simulation.result import Simulation, provenance, source
+from .._sweep.manifest import ID_LENGTH, ForeignBatchError, sum_of, versions, with_header, without_header
+from .._sweep.plan import DamagedBatchError, SweepError, label_and_unit
+from ._cases import Cases, Cycle
+
+if TYPE_CHECKING:
+    import xarray
+
+
+# Blocks of results kept in a folder, so that a call that was stopped goes on where it was.
+
+
+T = TypeVar("T")
+Folder = str | os.PathLike[str]
+_DESCRIPTION, _LOCK, _ENDING = "call.json", "lock", ".block"
+_NUMBERS = "numbers"
+_FEW = 32
+_FORMAT = "stickslip_jax nonlinear 1"
+
+
+class Kept:
+    """The blocks in a `folder` that belong to the call of this `identity`; without a folder none."""
+
+    def __init__(self, folder: Path | None = None, identity: bytes = b""):
+        self._folder, self._identity = folder, identity
+
+    @property
+    def is_used(self) -> bool:
+        """Whether blocks are kept."""
+        return self._folder is not None
+
+    def block(self, name: str, like: T, run: Callable[[], T]) -> T:
+        """The results of a block, arrays of NumPy in a tree like `like`: those that are kept, or what `run` returns."""
+        if self._folder is None:
+            return run()
+        found = self._read(self._folder, name + _ENDING, like)
+        if found is None:
+            found = run()
+            self._write(self._folder, name + _ENDING, found)
+        return found
+
+    def _read(self, folder: Path, name: str, like: T) -> T | None:
+        """The results that are kept under a name; None where they are not there or damaged."""
+        try:
+            whole = read_regular(folder / name)
+            # They are not compressed.
+            arrays = unpacked_arrays(without_header(self._identity, name, whole), 2 * len(whole))
+        except (
+            FileNotFoundError,
+            DamagedBatchError,
+            ValueError,
+            zipfile.BadZipFile,
+        ):  # what is damaged is done again, and replaced
+            return None
+        except (ForeignBatchError, OSError) as error:
+            raise SweepError(f"{folder / name} cannot be read, or is of another call; move it elsewhere.") from error
+        structure = jax.tree.structure(like)
+        return jax.tree.unflatten(structure, [arrays[f"arr_{number}"] for number in range(structure.num_leaves)])
+
+    def _write(self, folder: Path, name: str, results: Any) -> None:
+        data = io.BytesIO()
+        np.savez(data, *jax.tree.leaves(results))
+        try:
+            write_whole(folder / name, with_header(self._identity, name, data.getvalue()))
+        except OSError as error:
+            raise _cannot_write(folder, error) from error
+
+
+@contextlib.contextmanager
+def kept_in(folder: Folder | None, cases: Cases, what: Mapping[str, int | str]) -> Iterator[Kept]:
+    """The blocks in `folder` of a call that is followed for `cases`; `what` else decides its numbers.
+
+    Raises SweepError for a folder that holds something else, is in use, or cannot be written.
+    """
+    if folder is None:
+        yield Kept()
+        return
+    from .._sweep.store import locked  # noqa: PLC0415 - needs an extra
+
+    path = checks.path("folder", folder)
+    body = _description(cases, what)
+    in_use = f"{path} is in use by another call; wait for it to end, or choose another folder."
+    with contextlib.ExitStack() as stack:
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            _check_holds(path, body)
+            stack.enter_context(locked(path / _LOCK, in_use))
+            remove_unfinished(path)
+            write_whole(path / _DESCRIPTION, json.dumps(body, indent=1).encode())
+        except OSError as error:
+            raise _cannot_write(path, error) from error
+        yield Kept(path, sum_of(body)[:ID_LENGTH].encode())
+
+
+def _cannot_write(folder: Path, error: OSError) -> SweepError:
+    return SweepError(
+        f"{folder} cannot be written ({error.strerror or error}); choose another folder, or make it writable and run "
+        "again: what is done is kept."
+    )
+
+
+def _description(cases: Cases, what: Mapping[str, int | str]) -> dict[str, Any]:
+    """What decides the numbers of a call, each under the name of the argument."""
+    setting, encoder = cases.setter.setting, Encoder()
+    named = {"system": setting.system, "base": setting.law, "method": setting.method}
+    encoded = {name: encoder.encoded(value) for name, value in named.items()}
+    arrays = [
+        encoder.floats,
+        encoder.integers,
+        *(leaf for leaf in jax.tree.leaves(cases.cycle) if hasattr(leaf, "shape")),
+    ]
+    return {
+        "format": _FORMAT,
+        **what,
+        **encoded,
+        "over": {} if cases.points is None else {one.name: _values(one.values) for one in cases.points.dimensions},
+        "y0": _values(cases.starts[: cases.number // (1 if cases.points is None else cases.points.number)]),
+        "period": _values(np.unique(np.asarray(cases.cycle.duration))),
+        _NUMBERS: _sum(*arrays),
+        "code of your classes": _code(*named.values()),
+        "precision": str(np.dtype(cases.dtype)),
+        "versions": versions(),
+    }
+
+
+def _values(array: np.ndarray) -> list[Any] | str:
+    """Its values, if there are few, or a check sum."""
+    return array.tolist() if array.size <= _FEW else f"{array.size} numbers, check sum {_sum(array)}"
+
+
+def _sum(*arrays: Any) -> str:
+    found = hashlib.sha256()
+    for array in map(np.ascontiguousarray, arrays):
+        found.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    return found.hexdigest()[:16]
+
+
+def _code(*parts: object) -> str:
+    """A check sum of the code of all classes in `parts` that are not the package's own; "" if there is none."""
+    kinds = {type(module) for module in modules_in(parts) if not is_of_package(module)}
+    own = sorted(
+        {one for kind in kinds for one in kind.__mro__ if one.__module__.split(".")[0] not in _LIBRARIES}, key=repr
+    )
+    lines = [line for kind in own for name in vars(kind) for line in _lines(getattr(kind, name, None))]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16] if lines else ""
+
+
+_LIBRARIES = ("stickslip_jax", "equinox", "builtins", "abc", "typing")
+
+
+def _lines(value: object) -> Iterator[str]:
+    function = value.fget if isinstance(value, property) else value
+    if isinstance(function, types.FunctionType):
+        yield from code_of(function)
+
+
+def _check_holds(folder: Path, body: Mapping[str, Any]) -> None:
+    """Raises SweepError unless `folder` is empty or holds blocks of the same call."""
+    others = sorted(entry.name for entry in folder.iterdir() if entry.name != _LOCK)
+    if _DESCRIPTION not in others:
+        if others:
+            raise SweepError(
+                f"{folder} is not empty and holds no results of such a call (it has {others[0]}); choose an empty or a "
+                "new folder."
+            )
+        return
+    try:
+        there = json.loads(read_regular(folder / _DESCRIPTION))
+        assert isinstance(there, dict)
+    except (ValueError, AssertionError):
+        raise SweepError(f"{folder / _DESCRIPTION} is damaged; choose another folder.") from None
+    here = json.loads(json.dumps(body))
+    different = [name for name in {**there, **here} if there.get(name) != here.get(name)]
+    if different:
+        different = [name for name in different if name != _NUMBERS] or different
+        shown = "; ".join(
+            f"{name}: {_brief(there.get(name))} there, {_brief(here.get(name))} here" for name in different
+        )
+        raise SweepError(
+            f"{folder} holds results of another call ({shown}); choose another folder, or change the call back."
+        )
+
+
+def _brief(value: object) -> str:
+    if isinstance(value, dict) and "class" in value:
+        value = value["fields"].get("text") or f"{value['class']} {json.dumps(value['fields'])}"
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+# Cases followed from period to period, in blocks over threads.
+
 
 _LANES = 512  # cases of a block: their arrays stay in the cache
 _STORED_BLOCKS = 8  # at least, if there are as many cases
@@ -243,3 +446,129 @@ def _with_enough_steps(cases: Cases, run: Callable[[Cycle], Found]) -> Found:
             break
         found = jax.tree.map(np.asarray, run(cases.with_steps(2**doublings).cycle))
     return found
+
+
+# Warnings of cases that were not followed to the end.
+
+
+def warn_of_unfinished(status: object, stacklevel: int) -> None:
+    """Warn (RuntimeWarning) if any `Status` code (cases,) is not FINISHED, and say why."""
+    codes, counts = np.unique(np.asarray(status), return_counts=True)
+    bad = [
+        (Status(int(code)), int(count)) for code, count in zip(codes, counts, strict=True) if code != Status.FINISHED
+    ]
+    if bad:
+        number = sum(count for _, count in bad)
+        why = "; ".join(f"{count} because {code.meaning}" for code, count in bad)
+        warnings.warn(
+            f"{number} of {np.size(np.asarray(status))} cases were not followed to the end: {why}. They hold NaN from "
+            "there on, and the variable status says which they are.",
+            RuntimeWarning,
+            stacklevel=stacklevel,
+        )
+
+
+def warn_of_unsettled(unsettled: np.ndarray, so_far: int, more: str, stacklevel: int, *, what: str = "periods") -> None:
+    """Warn (RuntimeWarning) of the cases that are `unsettled`; `more` begins the sentence on what lets them go on."""
+    if np.any(unsettled):
+        warnings.warn(
+            f"{np.sum(unsettled)} of {np.size(unsettled)} motions have not settled within {so_far} {what}: differences "
+            f"between their returns still fall or grow, which the result says of each. {more} them go on; near a "
+            "bifurcation that may take very long.",
+            RuntimeWarning,
+            stacklevel=stacklevel,
+        )
+
+
+def warn_of_missing(missing: int, cases: int, periods: int, stacklevel: int) -> None:
+    """Warn (RuntimeWarning) if in some cases fewer events were found than are asked for."""
+    if missing:
+        warnings.warn(
+            f"In {missing} of {cases} cases fewer events were found in {periods} periods than are asked for: the "
+            "variable event_count says how many. Their places hold NaN; the motion may have come to rest, or never "
+            "pass there.",
+            RuntimeWarning,
+            stacklevel=stacklevel,
+        )
+
+
+def warn_of_none(number: int, starts: int, most: int, stacklevel: int) -> None:
+    """Warn (RuntimeWarning) of starts on no attractor."""
+    if number:
+        warnings.warn(
+            f"{number} of {starts} starts belong to none of the {most} attractors that were looked for: basin is 0 "
+            "there. Their motions may need a longer transient, or a larger tolerance or most.",
+            RuntimeWarning,
+            stacklevel=stacklevel,
+        )
+
+
+# Results over cases as labelled arrays: the grid of parameters, then the starts.
+
+
+START, CYCLE = "start", "cycle"
+
+
+def dimensions_of(cases: Cases) -> tuple[str, ...]:
+    """Names of the dimensions of the cases."""
+    own = () if cases.points is None else tuple(one.name for one in cases.points.dimensions)
+    return own + ((START,) if len(cases.shape) > len(own) else ())
+
+
+def names_of(cases: Cases) -> tuple[str, ...]:
+    """Names of variables for the numbers of the state."""
+    return tuple(coordinate.variable for coordinate in cases.system.coordinates)
+
+
+def states_of(cases: Cases, states: np.ndarray, more: tuple[str, ...], where: str) -> Entries:
+    """A variable for each number of the `states`, (cases, ..., coordinates), with the dimensions `more`."""
+    found = {}
+    for number, (name, coordinate) in enumerate(zip(names_of(cases), cases.system.coordinates, strict=True)):
+        column = states[..., number]
+        if coordinate.period is not None:
+            column = np.mod(column, coordinate.period)
+        found[name] = on_grid(cases, column, f"{coordinate.name} {where}", coordinate.unit, more)
+    return found
+
+
+def on_grid(
+    cases: Cases, values: Any, long_name: str, unit: str = "1", more: tuple[str, ...] = (), **attributes: object
+) -> tuple[Any, ...]:
+    """A variable whose `values`, (cases, ...), are put on the grid of the cases."""
+    values = np.asarray(values)
+    grid = values.reshape((*cases.shape, *values.shape[1:]))
+    return variable((*dimensions_of(cases), *more), grid, long_name, unit, **attributes)
+
+
+def outcome_of(cases: Cases, status: np.ndarray, near_grazing_count: np.ndarray) -> Entries:
+    """Whether each case was followed to the end, and how often round-off decided about an event."""
+    return {
+        "status": on_grid(cases, status.astype(np.int8), "whether the case was followed to the end", **flags(Status)),
+        "near_grazing_count": on_grid(cases, near_grazing_count, "number of events decided by round-off"),
+    }
+
+
+def dataset_of(cases: Cases, variables: Entries, coordinates: Entries | None = None) -> "xarray.Dataset":
+    """The data set of `variables` over the cases, with the values of parameters and the starts as coordinates.
+
+    Raises:
+        ImportError: Without the extra ``study``.
+    """
+    setting = cases.setter.setting
+    found: Entries = {}
+    for one in () if cases.points is None else cases.points.dimensions:
+        for number, name in enumerate(one.parameters):
+            label, unit = label_and_unit(setting, name)
+            found[name] = variable(one.name, one.values[:, number], label, unit)
+    if dimensions_of(cases)[-1:] == (START,):
+        starts = cases.starts[: cases.shape[-1]]
+        for number, (name, coordinate) in enumerate(zip(names_of(cases), cases.system.coordinates, strict=True)):
+            found[f"initial_{name}"] = variable(START, starts[:, number], f"initial {coordinate.name}", coordinate.unit)
+    about = {**source(), **provenance(cases.system, setting.law, setting.method)}
+    return labeled_dataset(apart(variables, found), {**found, **(coordinates or {})}, about)
+
+
+def apart(variables: Entries, parameters: Iterable[str]) -> Entries:
+    """`variables`, with an underscore after the name of each that is called as a parameter is: "period_"."""
+    taken = set(parameters)
+    return {f"{name}_" if name in taken else name: entry for name, entry in variables.items()}

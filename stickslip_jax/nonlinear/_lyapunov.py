@@ -8,22 +8,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array
 
-from .. import _checks
-from .._conventions import Entries, variable
 from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
-from .._numerics.orthogonal import orthogonal_factors
-from .._status import Status
+from .._foundation import checks
+from .._foundation.extras import Entries, variable
+from .._foundation.types import BoolScalar, FloatArray, IntArray, Scalar, Status
+from .._numerics.matrices import orthogonal_factors
 from .._systems.system import System
-from .._types import Array, BoolScalar, FloatArray, IntArray, Scalar
-from ._cases import Cases, Over, cases_of, checked_numbers
-from ._cycle import Cycle
-from ._following import in_blocks
-from ._labeled import CYCLE, START, dataset_of, dimensions_of, on_grid, outcome_of
-from ._recurrence import RECURS, UNSETTLED, recurrence
-from ._stored import Folder, kept_in
-from ._warnings import warn_of_unfinished
+from ._cases import Cases, Cycle, Over, cases_of, checked_numbers
+from ._following import (
+    CYCLE,
+    START,
+    Folder,
+    dataset_of,
+    dimensions_of,
+    in_blocks,
+    kept_in,
+    on_grid,
+    outcome_of,
+    warn_of_unfinished,
+)
+from ._settling import RECURS, UNSETTLED, recurrence
 
 if TYPE_CHECKING:
     import xarray
@@ -107,7 +114,7 @@ def lyapunov_exponents(
     transient, kept = checked_numbers(transient, kept)
     cases = cases_of(system, base, y0, over, period, method)
     size = len(cases.system.coordinates)
-    number = size if exponents is None else _checks.whole_number("exponents", exponents, maximum=size)
+    number = size if exponents is None else checks.whole_number("exponents", exponents, maximum=size)
     every = math.ceil(kept / min(kept, _CHECKPOINTS))
     checkpoints = math.ceil(kept / every)
 

@@ -1,29 +1,245 @@
-"""Periodic orbits, with sticks or without: Newton's method on the return map, with its exact derivative."""
+"""Periodic orbits, with sticks or without: Newton's method on the return map, with its exact derivatives."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array
 
-from .. import _checks
-from .._dynamics.common.method import EXACT, Exact
-from .._dynamics.common.validation import Arguments, check_fixed, state_of, working_dtype
+from .._dynamics.common.method import EXACT, Arguments, Exact, check_fixed, slowest_time, state_of, working_dtype
+from .._dynamics.switched.engine import StepPath, follow_steps
 from .._excitation.excitation import BaseMotion, motion_of
-from .._forks import require_threads_of_jax
-from .._methods import WithMethods
-from .._numerics.leaves import as_arrays
+from .._foundation import checks
+from .._foundation.methods import WithMethods
+from .._foundation.processes import require_threads_of_jax
+from .._foundation.types import BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar
+from .._numerics.derivatives import as_arrays
+from .._numerics.matrices import solution
 from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.system import System, checked_system
-from .._types import Array, BoolScalar, FloatArray, FloatScalar, InitialState, Scalar
-from ._cases import check_repeats
-from ._cycle import Cycle, steps_in
-from ._modes import Mode, modes_of
-from ._newton import root_of
-from ._orbit_parts import guessed_period, multipliers_of, without_trivial
-from ._own_time import changes_by_itself
-from ._period import check_signals, checked_period, drive_period
+from ._cases import Cycle, changes_by_itself, check_repeats, check_signals, checked_period, drive_period, steps_in
+
+# The sequence of modes of a trajectory: which contacts stick, and which slip in which direction.
+
+
+class Mode(NamedTuple):
+    """A part of an orbit in which no contact changes between slip and stick.
+
+    `signs`: of the relative velocity of each contact, 0 in a stick. `start`, `end`: s, from the beginning of the orbit.
+    """
+
+    signs: tuple[int, ...]
+    start: float
+    end: float
+
+
+def modes_of(system: System, base: Any, method: Exact, duration: Any, state: Any) -> tuple[Mode, ...]:
+    """The modes of one trajectory in order of time."""
+    y0 = tuple(float(value) for value in np.asarray(state))
+    t1 = float(duration)
+    motion = motion_of(base).realized_until(t1)
+    run = follow_steps(system, motion, method, t1, y0, working_dtype(stacklevel=5))
+    assert isinstance(run.path, StepPath)
+    begun = run.path.beginnings
+    return modes_between(np.asarray(begun.t), np.asarray(begun.sign), t1)
+
+
+def modes_between(times: np.ndarray, signs: np.ndarray, t1: float) -> tuple[Mode, ...]:
+    """The modes up to `t1` (s), by the signs that hold from the beginnings of loop steps on, (steps,) or (steps,
+    contacts).
+    """
+    signs = signs.reshape(len(times), -1).astype(int)
+    # Of loop steps that begin at one instant the last holds; the idle ones after the end begin where it is.
+    last = np.append(times[1:] > times[:-1], False) & (times < t1)
+    times, signs = times[last], signs[last]
+    new = np.append(True, np.any(signs[1:] != signs[:-1], axis=1))
+    starts, ends = times[new], np.append(times[new][1:], t1)
+    return tuple(
+        Mode(tuple(map(int, sign)), float(start), float(end))
+        for sign, start, end in zip(signs[new], starts, ends, strict=True)
+    )
+
+
+def sequence(modes: tuple[Mode, ...]) -> tuple[tuple[int, ...], ...]:
+    """The order of modes on a closed orbit, wherever it begins."""
+    signs = [mode.signs for mode in modes]
+    if len(signs) > 1 and signs[0] == signs[-1]:
+        signs = signs[:-1]
+    turns = [tuple(signs[number:] + signs[:number]) for number in range(len(signs))]
+    return min(turns)
+
+
+def stick_count(modes: tuple[Mode, ...]) -> int:
+    """The number of sticks of all contacts on a closed orbit; one that lasts for all of it counts."""
+    return _count(modes, lambda sign: sign == 0)
+
+
+def slip_count(modes: tuple[Mode, ...]) -> int:
+    """The number of slips in one direction of all contacts on a closed orbit; one that lasts for all of it counts."""
+    return _count(modes, lambda sign: sign > 0) + _count(modes, lambda sign: sign < 0)
+
+
+def _count(modes: tuple[Mode, ...], is_one: Callable[[int], bool]) -> int:
+    order = sequence(modes)
+    found = np.array([[is_one(sign) for sign in signs] for signs in order])
+    begun = found & ~np.roll(found, 1, axis=0)
+    return int(np.sum(begun) + np.sum(np.all(found, axis=0)))
+
+
+# Newton's method for return maps, whose roots have the derivatives of what they are roots of.
+
+
+_HALVINGS = 8
+_LEAST = 0.5  # a smaller gain near the end is round-off
+
+
+class Found(NamedTuple):
+    """Of a root: the derivative of the function there (size, size), and the residuals: of the guess, and after each
+    iteration that made it smaller (NaN after the last).
+    """
+
+    matrix: FloatArray
+    residuals: FloatArray
+
+
+class _State(NamedTuple):
+    """The best point `z` so far, its `residual`, and the `matrix` there; and the point to `try` next, ``z + step`` of a
+    Newton step that was halved so many times.
+    """
+
+    z: FloatArray
+    residual: FloatScalar
+    matrix: FloatArray
+    step: FloatArray
+    halvings: IntArray
+    residuals: FloatArray
+    number: IntArray
+    goes_on: BoolScalar
+
+
+def root_of(
+    function: Callable[[FloatArray], FloatArray],
+    size_of: Callable[[FloatArray, FloatArray], FloatScalar],
+    guess: FloatArray,
+    tolerance: FloatScalar,
+    iterations: int,
+) -> tuple[FloatArray, Found]:
+    """A root of `function` (size,) near `guess`, and how it was found.
+
+    `size_of` a residual at a point: relative, without unit. A step that makes it larger is halved. The derivatives of
+    the root are those of the implicit function, of every order, as `lax.custom_root` has them.
+    """
+
+    def solve(function, guess):
+        unit = jnp.eye(len(guess), dtype=guess.dtype)
+
+        # The function stands here once: it is a whole simulation, which takes seconds to compile.
+        def one(state: _State) -> _State:
+            z = state.z + state.step
+            push = jax.vmap(lambda direction: jax.jvp(function, (z,), (direction,)), out_axes=(None, 1))
+            value, matrix = push(unit)
+            residual = size_of(z, value)
+            better = residual < state.residual
+            number = state.number + better
+            chosen = jnp.where(better, residual, state.residual)
+            goes_on = better & (residual > 0) & ((residual > tolerance) | (residual < _LEAST * state.residual))
+            return _State(
+                jnp.where(better, z, state.z),
+                chosen,
+                jnp.where(better, matrix, state.matrix),
+                jnp.where(better, solution(matrix, -value), state.step / 2),
+                jnp.where(better, 0, state.halvings + 1),
+                state.residuals.at[number].set(chosen),
+                number,
+                goes_on | (~better & (state.residual > tolerance) & (state.halvings < _HALVINGS)),
+            )
+
+        none, most = jnp.zeros((), jnp.int32), jnp.full((), jnp.inf, guess.dtype)
+        residuals = jnp.full(iterations + 1, jnp.nan, guess.dtype)
+        begun = _State(guess, most, jnp.zeros_like(unit), jnp.zeros_like(guess), none, residuals, none - 1, most > 0)
+        done = lax.while_loop(lambda state: state.goes_on & (state.number < iterations), one, begun)
+        return done.z, Found(done.matrix, done.residuals)
+
+    def tangent(linear, target):
+        return solution(jax.vmap(linear, out_axes=1)(jnp.eye(len(target), dtype=target.dtype)), target)
+
+    return lax.custom_root(function, guess, solve, tangent, has_aux=True)
+
+
+# What the search for a periodic orbit begins with, and what is read from what it found.
+
+
+_SPAN = 50  # time scales, in which a motion is looked at; again from its end, so many times
+_MOST_SPANS = 20
+_SEEN = 8001
+
+
+def multipliers_of(matrix: np.ndarray) -> np.ndarray:
+    """The eigenvalues of a real matrix, the largest first, exact zeros for what it lacks in rank.
+
+    The eigenvalues of ``q r`` that are not zero are those of ``r q``, which is smaller.
+    """
+    size = len(matrix)
+    while len(matrix):
+        left, sizes, right = np.linalg.svd(matrix)
+        rank = int(np.sum(sizes > 1e3 * np.finfo(matrix.dtype).eps * max(sizes[0], np.finfo(matrix.dtype).tiny)))
+        if rank == len(matrix):
+            break
+        matrix = (sizes[:rank, None] * right[:rank]) @ left[:, :rank]
+    found = np.zeros(size, complex)
+    found[: len(matrix)] = np.linalg.eigvals(matrix) if len(matrix) else []
+    return found[np.argsort(-np.abs(found), kind="stable")]
+
+
+def without_trivial(multipliers: np.ndarray) -> np.ndarray:
+    """Without the multiplier that is nearest to 1: that along the motion, where nothing drives the system."""
+    return np.delete(multipliers, np.argmin(np.abs(multipliers - 1)))
+
+
+def guessed_period(system: System, base: BaseMotion, start: Any, method: Exact) -> float:
+    """The time in which a motion that begins at `start` last came back to where it then was."""
+    if checks.holds_traced(system, base, start):
+        raise ValueError(
+            "Argument period must be given under jax.jit, vmap and grad, where nothing changes with time: a guess of "
+            "the orbit's period, s."
+        )
+    span, y0 = _SPAN * slowest_time(system, base), tuple(map(float, start))
+    times = np.linspace(0, span, _SEEN)
+    for _ in range(_MOST_SPANS):
+        one = simulate(system, base, t1=span, y0=y0, method=method)
+        states = np.stack([np.asarray(column) for column in one.evaluate(times)], axis=1)
+        found = _last_return(times, states)
+        if found is not None:
+            return found
+        y0 = tuple(map(float, one.final_state))
+    raise ValueError(
+        "Argument period must be given: a guess of the orbit's period (s), because no motion from y0 was found that "
+        f"comes back to where it was {_MOST_SPANS * span:.4g} s later; does it come to rest?"
+    )
+
+
+def _last_return(times: np.ndarray, states: np.ndarray) -> float | None:
+    """The time between the end and when the motion last passed there, None if it never came near."""
+    scale = np.ptp(states, axis=0)
+    if not np.all(np.isfinite(states)) or np.max(scale) <= 1e-9 * max(np.max(np.abs(states)), 1e-300):
+        return None
+    scaled = states / np.where(scale > 0, scale, 1)
+    distance = np.linalg.norm(scaled - scaled[-1], axis=1)
+    away = np.flatnonzero(distance > 0.2)
+    if not len(away):
+        return None
+    before = distance[: away[-1]]
+    near = np.flatnonzero((before[1:-1] <= before[:-2]) & (before[1:-1] <= before[2:]) & (before[1:-1] < 0.05)) + 1
+    return float(times[-1] - times[near[-1]]) if len(near) else None
+
+
+# Periodic orbits, with sticks or without: Newton's method on the return map, with its exact derivative.
+
 
 TOLERANCE = {8: 1e-10, 4: 1e-4}
 _ITERATIONS = 30
@@ -67,7 +283,7 @@ class PeriodicOrbit(WithMethods):
 
         Under JAX's transformations they are the eigenvalues of `monodromy` as LAPACK finds them, in its order.
         """
-        if _checks.is_traced(self.monodromy) or self.monodromy.ndim > 2:
+        if checks.is_traced(self.monodromy) or self.monodromy.ndim > 2:
             return jnp.linalg.eigvals(self.monodromy)
         return multipliers_of(np.asarray(self.monodromy))
 
@@ -132,10 +348,10 @@ def periodic_orbit(
     12.001031295 [1.+0.j 0.+0.j]
     """
     require_threads_of_jax()
-    periods = _checks.whole_number("periods", periods)
-    iterations = _checks.whole_number("iterations", iterations)
+    periods = checks.whole_number("periods", periods)
+    iterations = checks.whole_number("iterations", iterations)
     if not isinstance(method, Exact):
-        raise ValueError(f"Argument method must be Exact(...), but {_checks.show(method)} was given.")
+        raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
     system = checked_system(system)
     check_fixed(system=system, base=base)
     start = state_of(system, y0)
@@ -148,7 +364,7 @@ def periodic_orbit(
     driven = duration is not None
     if tolerance is None:
         tolerance = TOLERANCE[np.dtype(dtype).itemsize]
-    _checks.positive("tolerance", tolerance)
+    checks.positive("tolerance", tolerance)
     if duration is None:
         duration = period if period is not None else guessed_period(system, base, start, method)
     else:

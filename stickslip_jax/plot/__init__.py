@@ -17,29 +17,16 @@ how a system of your own moves in it.
 Nothing is simulated here. Bad arguments raise ValueError with the name of the argument.
 """
 
-from .._systems.mechanism import Belt, Body, Disk, Mechanism, Rod, Spring
+from .._systems.system import Belt, Body, Disk, Mechanism, Rod, Spring
 from ._animations import Animation, animate
-from ._basins import basins
-from ._bounds import stick_bounds
-from ._branches import orbit_branch
-from ._calibration_moments import calibration_moments
-from ._calibrations import calibration
-from ._convergences import convergence
-from ._curves import curve
-from ._energies import energies
-from ._histograms import histogram
-from ._histories import time_history
-from ._joint_histograms import joint_histogram
-from ._orders import means_by_order
-from ._parameter_maps import parameter_map
-from ._parameter_sweeps import parameter_sweep
-from ._portraits import phase_portrait
-from ._rasters import stick_raster
-from ._saving import save
-from ._sections import bifurcation_diagram, section
-from ._sensitivities import sensitivity_curve, tornado
-from ._stick_fraction_curves import stick_fraction_curve
-from ._stick_maps import stick_map
+from ._curves import curve, stick_bounds, stick_fraction_curve
+from ._histograms import histogram, joint_histogram, stick_map
+from ._histories import energies, phase_portrait, time_history
+from ._maps import parameter_map, parameter_sweep
+from ._rasters import convergence, means_by_order, stick_raster
+from ._sections import basins, bifurcation_diagram, orbit_branch, section
+from ._sensitivities import calibration, calibration_moments, sensitivity_curve, tornado
+from ._style import save
 
 __all__ = [
     "Animation",

@@ -1,30 +1,411 @@
 """A moving picture of one trajectory: its mechanism, and below it the history that grows."""
 
 import base64
+import io
+import math
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple, TypeAlias, cast
 
+import jax
+import matplotlib as mpl
 import numpy as np
+from matplotlib.animation import FFMpegWriter
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Rectangle
+from PIL import Image
 
-from .. import _checks
-from .._ensemble.progress import progress_bar
-from .._excitation.ground import GroundMotion
-from .._files import file_for_user, file_to_write
+from .._ensemble.parts import progress_bar
+from .._events.sticks import Sticks
+from .._excitation.recorded import GroundMotion
+from .._foundation import checks
+from .._foundation.files import file_for_user, file_to_write
+from .._foundation.types import Ending
 from .._simulation.result import Simulation
-from .._systems.mechanism import Belt, Disk, Mechanism
-from . import _films, _parts, _style
-from ._contacts import line_times
-from ._frames import Stuck, base_displacement, checked_speed, frame_times, state_at, sticks_of, velocity_at
-from ._legends import legend_above
-from ._moving_parts import Move, check_mechanism, draw_parts
-from ._trajectory import check_simulation, check_window
-from ._types import Window
-from ._windows import phases_in
+from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Point, Rod, Spring
+from . import _style
+from ._histories import line_times
+from ._style import Window, legend_above
+from ._trajectory import check_simulation, check_window, padded, phases_in
 
-_WRITERS = {".gif": _films.gif, ".mp4": _films.mp4}
+# Films of frames that a function draws into a figure: as GIF by Pillow, as MP4 by ffmpeg.
+
+
+_COLORS = 64  # of a frame of a GIF: a drawing of few colours, and their edges
+
+
+def gif(figure: Figure, draw: Callable[[int], object], frames: int, fps: float, dpi: float) -> bytes:
+    """The frames that `draw` draws into `figure`, as a GIF that begins anew at its end.
+
+    A GIF counts hundredths of a second: frames last one more or less, so that the film keeps its speed.
+    """
+    images = [_with_few_colors(image) for image in _images(figure, draw, frames, dpi)]
+    ends = np.round(100 * np.arange(frames + 1) / fps).astype(int)
+    written = io.BytesIO()
+    lasting = (10 * np.diff(ends)).tolist()  # ms
+    images[0].save(written, "GIF", save_all=True, append_images=images[1:], duration=lasting, loop=0)
+    return written.getvalue()
+
+
+def _with_few_colors(image: Image.Image) -> Image.Image:
+    return image.quantize(_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+
+
+def _images(figure: Figure, draw: Callable[[int], object], frames: int, dpi: float) -> Iterator[Image.Image]:
+    """The frames; axes and legends, which take most of the time, are drawn once and what is in the axes over them."""
+    usual, canvas = figure.dpi, FigureCanvasAgg(figure)
+    moving = [one for ax in figure.axes for one in (*ax.patches, *ax.lines, *ax.collections, *ax.texts)]
+    moving.sort(key=lambda one: one.get_zorder())
+    figure.dpi = dpi
+    try:
+        for one in moving:
+            one.set_animated(True)
+        canvas.draw()
+        still = canvas.copy_from_bbox(figure.bbox)
+        for number in range(frames):
+            draw(number)
+            canvas.restore_region(still)
+            for one in moving:
+                assert one.axes is not None
+                one.axes.draw_artist(one)
+            yield Image.fromarray(np.array(canvas.buffer_rgba())).convert("RGB")
+    finally:
+        for one in moving:
+            one.set_animated(False)
+        figure.dpi = usual
+
+
+def mp4(figure: Figure, draw: Callable[[int], object], frames: int, fps: float, dpi: float) -> bytes:
+    """The frames that `draw` draws into `figure`, as an MP4.
+
+    Raises:
+        ImportError: Without ffmpeg.
+        OSError: For what ffmpeg cannot do.
+    """
+    if not FFMpegWriter.isAvailable():
+        raise ImportError(
+            f"A film in MP4 needs the program ffmpeg, but no {mpl.rcParams['animation.ffmpeg_path']!r} was found; "
+            "install it (apt install ffmpeg, conda install ffmpeg, brew install ffmpeg), or save a .gif, which needs "
+            "no other program."
+        )
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"
+        writer = FFMpegWriter(fps=cast(int, fps))  # any number
+        try:
+            with writer.saving(figure, str(path), dpi):
+                for number in range(frames):
+                    draw(number)
+                    writer.grab_frame()
+            return path.read_bytes()
+        except (subprocess.CalledProcessError, OSError) as error:
+            said = getattr(error, "stderr", None) or getattr(error, "output", None) or error
+            raise OSError(f"ffmpeg could not make the film: {str(said).strip()}") from error
+
+
+# What a film shows in each frame: the state, how far the base has run, and which contacts stick.
+
+
+_MOST_FRAMES = 3000
+_USUAL_LENGTH = 10.0  # s, of a film whose speed is not given
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+class Stuck(NamedTuple):
+    """When one contact sticks; arrays (sticks,). `to_horizon`: whether the end of the simulation cut the stick."""
+
+    start: np.ndarray
+    end: np.ndarray
+    to_horizon: np.ndarray
+
+    @classmethod
+    def of(cls, sticks: Sticks) -> "Stuck":
+        """Those of one contact."""
+        mask = np.asarray(sticks.mask)
+        start, end, ending = (np.asarray(values)[mask] for values in (sticks.start, sticks.end, sticks.ending))
+        return cls(start, end, ending == Ending.HORIZON)
+
+    def lasts_at(self, times: np.ndarray) -> np.ndarray:
+        """Whether there is a stick at these times (s), from its start until just before its end."""
+        at = np.searchsorted(self.start, times, side="right") - 1
+        found = np.maximum(at, 0)
+        if not len(self.start):
+            return np.zeros(times.shape, bool)
+        return (at >= 0) & ((times < self.end[found]) | (self.to_horizon[found] & (times <= self.end[found])))
+
+
+def sticks_of(one: Simulation) -> dict[int, Stuck]:
+    """The sticks of each contact of which they are known, by its number.
+
+    Raises:
+        ValueError: Where it is not known which contact they are of.
+    """
+    system = one.system
+    if system.contact_count is None:
+        return {0: Stuck.of(one.sticks)}
+    if one.sticks.contact is not None:
+        return {number: Stuck.of(one.of_contact(number).sticks) for number in range(system.contact_count)}
+    if system.counted_track is None:
+        raise ValueError(
+            "Argument result must hold the sticks of all contacts, but one of of_contact or of_all_contacts was given; "
+            "animate the simulation that it was taken from."
+        )
+    counted = range(system.contact_count) if system.counted_track < 0 else [system.counted_track]
+    return dict.fromkeys(counted, Stuck.of(one.sticks))
+
+
+def frame_times(window: Window, speed: float | None, fps: float, dtype: np.dtype) -> tuple[np.ndarray, float]:
+    """The times of the frames (s), from the window's begin in equal steps as far as it reaches; and the speed.
+
+    Raises:
+        ValueError: For fewer than two frames, and for more than 3,000.
+    """
+    length = window[1] - window[0]
+    speed = length / _USUAL_LENGTH if speed is None else speed
+    # The last frame is at the window's end where that is a whole number of steps away, up to round-off.
+    frames = math.floor(length / speed * fps * (1 + 1e-9)) + 1
+    if not 2 <= frames <= _MOST_FRAMES:
+        raise ValueError(
+            f"Arguments window, speed and fps must make 2 to {_MOST_FRAMES:,} frames, but {length:g} s at "
+            f"{speed:g} s of motion per second of film with {fps:g} frames per second are {frames:,}; choose "
+            f"{'a lower' if frames < 2 else 'a higher'} speed{' or a shorter window' if frames > 2 else ''}."
+        )
+    times = window[0] + speed / fps * np.arange(frames)
+    return np.minimum(times, window[1]).astype(dtype), speed
+
+
+def base_displacement(one: Simulation, times: np.ndarray) -> np.ndarray:
+    """How far the base has run since the first of `times` (s), at each of them: the integral of its velocity.
+
+    By Gauss's rule between all beginnings of time steps, at which the velocity may jump: exact where it is a polynomial
+    of degree 7 between them.
+    """
+    steps = np.asarray(one.step_starts)
+    knots = np.unique(np.concatenate([times, steps[(steps > times[0]) & (steps < times[-1])]])).astype(float)
+    half, middle = np.diff(knots) / 2, (knots[1:] + knots[:-1]) / 2
+    nodes = middle[:, None] + half[:, None] * _NODES
+    velocities = velocity_at(one, nodes.ravel()).reshape(nodes.shape)
+    run = np.concatenate([[0.0], np.cumsum(half * (velocities @ _WEIGHTS))])
+    return run[np.searchsorted(knots, times.astype(float))]
+
+
+def state_at(one: Simulation, times: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The state at `times` (s), (times,) each, in double precision whatever that of the simulation."""
+    return tuple(np.asarray(values, float)[: len(times)] for values in one.evaluate(padded(one, times)))
+
+
+def velocity_at(one: Simulation, times: np.ndarray) -> np.ndarray:
+    """The base velocity at `times` (s), likewise."""
+    return np.asarray(_velocity(one, padded(one, times)), float)[: len(times)]
+
+
+@jax.jit
+def _velocity(one: Simulation, times: jax.Array) -> jax.Array:
+    return one.base_velocity(times)
+
+
+def checked_speed(speed: float | int | None, fps: float | int) -> None:
+    """Raises ValueError for a speed that is not positive, or a number of frames per second that no GIF can show."""
+    if speed is not None:
+        checks.positive("speed", speed, "s of motion per s of film")
+    checks.positive("fps", fps, "frames per second")
+    if fps > 50:
+        raise checks.refused("fps", "be at most 50 (frames per second), the most that players of GIFs show", fps)
+
+
+# The parts of a mechanism as artists of matplotlib that move from frame to frame.
+
+
+Move: TypeAlias = Callable[[int], None]
+"""Puts what was drawn where it is in the frame with this number."""
+
+_FILL, _FIXED = "#E6E6E6", "#BBBBBB"
+_COIL_WIDTH, _COIL_LENGTH, _MOST_COILS = 0.16, 0.2, 7  # inches, from side to side and along the spring
+_LEADS = 0.12  # of the length of a spring, straight at each end
+_BASE_MARKS = 6
+
+
+def check_mechanism(mechanism: object, whose: str, frames: int, contacts: int) -> None:
+    """Raise ValueError for what a user's `System.mechanism` must not return; `whose`: the class of the system."""
+    called = f"The method mechanism of {whose}"
+    if not isinstance(mechanism, Mechanism) or not all(isinstance(part, Part) for part in mechanism.parts):
+        raise ValueError(
+            f"{called} must return a plot.Mechanism of Body, Spring, Rod, Disk and Belt, but {checks.show(mechanism)} "
+            "was returned."
+        )
+    for part in mechanism.parts:
+        for value in _numbers_of(part):
+            array = checks.numbers("mechanism", value)
+            if array.shape not in ((), (frames,)) or not np.all(np.isfinite(array)):
+                raise ValueError(
+                    f"{called} must return finite numbers or arrays of {frames} of them, one for each frame, but a "
+                    f"{type(part).__name__} has {checks.show(value)}."
+                )
+        touched = () if isinstance(part, (Belt, Spring)) else part.contacts
+        if not set(touched) <= set(range(contacts)):
+            raise ValueError(
+                f"{called} must return numbers of contacts from 0 to {contacts - 1}, but a {type(part).__name__} has "
+                f"the contacts {touched}."
+            )
+
+
+def _numbers_of(part: Part) -> tuple[OverTime, ...]:
+    """All numbers of a part."""
+    if isinstance(part, Body):
+        return *part.center, part.width, part.height
+    if isinstance(part, Disk):
+        return *part.center, part.radius, *(() if part.angle is None else (part.angle,))
+    if isinstance(part, Belt):
+        return part.y, part.displacement, *part.ends
+    return *part.start, *part.end
+
+
+def draw_parts(ax: Axes, mechanism: Mechanism, sticking: np.ndarray) -> Move:
+    """Draw a mechanism into `ax`; returns what moves it.
+
+    `sticking`: whether each contact sticks in each frame, (frames, contacts).
+    """
+    ax.set(xlim=mechanism.x_range, ylim=mechanism.y_range)
+    moves = [_draw_parts(ax, part, sticking, 2 + 0.01 * order) for order, part in enumerate(mechanism.parts)]
+
+    def move(frame: int) -> None:
+        for one in moves:
+            one(frame)
+
+    return move
+
+
+def _draw_parts(ax: Axes, part: Part, sticking: np.ndarray, order: float) -> Move:
+    """One part, above all of a lower `order`."""
+    if isinstance(part, Body):
+        return _body(ax, part, sticking, order)
+    if isinstance(part, Disk):
+        return _disk(ax, part, sticking, order)
+    if isinstance(part, Belt):
+        return _belt(ax, part, order)
+    return _link(ax, part, sticking, order)
+
+
+def _body(ax: Axes, body: Body, sticking: np.ndarray, order: float) -> Move:
+    look = {"hatch": "////", "edgecolor": "0.5", "facecolor": _FIXED, "lw": 0} if body.fixed else {
+        "edgecolor": _style.MASS, "facecolor": _FILL, "lw": _style.SLIP_WIDTH
+    }  # fmt: skip
+    patch = Rectangle((0, 0), 0, 0, zorder=order, **look)
+    ax.add_patch(patch)
+    text = ax.text(0, 0, body.label, ha="center", va="center", zorder=order, clip_on=True, fontsize="small")
+    stuck = _any_of(sticking, body.contacts)
+
+    def move(frame: int) -> None:
+        (x, y), width, height = _at(body.center, frame), _number(body.width, frame), _number(body.height, frame)
+        patch.set_bounds(x - width / 2, y - height / 2, width, height)
+        text.set_position((x, y))
+        if not body.fixed:
+            patch.set_facecolor(_style.STICK if stuck[frame] else _FILL)
+
+    return move
+
+
+def _disk(ax: Axes, disk: Disk, sticking: np.ndarray, order: float) -> Move:
+    color = _style.BASE if disk.is_base else _style.MASS
+    look = {"fill": not disk.is_base, "facecolor": _FILL, "edgecolor": color, "lw": 1.4, "zorder": order}
+    circle = Circle((0, 0), disk.radius, **look)
+    ax.add_patch(circle)
+    marks = LineCollection([], colors=color, lw=1.8, zorder=order)
+    ax.add_collection(marks, autolim=False)
+    text = ax.text(0, 0, disk.label, ha="center", va="top", fontsize="small", zorder=order)
+    stuck = _any_of(sticking, disk.contacts)
+    # A ring has short marks all around it, the first a long one.
+    turns = 2 * np.pi * np.arange(_BASE_MARKS) / _BASE_MARKS if disk.is_base else np.zeros(1)
+    inner = np.where(turns == 0, 0.82, 0.92) if disk.is_base else np.zeros(1)
+
+    def move(frame: int) -> None:
+        center = np.array(_at(disk.center, frame))
+        circle.set_center((center[0], center[1]))
+        text.set_position((center[0], center[1] - 1.35 * disk.radius))
+        if not disk.is_base:
+            circle.set_facecolor(_style.STICK if stuck[frame] else _FILL)
+        if disk.angle is not None:
+            angles = _number(disk.angle, frame) + turns
+            ways = disk.radius * np.stack([np.cos(angles), np.sin(angles)], -1)
+            marks.set_segments(list(np.stack([center + inner[:, None] * ways, center + ways], 1)))
+
+    return move
+
+
+def _belt(ax: Axes, belt: Belt, order: float) -> Move:
+    ax.plot(belt.ends, [belt.y] * 2, color=_style.BASE, lw=2, zorder=order, solid_capstyle="butt")
+    marks = LineCollection([], colors=_style.BASE, lw=1.6, zorder=order)
+    ax.add_collection(marks, autolim=False)
+    places = belt.mark_places
+    height = abs(np.diff(ax.get_ylim())[0])
+    lengths = np.where(np.arange(belt.marks) == 0, 0.11, 0.05) * height
+    below = np.column_stack([np.full(belt.marks, belt.y), belt.y - lengths])
+
+    def move(frame: int) -> None:
+        x = places[frame] if places.ndim == 2 else places
+        marks.set_segments(list(np.stack([np.stack([x, x], -1), below], -1)))
+
+    return move
+
+
+def _link(ax: Axes, link: Spring | Rod, sticking: np.ndarray, order: float) -> Move:
+    figure = _style.figure_of(ax)
+    # Coils have the same width in every direction and on every scale, so they are drawn in inches.
+    is_spring = isinstance(link, Spring)
+    line = Line2D([], [], color=_style.MASS, lw=_style.SLIP_WIDTH if is_spring else 1.6, zorder=order)
+    if is_spring:
+        line.set_transform(figure.dpi_scale_trans)
+    ax.add_artist(line)
+    line.set_clip_path(ax.patch)
+    stuck = _any_of(sticking, () if is_spring else link.contacts)
+    usual = np.array([[np.mean(place) for place in point] for point in (link.start, link.end)])
+
+    def move(frame: int) -> None:
+        ends = np.array([_at(link.start, frame), _at(link.end, frame)])
+        if is_spring:
+            first, last = ax.transData.transform(usual) / figure.dpi
+            coils = int(np.clip(np.hypot(*(last - first)) / _COIL_LENGTH, 2, _MOST_COILS))
+            start, end = ax.transData.transform(ends) / figure.dpi
+            ends = zigzag(start, end, coils)
+        line.set_data(*ends.T)
+        line.set_color(_style.STICK if stuck[frame] else _style.MASS)
+
+    return move
+
+
+def zigzag(start: np.ndarray, end: np.ndarray, coils: int) -> np.ndarray:
+    """The corners of a spring from `start` to `end` (2,), (corners, 2); all in inches."""
+    way = end - start
+    length = np.hypot(*way)
+    across = np.array([-way[1], way[0]]) / length if length > 0 else np.zeros(2)
+    along = np.concatenate([[0.0], np.linspace(_LEADS, 1 - _LEADS, 2 * coils + 1), [1.0]])
+    side = np.zeros(len(along))
+    side[2:-2] = np.where(np.arange(2 * coils - 1) % 2, -0.5, 0.5)
+    return start + along[:, None] * way + _COIL_WIDTH * side[:, None] * across
+
+
+def _any_of(sticking: np.ndarray, contacts: Sequence[int]) -> np.ndarray:
+    """Whether any of these contacts sticks, in each frame."""
+    return np.asarray(sticking[:, list(contacts)].any(axis=1))
+
+
+def _number(value: OverTime, frame: int) -> float:
+    return float(np.asarray(value)[frame]) if np.ndim(value) else float(value)
+
+
+def _at(point: Point, frame: int) -> tuple[float, float]:
+    return _number(point[0], frame), _number(point[1], frame)
+
+
+# A moving picture of one trajectory: its mechanism, and below it the history that grows.
+
+
+_WRITERS = {".gif": gif, ".mp4": mp4}
 _NOTEBOOK_DPI = 80.0
 _NAMES_IN_A_ROW, _MOST_NAMES = 6, 18  # under bars: more are turned, and of more not all are written
 
@@ -54,7 +435,7 @@ class Animation:
             ValueError: For a number that no frame has.
         """
         frames = len(self.times)
-        number = _checks.whole_number("number", number, minimum=-frames, maximum=frames - 1)
+        number = checks.whole_number("number", number, minimum=-frames, maximum=frames - 1)
         self._move(number % frames)
         return self.figure
 
@@ -77,7 +458,7 @@ class Animation:
             OSError: Where it cannot be written.
         """
         path = file_to_write(path, tuple(_WRITERS), overwrite=overwrite)
-        _checks.positive("dpi", dpi, "dots per inch")
+        checks.positive("dpi", dpi, "dots per inch")
         made = self._film(path.suffix.lower(), float(dpi), progress)
         with file_for_user(path) as file:
             file.write(made)
@@ -141,11 +522,11 @@ def animate(
     """
     check_simulation(result, of_one_contact=False)
     names = [one.name for one in result.system.coordinates]
-    shown = 0 if coordinate is None else names.index(_checks.chosen("coordinate", coordinate, names))
+    shown = 0 if coordinate is None else names.index(checks.chosen("coordinate", coordinate, names))
     checked_speed(speed, fps)
-    size = _checks.state("figsize", figsize, ("width", "height"))
+    size = checks.state("figsize", figsize, ("width", "height"))
     for name, length in zip(("figsize[0]", "figsize[1]"), size, strict=True):
-        _checks.bounded(name, length, "inches", at_least=2)
+        checks.bounded(name, length, "inches", at_least=2)
     sticks = sticks_of(result)
     window = check_window(window, float(result.t1)) if _has_rows(result) else phases_in(result, window)[1]
     times, speed = frame_times(window, None if speed is None else float(speed), float(fps), result.sticks.start.dtype)
@@ -277,7 +658,7 @@ def _draw_history(
     drawn = np.concatenate([line_values[np.isfinite(line_values)] for _, line_values in lines])
     ax.update_datalim(np.column_stack([np.full(len(drawn), window[0]), drawn]))
     ax.autoscale_view(scalex=False)
-    ax.set_ylabel(_parts.wrapped(one.system.coordinates[number].label, 14 if stuck is None else 22))
+    ax.set_ylabel(_style.wrapped(one.system.coordinates[number].label, 14 if stuck is None else 22))
     counts = np.searchsorted(times, frames, side="right")
 
     def move(frame: int) -> None:
@@ -303,6 +684,6 @@ def _draw_rows(ax: Axes, sticks: dict[int, Stuck], window: Window, frames: np.nd
     def move(frame: int) -> None:
         begun = (start < frames[frame]) & (end > window[0])
         until = np.minimum(end[begun], frames[frame])
-        bars.set_verts(_parts.rectangles(start[begun], until, row[begun] - 0.4, row[begun] + 0.4))
+        bars.set_verts(_style.rectangles(start[begun], until, row[begun] - 0.4, row[begun] + 0.4))
 
     return move

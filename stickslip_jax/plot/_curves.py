@@ -1,19 +1,127 @@
-"""Any statistic against a parameter."""
+"""Any statistic against a parameter, and the longest possible stick."""
 
+import dataclasses
+import sys
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeGuard, get_args
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from .. import _checks
+from .._foundation import checks
+from .._statistics.distribution import Distribution
 from .._statistics.estimate import DEFAULT_LEVEL, Estimate, check_level
-from . import _parts, _style
-from ._labeled import Labeled, is_labeled, labeled
-from ._legends import legend_above
-from ._types import LabeledData, Numbers
+from .._systems.motor_cart import MotorCart, stick_duration_bound
+from .._systems.system import unphased
+from . import _style
+from ._style import LabeledData, Numbers, Voltage, legend_above
+
+if TYPE_CHECKING:
+    import xarray
+
+
+# What figures read from labelled arrays of xarray: values, their standard errors, coordinates, names and units.
+
+
+class Labeled(NamedTuple):
+    """A labelled array, ready to draw, with coordinates that increase.
+
+    - `values`, `errors` (standard errors, or None), both with a dimension for each of `coordinates`.
+    - `axis_labels`: of the coordinates, with units. `label`: of the values. `units`: of the coordinates.
+    """
+
+    values: np.ndarray
+    errors: np.ndarray | None
+    coordinates: tuple[np.ndarray, ...]
+    axis_labels: tuple[str, ...]
+    label: str
+    units: tuple[str, ...]
+
+
+def is_labeled(value: object) -> TypeGuard[LabeledData]:
+    """Whether `value` is a DataArray or Dataset of xarray, which need not be installed."""
+    xarray = sys.modules.get("xarray")
+    return xarray is not None and isinstance(value, (xarray.DataArray, xarray.Dataset))
+
+
+def labeled(
+    data: LabeledData, name: object, errors: object, dimensions: tuple[int, ...], along: str | None = None
+) -> Labeled:
+    """Read a DataArray, or the variable `name` of a Dataset.
+
+    - `errors`: its standard errors, an array of its shape; of a Dataset the name of a variable, by default that named
+      by the attribute ``ancillary_variables`` of the values, or by their name and ``_error`` or ``_standard_error``.
+    - `dimensions`: how many it may have. `along`: which is to be the first.
+
+    Raises ValueError for anything else.
+    """
+    values, errors = _variables(data, name, errors)
+    if values.ndim not in dimensions:
+        allowed = " or ".join(map(str, dimensions))
+        raise ValueError(
+            f"Argument x must have {allowed} dimensions, but an array with {values.ndim} was given "
+            f"({', '.join(map(str, values.dims)) or 'none'}); choose values of the others with .sel(...)."
+        )
+    if along is not None:
+        if along not in values.dims:
+            raise ValueError(
+                f"Argument along must be one of the dimensions {', '.join(map(str, values.dims))}, but "
+                f"{checks.show(along)} was given."
+            )
+        values = values.transpose(along, ...)
+    coordinates = [values[dimension] for dimension in values.dims]
+    for one in coordinates:
+        if one.dtype.kind not in "iuf":
+            raise ValueError(f"Argument x must have numbers as coordinates, but {one.name} holds {checks.show(one)}.")
+    if errors is not None:
+        errors = np.asarray(errors.transpose(*values.dims) if is_labeled(errors) else errors, float)
+    order = [np.argsort(np.asarray(one), kind="stable") for one in coordinates]
+    array = np.asarray(values, float)
+    return Labeled(
+        array[np.ix_(*order)],
+        errors[np.ix_(*order)] if errors is not None and errors.shape == array.shape else errors,
+        tuple(np.asarray(one, float)[place] for one, place in zip(coordinates, order, strict=True)),
+        tuple(map(_label, coordinates)),
+        _label(values),
+        tuple(map(_unit, coordinates)),
+    )
+
+
+def _variables(data: Any, name: object, errors: object) -> "tuple[xarray.DataArray, object]":
+    """The array of values, and that of errors or None."""
+    if not hasattr(data, "data_vars"):
+        if name is not None:
+            raise ValueError(
+                f"Argument y must be left out with a DataArray, but {checks.show(name)} was given; of a Dataset it is "
+                "the name of a variable."
+            )
+        return data, errors
+    if not (isinstance(name, str) and name in data.data_vars):
+        raise ValueError(
+            f"Argument y must be the name of a variable of the Dataset, one of {', '.join(map(str, data.data_vars))}, "
+            f"but {checks.show(name)} was given."
+        )
+    if errors is None:
+        named = str(data[name].attrs.get("ancillary_variables", "")).split()
+        errors = next((one for one in (*named, f"{name}_error", f"{name}_standard_error") if one in data), None)
+    elif isinstance(errors, str) and errors not in data:
+        raise ValueError(f"Argument errors must be the name of a variable of the Dataset, but {errors!r} was given.")
+    return data[name], data[errors] if isinstance(errors, str) else errors
+
+
+def _unit(one: "xarray.DataArray") -> str:
+    return str(one.attrs.get("units", "")) or "1"
+
+
+def _label(one: "xarray.DataArray") -> str:
+    name = one.attrs.get("long_name", one.name)
+    return _style.quantity_label("" if name is None else str(name), _unit(one))
+
+
+# Any statistic against a parameter.
+
 
 Uncertainty: TypeAlias = Literal["bars", "band"]
 
@@ -85,7 +193,7 @@ def _quantities(ax: Axes) -> list[str]:
 def _ylabel(ax: Axes, known: str | None) -> str | None:
     """The name of the ordinate with another curve, of the `known` quantity; None for the name that there is."""
     before, there = _quantities(ax), ax.get_ylabel()
-    if known is None or (there and there != _parts.wrapped(",\n".join(before))):
+    if known is None or (there and there != _style.wrapped(",\n".join(before))):
         return None
     return ",\n".join(dict.fromkeys([*before, known]))
 
@@ -112,11 +220,11 @@ def _check_options(level: float | None, uncertainty: str, xlog: bool, ylog: bool
     if level is not None:
         check_level(level)
     if uncertainty not in get_args(Uncertainty):
-        raise ValueError(f'Argument uncertainty must be "bars" or "band", but {_checks.show(uncertainty)} was given.')
-    _checks.truth("xlog", xlog)
-    _checks.truth("ylog", ylog)
+        raise ValueError(f'Argument uncertainty must be "bars" or "band", but {checks.show(uncertainty)} was given.')
+    checks.truth("xlog", xlog)
+    checks.truth("ylog", ylog)
     for name, text in texts.items():
-        _checks.text(name, text, or_none=True)
+        checks.text(name, text, or_none=True)
 
 
 def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curves:
@@ -125,7 +233,7 @@ def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curve
     low, high = (ends.reshape(values.shape) for ends in _ends(data.values, data.errors, level))
     labels = [label]
     if data.values.ndim == 2:
-        name, unit = data.axis_labels[1].removesuffix(f" ({data.units[1]})"), _parts.unit_after(data.units[1])
+        name, unit = data.axis_labels[1].removesuffix(f" ({data.units[1]})"), _style.unit_after(data.units[1])
         own = [f"{name} = {value:.4g}{unit}" for value in data.coordinates[1]]
         labels = own if label is None else [f"{label}, {text}" for text in own]
     columns = zip(values.T, low.T, high.T, labels, strict=True)
@@ -134,18 +242,18 @@ def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curve
 
 
 def _of_numbers(x: object, y: object, errors: object, level: float | None, label: str | None) -> _Curves:
-    _checks.numeric("x", x, ndim=1)
+    checks.numeric("x", x, ndim=1)
     places = np.asarray(x, float)
     order = np.argsort(places, kind="stable")
     estimates = list(y) if isinstance(y, (list, tuple)) and any(isinstance(one, Estimate) for one in y) else []
     if not estimates:
-        values, name = _parts.numbers_or_gaps("y", y, 1), None
+        values, name = _style.numbers_or_gaps("y", y, 1), None
         low, high = _ends(values, errors, level)
     else:
         name = _name_of(estimates)
         if errors is not None:
             raise ValueError(
-                f"Argument errors must be left out with estimates, but {_checks.show(errors)} was given; estimates "
+                f"Argument errors must be left out with estimates, but {checks.show(errors)} was given; estimates "
                 "have their own."
             )
         values = np.array([one.value for one in estimates], float)
@@ -159,11 +267,11 @@ def _of_numbers(x: object, y: object, errors: object, level: float | None, label
 def _name_of(estimates: list[Estimate]) -> str | None:
     """The name and unit of all estimates; None if they have several names."""
     if not all(isinstance(one, Estimate) for one in estimates):
-        raise ValueError(f"Argument y must hold estimates or numbers only, but {_checks.show(estimates)} was given.")
+        raise ValueError(f"Argument y must hold estimates or numbers only, but {checks.show(estimates)} was given.")
     units, names = {one.unit for one in estimates}, {one.name for one in estimates}
     if len(units) > 1:
         raise ValueError(f"Argument y must hold estimates of one unit, but {', '.join(sorted(units))} were given.")
-    return _parts.quantity_label(*names, *units) if len(names) == 1 else None
+    return _style.quantity_label(*names, *units) if len(names) == 1 else None
 
 
 def _interval(one: Estimate, level: float | None) -> tuple[float, float]:
@@ -176,7 +284,7 @@ def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.n
     """The ends of the intervals about `values`, NaN without errors."""
     if errors is None:
         return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
-    sides = _parts.checked_errors(errors, values)
+    sides = _style.checked_errors(errors, values)
     if level is not None:
         from scipy import special  # noqa: PLC0415 - adds a filter of warnings
 
@@ -192,7 +300,7 @@ def _name(argument: str, given: str | None, known: str | None, before: str) -> s
             f"Argument {argument} must be given, the name of the axis with its unit, because what is drawn does not "
             "say it."
         )
-    return _parts.wrapped(name)
+    return _style.wrapped(name)
 
 
 def _draw_all(
@@ -202,12 +310,12 @@ def _draw_all(
     xlog, ylog = logs
     if xlog and np.any(curves.x <= 0):
         raise ValueError(
-            f"Argument x must hold positive numbers on a logarithmic axis, but {_checks.show(curves.x)} was given."
+            f"Argument x must hold positive numbers on a logarithmic axis, but {checks.show(curves.x)} was given."
         )
     if xlog:
         ax.set_xscale("log")
     elif np.all(curves.x == np.round(curves.x)):
-        _parts.whole_numbers(ax.xaxis)
+        _style.whole_numbers(ax.xaxis)
     if ylog:
         ax.set_yscale("log")
     drawn = [_draw(ax, curves.x, one, uncertainty, ylog, curves.ylabel) for one in curves.curves]
@@ -216,7 +324,7 @@ def _draw_all(
             if line in _QUANTITIES and str(line.get_label()).startswith("_"):
                 line.set_label(_QUANTITIES[line])
     if not any(drawn) and not any(np.size(line.get_xdata(orig=False)) for line in ax.lines):
-        _parts.note(ax, "no values")
+        _style.note(ax, "no values")
     for axis in (ax.xaxis,) * xlog + (ax.yaxis,) * ylog:
         _style.log_axis(axis)
     if any(np.any(np.isfinite(one.low)) for one in curves.curves):
@@ -230,7 +338,7 @@ def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: 
     left_out = ylog & (values <= 0)
     if np.any(left_out):
         values = np.where(left_out, np.nan, values)
-        lost = f"{_parts.counted(int(left_out.sum()), 'value')} of zero or less left out"
+        lost = f"{_style.counted(int(left_out.sum()), 'value')} of zero or less left out"
         label = lost if label is None else f"{label} ({lost})"
     if ylog and uncertainty == "band":
         low = np.where(low <= 0, values * 1e-12, low)
@@ -257,9 +365,226 @@ def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: 
 
 def _explain(ax: Axes, uncertainty: Uncertainty, level: float | None) -> None:
     """Say at the end of the legend what bars or bands are."""
-    text = "one standard error" if level is None else _parts.interval_name(level)
+    text = "one standard error" if level is None else _style.interval_name(level)
     text, marker = f"{uncertainty}: {text}", "|" if uncertainty == "bars" else "s"
     for line in list(ax.lines):
         if line.get_label() == text:
             line.remove()
     ax.plot([], [], ls="none", marker=marker, ms=9, color=_style.FORWARD, mew=1.5, label=text)
+
+
+# The stick fraction against a parameter.
+
+
+_FREQUENCY_RATIO = r"frequency ratio $r = f_\mathrm{b}\,/\,(\omega/2\pi)$ (dimensionless)"
+
+
+def stick_fraction_curve(
+    parameter_values: Numbers,
+    fractions: Sequence[Distribution] | Sequence[Estimate] | Numbers,
+    *,
+    errors: Numbers | Sequence[Numbers] | None = None,
+    level: float = DEFAULT_LEVEL,
+    xlabel: str | None = None,
+    label: str | None = None,
+    band_label: str | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the stick fraction T_s, the share of time spent sticking in percent, against a parameter.
+
+    As in Lima and Sampaio (conference paper), figure 6 (square wave: one steady period, given as numbers) and figure 7
+    (random steps: mean and band, given as distributions). Call it again with the same `ax` to compare.
+
+    Args:
+        parameter_values: (points,), in any order.
+        fractions: One for each value, all of one kind:
+
+            - ``ensemble.statistics.stick_fraction``: the mean is drawn, with a band between two quantiles that holds
+              the share `level` of the realisations.
+            - an `Estimate`, such as ``stick_fraction(ensemble)``: the band is the confidence interval of the mean.
+            - a number between 0 and 1, such as the stick fraction of one simulation: the band is that of `errors`.
+        errors: With numbers only, how far the band reaches below and above them, as fractions: (points,), or
+            (2, points) with the lower side first. By default there is no band.
+        level: Of the band of distributions and estimates.
+        xlabel: Name of the parameter, with its unit. By default it is the frequency ratio of the paper, base frequency
+            over natural frequency, which is positive.
+        label: Name of the line in the legend; by default "mean" for distributions and estimates, none for numbers.
+        band_label: Name of the band; by default what it holds for distributions and estimates, none for numbers.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes. Points without a finished sample are left out, and so is the band of estimates from one sample.
+
+    Raises:
+        ValueError: For arguments of another kind or length.
+    """
+    values = _checked_values(parameter_values, xlabel)
+    curve = _curve(fractions, len(values), errors, level)
+    for name, text in (("xlabel", xlabel), ("label", label), ("band_label", band_label)):
+        checks.text(name, text, or_none=True)
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    color, style = _style.free_look(ax)
+    order = np.argsort(values, kind="stable")
+    values, mean, low, high = (column[order] for column in (values, *100 * curve.points))
+    if np.any(np.isfinite(low)):
+        band_label = curve.band_label if band_label is None else band_label
+        ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label=band_label)
+    known = np.isfinite(mean)
+    label = curve.label if label is None else label
+    marker = _style.marker_of(values)
+    look = {"color": color, "ls": style, "lw": _style.SLIP_WIDTH, "marker": marker, "ms": 3.5}
+    ax.plot(values[known], mean[known], label=label, **look)
+    ax.set_xlabel(_FREQUENCY_RATIO if xlabel is None else xlabel)
+    ax.set_ylabel("stick fraction $T_s$ (%)")
+    legend_above(ax, columns=2, lines_first=True)
+    return ax
+
+
+class _FractionCurve(NamedTuple):
+    """Stick fractions with the ends of their band, NaN if not known, (3, points); and their default labels."""
+
+    points: np.ndarray
+    label: str | None = None
+    band_label: str | None = None
+
+
+def _checked_values(values: Numbers, xlabel: str | None) -> np.ndarray:
+    """The parameter's values as an array."""
+    checks.numeric("parameter_values", values, ndim=1)
+    array = np.asarray(values, float)
+    if len(array) == 0:
+        raise ValueError("Argument parameter_values must hold one or more numbers, but it holds none.")
+    if xlabel is None and np.any(array <= 0):
+        raise ValueError(
+            f"Argument parameter_values must hold positive frequency ratios, but {checks.show(values)} was given; "
+            "xlabel names another parameter."
+        )
+    return array
+
+
+def _curve(
+    fractions: Sequence[Distribution] | Sequence[Estimate] | Numbers,
+    number: int,
+    errors: Numbers | Sequence[Numbers] | None,
+    level: float,
+) -> _FractionCurve:
+    """The points of the curve, one for each of `number` values of the parameter. Raises ValueError for bad input."""
+    check_level(level)
+    given = list(fractions) if isinstance(fractions, (tuple, list)) else []
+    distributions = [one for one in given if isinstance(one, Distribution) and one.unit == "1"]
+    estimates = [one for one in given if isinstance(one, Estimate) and one.unit == "1"]
+    if not any(isinstance(one, (Distribution, Estimate)) for one in given):
+        return _curve_of_numbers(fractions, number, errors)
+    if len(given) not in (len(distributions), len(estimates)):
+        raise ValueError(
+            "Argument fractions must hold stick fractions, either all ensemble.statistics.stick_fraction, or all "
+            "Estimates such as stick_fraction(ensemble), or all numbers, but "
+            f"{checks.show(fractions)} was given."
+        )
+    _check_length(len(given), number)
+    if errors is not None:
+        raise ValueError(
+            "Argument errors must be left out with distributions and estimates, which have a band of their own, but "
+            f"{checks.show(errors)} was given; choose its level instead."
+        )
+    if estimates:
+        points = [(one.value, *one.interval(level)) for one in estimates]
+        name = f"{_style.interval_name(level)} of the mean"
+    else:
+        rest = (1 - level) / 2
+        points = [(one.mean.value, one.quantile(rest).value, one.quantile(1 - rest).value) for one in distributions]
+        name = f"{100 * level:.4g} % of the realisations"
+    return _FractionCurve(np.array(points).T, "mean", name)
+
+
+def _curve_of_numbers(fractions: object, number: int, errors: Numbers | Sequence[Numbers] | None) -> _FractionCurve:
+    checks.numeric("fractions", fractions, ndim=1)
+    values = np.asarray(fractions, float)
+    _check_length(len(values), number)
+    if np.any((values < 0) | (values > 1)):
+        raise ValueError(
+            f"Argument fractions must hold fractions between 0 and 1, but {checks.show(fractions)} was given."
+        )
+    if errors is None:
+        return _FractionCurve(np.stack([values, *np.full((2, number), np.nan)]))
+    checks.numeric("errors", errors, ndim=None)
+    sides = np.asarray(errors, float)
+    if sides.shape not in ((number,), (2, number)) or np.any(sides < 0):
+        raise ValueError(
+            f"Argument errors must hold numbers of zero or more, in the shape ({number},) or (2, {number}), but an "
+            f"array of shape {sides.shape} with smallest entry {sides.min(initial=np.inf):g} was given."
+        )
+    below, above = np.broadcast_to(sides, (2, number))
+    return _FractionCurve(np.stack([values, values - below, values + above]))
+
+
+def _check_length(length: int, number: int) -> None:
+    if length != number:
+        raise ValueError(f"Argument fractions must have the length {number} of parameter_values, but it has {length}.")
+
+
+# The longest possible stick of a motor against the angle at which it stops.
+
+
+_POINTS = 1441  # every quarter of a degree
+_LONG = 20  # letters: three columns of longer labels are wider than the axes
+
+
+def stick_bounds(
+    system: MotorCart,
+    voltage: Voltage,
+    *,
+    mu: Sequence[float] | np.ndarray | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the longest possible duration of a stick of a `MotorCart` against its angle, a curve for each `mu`.
+
+    This is Lima and Sampaio (2022), figure 3; see `stick_duration_bound`. A curve is interrupted where the bound is
+    infinite; the legend gives the share of such angles, and says so where no angle allows a stick.
+
+    Args:
+        system: A `MotorCart`.
+        voltage: A `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
+        mu: Friction coefficients in place of that of `system`, zero or positive.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind.
+    """
+    signal: Any = unphased(voltage)
+    stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind
+    systems = _by_label(system, mu)
+    ax = _style.axes_or_new(ax, (5.6, 4.0))
+    period = system.coordinates[0].period
+    assert period is not None
+    angles = np.linspace(0, period, _POINTS)
+    for name, one in systems.items():
+        longest = np.asarray(stick_duration_bound(one, signal, angles), float)
+        endless = np.isinf(longest)
+        color, line = _style.free_look(ax)
+        none = not np.any(longest > 0)
+        label = f"{name}, no limit at {100 * endless.mean():.0f} % of the angles" if endless.any() else name
+        # A curve that is zero throughout lies on the axis, below the ends of the others.
+        look: dict[str, Any] = {"lw": (2.5 if none else 1) * _style.SLIP_WIDTH, "zorder": 3 if none else 2}
+        label += ": no stick" if none else ""
+        ax.plot(angles, np.where(endless, np.nan, longest), color=color, ls=line, label=label, clip_on=not none, **look)
+    _style.angle_axis(ax, period)
+    ax.set_xlabel(system.coordinates[0].labeled(" of the stick"))
+    ax.set_ylabel(_style.quantity_label("longest possible stick duration", "s"))
+    ax.autoscale(axis="y")  # to all curves that have been drawn, also in axes that share this one's scale
+    ax.set_ylim(bottom=0)
+    longest_label = max(map(len, ax.get_legend_handles_labels()[1]))
+    legend_above(ax, columns=2 if longest_label > _LONG else 3)
+    return ax
+
+
+def _by_label(system: MotorCart, mu: Sequence[float] | np.ndarray | None) -> dict[str, MotorCart]:
+    """The systems of which to draw the bound, by what legends call them."""
+    if mu is None and system.friction is not None:
+        return {type(system.friction).__name__: system}
+    given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
+    checks.numeric("mu", given, ndim=1)
+    return {rf"$\mu$ = {one:g}": dataclasses.replace(system, mu=float(one), friction=None) for one in given}

@@ -1,19 +1,144 @@
-"""The distribution of one quantity."""
+"""Histograms of one quantity and of two, and sticks by where they begin."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import StepPatch
 
-from .. import _checks
-from .._statistics.distribution import DEFAULT_BINS, Distribution
+from .._excitation.motion import Signal
+from .._foundation import checks
+from .._statistics.distribution import DEFAULT_BINS, Distribution, bin_of
 from .._statistics.estimate import Estimate
-from . import _parts, _style
-from ._legends import legend_above
-from ._sticks import complete_sticks, edges_of_bins, outside
-from ._types import Bins, SimulatedSticks
+from .._statistics.joint import JointDistribution
+from .._statistics.quantities import FirstSticks
+from .._systems.system import System, require_system, unphased
+from . import _style
+from ._style import Bins, JointBins, SeveralAxes, SimulatedSticks, Voltage, legend_above, plain_numbers
+from ._trajectory import complete_sticks, edges_of_bins, outside
+
+# Where complete sticks begin, on the first coordinate of the system, and how long they can last there.
+
+
+_BOUND_POINTS = 1441  # of the bound: every quarter of a degree
+
+
+class PlacedSticks(NamedTuple):
+    """Complete sticks to draw over the coordinate at which they begin; arrays (sticks,).
+
+    - `duration`: s. `position`: m; of a motor its angle modulo `period`, rad.
+    - `label`: how many there are. `system`: what was simulated.
+    - `voltage`: whose bound of durations to draw, or None. `period`: of the angle, or None for a position.
+    """
+
+    duration: np.ndarray
+    position: np.ndarray
+    label: str
+    system: System
+    voltage: Signal | None
+    period: float | None
+
+
+def placed_sticks(
+    result: SimulatedSticks,
+    system: System | None,
+    bound: Voltage | None,
+    period: float | None,
+    *,
+    also: str = "",
+) -> PlacedSticks:
+    """The complete sticks of `result`, and what else to draw with them, checked.
+
+    `also`: what else the figure takes, for the message.
+
+    Raises:
+        ValueError: For unsuitable arguments.
+    """
+    sticks = complete_sticks(result, also=also)
+    system = _checked_system(system, None if isinstance(result, FirstSticks) else result.system)
+    if np.any(np.isnan(sticks.position)):
+        raise ValueError(
+            "Argument result must hold sticks with positions, but those of these sticks were not measured; draw "
+            "histogram(result), their durations."
+        )
+    whole = system.coordinates[0].period
+    voltage: Any = unphased(bound)  # the user's, until it is checked
+    if voltage is not None and np.ndim(getattr(system, "mu", 0.0)) > 0:
+        raise ValueError(
+            "Argument system must be given with the bound, which is that of one MotorCart, but a batch of shape "
+            f"{np.shape(getattr(system, 'mu', 0.0))} was simulated."
+        )
+    if voltage is not None and not (whole and system.longest_stick(voltage, np.zeros(1)) is not None):
+        raise ValueError(
+            "Argument bound must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), and be given for a MotorCart "
+            f"only, but {checks.show(bound)} was given for a {type(system).__name__}."
+        )
+    if period is None:
+        period = whole
+    else:
+        checks.numeric("period", period)
+        if not whole or not np.any(np.isclose(period, (whole / 2, whole), rtol=1e-6)):
+            raise ValueError(
+                "Argument period must be pi or 2 pi (in rad), and be given for a MotorCart only, but "
+                f"{checks.show(period)} was given for a {type(system).__name__}."
+            )
+    position = sticks.position if period is None else np.mod(sticks.position, period)
+    return PlacedSticks(sticks.duration, position, sticks.label, system, voltage, period)
+
+
+def _checked_system(system: System | None, known: System | None) -> System:
+    """`system`, or what the result is `known` to be of."""
+    if system is None and known is None:
+        raise ValueError(
+            "Argument system must be given with FirstSticks, which do not say whether their positions are lengths or "
+            "angles: system=ensemble.system."
+        )
+    if system is None:
+        system = known
+    require_system(system)
+    assert system is not None
+    if known is not None and type(known) is not type(system):
+        raise ValueError(
+            f"Argument system must be the {type(known).__name__} that was simulated, but {checks.show(system)} was "
+            "given."
+        )
+    return system
+
+
+def finish(ax: Axes, sticks: PlacedSticks) -> None:
+    """Draw the bound, name the axes and set their limits; with a note where there are no sticks."""
+    if sticks.voltage is not None:
+        _draw_bound(ax, sticks)
+    if len(sticks.duration) == 0:
+        _style.note(ax, sticks.label)
+    first = sticks.system.coordinates[0]
+    if sticks.period is None:
+        ax.set_xlabel(first.labeled(" where the stick begins"))
+    else:
+        name = _style.angle_axis(ax, sticks.period)
+        ax.set_xlabel(first.labeled(f" of the stick, modulo {name}"))
+    ax.set_ylabel(_style.quantity_label("stick duration", "s"))
+    ax.set_ylim(bottom=0)
+
+
+def _draw_bound(ax: Axes, sticks: PlacedSticks) -> None:
+    """The longest duration at each angle; shaded where there is no limit."""
+    assert sticks.period is not None
+    assert sticks.voltage is not None
+    angles = np.linspace(0, sticks.period, _BOUND_POINTS)
+    longest = np.asarray(sticks.system.longest_stick(sticks.voltage, angles), float)
+    endless = np.isinf(longest)
+    drawn = np.where(endless, np.nan, longest)
+    ax.plot(angles, drawn, color=_style.MASS, lw=1.5, label="longest possible, closed form")
+    if np.any(endless):
+        look = {"color": _style.BAND, "alpha": 0.3, "lw": 0, "zorder": 0, "label": "sticks of any duration"}
+        ax.fill_between(angles, 0, 1, where=endless, transform=ax.get_xaxis_transform(), **look)
+
+
+# The distribution of one quantity.
 
 
 def histogram(
@@ -54,7 +179,7 @@ def histogram(
             another kind.
     """
     bars = _bars_of_distribution(result, bins) if isinstance(result, Distribution) else _bars_of_sticks(result, bins)
-    _checks.text("label", label, or_none=True)
+    checks.text("label", label, or_none=True)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     earlier = _outlines(ax)
     _name_axis(ax.xaxis, bars.xlabel, earlier)
@@ -64,9 +189,9 @@ def histogram(
         _say_empty(ax, text, earlier)
         return ax
     if bars.is_whole:
-        _parts.whole_numbers(ax.xaxis)
+        _style.whole_numbers(ax.xaxis)
     color = _style.free_color(bars.color, [outline.get_edgecolor() for outline in earlier])
-    _parts.draw_histogram(ax, bars.edges, bars.heights, bars.errors, color, label=text)
+    _style.draw_histogram(ax, bars.edges, bars.heights, bars.errors, color, label=text)
     if bars.mean is not None:
         _draw_mean(ax, bars.mean, color if earlier or label else _style.MASS)
     edges = np.concatenate([outline.get_data()[1] for outline in _outlines(ax)])
@@ -92,7 +217,7 @@ def _name_axis(axis: Axis, name: str, earlier: list[StepPatch]) -> None:
 def _say_empty(ax: Axes, text: str, earlier: list[StepPatch]) -> None:
     """Say that there is nothing to draw: in empty axes, or in the legend where there are others."""
     if not earlier:
-        _parts.note(ax, text)
+        _style.note(ax, text)
         return
     ax.plot([], [], ls="none", label=text)
     legend_above(ax, columns=1)
@@ -117,12 +242,12 @@ def _bars_of_distribution(distribution: Distribution, bins: Bins | None) -> _Bar
     if bins is not None and np.ndim(bins) > 0:
         raise ValueError(
             "Argument bins must be a whole number for a distribution, whose bins were fixed while it was summed, but "
-            f"{_checks.show(bins)} was given; edges of your own go with the sticks: histogram(ensemble, bins=edges)."
+            f"{checks.show(bins)} was given; edges of your own go with the sticks: histogram(ensemble, bins=edges)."
         )
-    drawn = distribution.histogram(None if bins is None else _checks.whole_number("bins", bins))
-    samples = _parts.counted(distribution.samples, "sample")
+    drawn = distribution.histogram(None if bins is None else checks.whole_number("bins", bins))
+    samples = _style.counted(distribution.samples, "sample")
     empty = distribution.number == 0
-    label = f"no values in {samples}" if empty else f"{_parts.counted(distribution.number, 'value')} in {samples}"
+    label = f"no values in {samples}" if empty else f"{_style.counted(distribution.number, 'value')} in {samples}"
     if np.any(np.isfinite(drawn.error)):
         label += "; bars: standard error"
     whole = distribution.is_whole
@@ -130,9 +255,9 @@ def _bars_of_distribution(distribution: Distribution, bins: Bins | None) -> _Bar
         edges=drawn.edges - 0.5 if whole else drawn.edges,
         heights=drawn.density,
         errors=drawn.error,
-        color=_parts.color_of(distribution.name),
-        xlabel=_parts.quantity_label(distribution.name, distribution.unit),
-        ylabel="probability" if whole else _parts.density_label(distribution.unit),
+        color=_style.color_of(distribution.name),
+        xlabel=_style.quantity_label(distribution.name, distribution.unit),
+        ylabel="probability" if whole else _style.density_label(distribution.unit),
         label=label,
         empty=empty,
         is_whole=whole,
@@ -152,8 +277,8 @@ def _bars_of_sticks(result: SimulatedSticks, bins: Bins | None) -> _Bars:
         heights=counts / (max(number, 1) * np.diff(edges)),
         errors=np.full(len(counts), np.nan),
         color=_style.STICK,
-        xlabel=_parts.quantity_label("stick duration", "s"),
-        ylabel=_parts.density_label("s"),
+        xlabel=_style.quantity_label("stick duration", "s"),
+        ylabel=_style.density_label("s"),
         label=outside(sticks.label, number - int(counts.sum())),
         empty=number == 0,
     )
@@ -161,9 +286,324 @@ def _bars_of_sticks(result: SimulatedSticks, bins: Bins | None) -> _Bars:
 
 def _draw_mean(ax: Axes, mean: Estimate, color: str) -> None:
     """The mean, with its standard error to both sides."""
-    label = f"mean {_parts.with_error(mean)}"
+    label = f"mean {_style.with_error(mean)}"
     if np.isfinite(mean.standard_error):
         ends = (mean.value - mean.standard_error, mean.value + mean.standard_error)
         ax.axvspan(*ends, color=color, alpha=0.25, lw=0)
         label += " (shaded: ±)"
     ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=label)
+
+
+# A joint histogram of two quantities, ready to draw: from the pairs of an ensemble, or from sticks one by one.
+
+
+class Side(NamedTuple):
+    """The histogram of one of the two quantities: `density` and its standard `error`, NaN if not known, (bins,)."""
+
+    density: np.ndarray
+    error: np.ndarray
+
+
+class Cells(NamedTuple):
+    """A joint histogram.
+
+    - `edges`: of the bins along x (m + 1,) and y (n + 1,). `density`: masked where no pair fell, (m, n).
+      Of pairs, atoms are not in it.
+    - `sides`: the histograms of x and of y.
+    - `units`: of x and y. `label`: how many pairs there are, or a note that there are none. `empty`: whether there are
+      none.
+    """
+
+    edges: tuple[np.ndarray, np.ndarray]
+    density: np.ma.MaskedArray
+    sides: tuple[Side, Side]
+    units: tuple[str, str]
+    label: str
+    empty: bool
+
+
+def number_of_bins(bins: JointBins) -> int:
+    """`bins` of a joint distribution along each axis. Raises ValueError unless it is a whole number of at least 1."""
+    if isinstance(bins, (tuple, list, np.ndarray)):
+        raise ValueError(
+            "Argument bins must be a whole number for a joint distribution, whose bins were fixed while it was summed, "
+            f"but {checks.show(bins)} was given; bins of your own go with the sticks: "
+            "joint_histogram(ensemble, bins=(edges, edges))."
+        )
+    return checks.whole_number("bins", bins)
+
+
+def cells_of_pairs(joint: JointDistribution, bins: int) -> Cells:
+    """The joint histogram of all pairs, with the standard errors of its sides.
+
+    Raises:
+        ValueError: For more than 128 bins.
+    """
+    drawn = joint.histogram(bins)
+    edges = (drawn.x_edges, drawn.y_edges)
+    sides = []
+    for axis, own in ((0, joint.x), (1, joint.y)):
+        width = np.diff(edges[axis])
+        share = drawn.counts.sum(axis=1 - axis) / max(drawn.number, 1)
+        errors = own.errors_of_shares(bin_of(own.values, edges[axis]), len(width))
+        sides.append(Side(share / width, errors / width))
+    atoms = joint.share_of_atoms(bins)
+    density = np.ma.masked_where((drawn.counts == 0) | (atoms == 1), drawn.density * (1 - atoms))
+    label = _style.counted(drawn.number, "pair") if drawn.number else "no pairs"
+    return Cells(edges, density, (sides[0], sides[1]), joint.units, label, drawn.number == 0)
+
+
+def cells_of_sticks(sticks: PlacedSticks, bins: JointBins) -> Cells:
+    """The joint histogram of position and duration of complete sticks.
+
+    `bins`: as in `joint_histogram`.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    edges, number = _edges(bins, sticks), len(sticks.duration)
+    counts, *_ = np.histogram2d(sticks.position, sticks.duration, edges)
+    widths = (np.diff(edges[0]), np.diff(edges[1]))
+    density = np.ma.masked_equal(counts, 0) / (max(number, 1) * np.outer(*widths))
+    sides = [
+        Side(counts.sum(axis=1 - axis) / max(number, 1) / widths[axis], np.full(len(widths[axis]), np.nan))
+        for axis in (0, 1)
+    ]
+    label = outside(sticks.label, number - int(counts.sum()))
+    units = (sticks.system.coordinates[0].unit, "s")
+    return Cells(edges, density, (sides[0], sides[1]), units, label, number == 0)
+
+
+def _edges(bins: JointBins, sticks: PlacedSticks) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of the bins of position (m or rad) and of duration (s)."""
+    pair = (bins, bins) if isinstance(bins, (int, np.integer)) else bins
+    if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+        raise ValueError(
+            "Argument bins must be a whole number, or two of them or of edges (of position, then of duration), but "
+            f"{checks.show(bins)} was given."
+        )
+    if sticks.period is not None:
+        span = (0.0, sticks.period)
+    else:
+        low, high = (sticks.position.min(), sticks.position.max()) if len(sticks.position) else (0.0, 0.0)
+        span = (low, high) if low < high else (low - 0.5, low + 0.5)
+    longest = sticks.duration.max(initial=0) or 1.0
+    return (
+        edges_of_bins("bins[0]", pair[0], span, sticks.system.coordinates[0].unit),
+        edges_of_bins("bins[1]", pair[1], (0.0, longest), "s"),
+    )
+
+
+# The joint distribution of two quantities, and of each by itself.
+
+
+_ALSO = ', or a JointDistribution such as ensemble.statistics.joint("duration", "position")'
+_MEANS = 20  # bins at most of the conditional mean
+_ROOM = 0.6  # of the width of the figure, for the legend above the joint histogram
+_LARGEST = 1500  # square points: the area of an atom that holds all pairs
+
+
+def joint_histogram(
+    result: JointDistribution | SimulatedSticks,
+    *,
+    bins: JointBins = 40,
+    log: bool = False,
+    conditional_mean: bool = False,
+    system: System | None = None,
+    bound: Voltage | None = None,
+    period: float | None = None,
+    axes: Axes | SeveralAxes | None = None,
+) -> tuple[Axes, ...]:
+    """Draw the joint histogram of two quantities as a probability density, with the histogram of each beside it.
+
+    Points that have a probability of their own (`JointDistribution.atoms`) are circles, whose area is in proportion to
+    their share, and are left out of the density, which would depend on the bins. Cells without a pair are white.
+
+    Args:
+        result: A joint distribution, such as ``ensemble.statistics.joint("duration", "position")``: all pairs, sticks
+            cut by the horizon included with the part seen; the histograms beside it have bars of one standard error.
+            Or sticks as in `stick_map`, without those cut by the horizon: position at which they begin, and duration
+            (of a `MotorCart`: Lima and Sampaio 2022, figures 4 and 5, right).
+        bins: Of a joint distribution, the largest number of bins along each axis, at most 128. Of sticks, the number of
+            equal bins each way, or two such numbers or sequences of increasing edges: of position (m, rad), then of
+            duration (s). Sticks outside of edges are not drawn but count: density times area stays a share of all.
+        log: Whether colours follow the logarithm of the density, to show rare pairs beside frequent ones.
+        conditional_mean: Whether to draw the mean ordinate of the retained pairs of a joint distribution in each bin of
+            the abscissa (20 bins at most), with bars of one standard error.
+        system: With sticks only, as in `stick_map`.
+        bound: Likewise.
+        period: Likewise.
+        axes: Three, of the joint histogram, above and right of it; or one, for it alone. By default those of a figure.
+
+    Returns:
+        The axes, with a note in the first if there is nothing to draw.
+
+    Raises:
+        ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
+    """
+    checks.truth("log", log)
+    checks.truth("conditional_mean", conditional_mean)
+    if isinstance(result, JointDistribution):
+        _refuse_options_of_sticks(system=system, bound=bound, period=period)
+        number = number_of_bins(bins)
+        cells, panels = cells_of_pairs(result, number), _panels(axes)
+        _draw(panels, cells, log)
+        _finish_pairs(panels[0], result, cells)
+        _draw_atoms(panels[0], result)
+        if conditional_mean and not cells.empty:
+            _draw_conditional_mean(panels[0], result, min(number, _MEANS))
+    else:
+        sticks = placed_sticks(result, system, bound, period, also=_ALSO)
+        if conditional_mean:
+            raise ValueError(
+                "Argument conditional_mean must be False for sticks, but True was given; it is drawn of a joint "
+                'distribution: ensemble.statistics.joint("position", "duration").'
+            )
+        cells, panels = cells_of_sticks(sticks, bins), _panels(axes)
+        _draw(panels, cells, log)
+        finish(panels[0], sticks)
+    return _finished(panels, cells)
+
+
+def _refuse_options_of_sticks(**options: object) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise ValueError(
+                f"Argument {name} must be left out with a joint distribution, but {checks.show(value)} was given; it "
+                "goes with the sticks: joint_histogram(ensemble)."
+            )
+
+
+def _panels(axes: Axes | SeveralAxes | None) -> tuple[Axes, ...]:
+    """The axes given, one or three, or those of a new figure, in which neighbours share their scales."""
+    if axes is None:
+        figure = plt.figure(figsize=(6.4, 5.4), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 4))
+        main = figure.add_subplot(grid[1, 0])
+        above = figure.add_subplot(grid[0, 0], sharex=main)
+        right = figure.add_subplot(grid[1, 1], sharey=main)
+        above.tick_params(labelbottom=False)
+        right.tick_params(labelleft=False)
+        return main, above, right
+    given = (axes,) if isinstance(axes, Axes) else _style.axes_in(axes)
+    if len(given) not in (1, 3):
+        raise ValueError(
+            "Argument axes must hold three matplotlib Axes (joint histogram, above it, to the right of it), or be one, "
+            f"but {checks.show(axes)} was given."
+        )
+    return given
+
+
+def _draw(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
+    """The density of all cells that hold a pair, the scale of its colours, and the histograms beside it."""
+    main, *others = panels
+    if not cells.empty:
+        norm = LogNorm() if log else Normalize(vmin=0)
+        mesh = main.pcolormesh(*cells.edges, cells.density.T, cmap=_style.SHADES, norm=norm, rasterized=True)
+        main.plot([], [], ls="none", label=cells.label)
+        _style.figure_of(main).colorbar(mesh, ax=list(panels), label=_style.density_label(*cells.units))
+    for axis, (ax, side) in enumerate(zip(others, cells.sides, strict=False)):
+        label = _style.density_label(cells.units[axis]).replace(" density", "\ndensity")
+        ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
+        if not cells.empty:
+            _style.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
+
+
+def _draw_atoms(main: Axes, joint: JointDistribution) -> None:
+    """The points that have a probability of their own."""
+    atoms = joint.atoms
+    if not len(atoms.share):
+        return
+    number, share = len(atoms.share), f"{100 * atoms.share.sum():.1f} % of the pairs"
+    label = f"{number:,} points that {share} lie on" if number > 1 else f"a point that {share} lie on"
+    look = {"facecolors": "none", "edgecolors": _style.STICK, "lw": 1.2, "clip_on": False, "zorder": 3}
+    main.scatter(atoms.x, atoms.y, s=np.maximum(12, _LARGEST * atoms.share), label=label, **look)
+
+
+def _finish_pairs(main: Axes, joint: JointDistribution, cells: Cells) -> None:
+    """The names of the axes and their limits; with a note where there are no pairs."""
+    main.set_xlabel(_style.quantity_label(joint.labels[0], joint.units[0]))
+    main.set_ylabel(_style.quantity_label(joint.labels[1], joint.units[1]))
+    if cells.empty:
+        _style.note(main, cells.label)
+    else:
+        main.set_xlim(cells.edges[0][0], cells.edges[0][-1])
+        main.set_ylim(cells.edges[1][0], cells.edges[1][-1])
+
+
+def _finished(panels: tuple[Axes, ...], cells: Cells) -> tuple[Axes, ...]:
+    """The `panels` with a legend, and with the limits of the histograms beside the first."""
+    main, *others = panels
+    if others and not cells.empty:
+        above, right = others
+        above.set_xlim(main.get_xlim())
+        right.set_ylim(main.get_ylim())
+        above.set_ylim(bottom=0)
+        right.set_xlim(left=0)
+    legend_above(*others[:1], main, columns=1, room=_ROOM if others else None)
+    for ax in others[1:]:
+        plain_numbers(ax.xaxis)
+    return panels
+
+
+def _draw_conditional_mean(main: Axes, joint: JointDistribution, bins: int) -> None:
+    """The mean of the ordinate in each bin of the abscissa that holds a pair."""
+    means = joint.conditional_mean(bins)
+    known = means.counts > 0
+    centers = ((means.edges[1:] + means.edges[:-1]) / 2)[known]
+    label = f"mean {joint.labels[1]} given the {joint.labels[0]}"
+    main.errorbar(
+        centers, means.mean[known], np.nan_to_num(means.error[known]), marker="o", ms=3, lw=_style.SLIP_WIDTH,
+        label=label,
+        **_style.ERROR_LOOK,
+    )  # fmt: skip
+
+
+# The durations of sticks against the positions at which they begin.
+
+
+_MANY = 2000  # points: more are smaller and paler
+
+
+def stick_map(
+    result: SimulatedSticks,
+    *,
+    system: System | None = None,
+    bound: Voltage | None = None,
+    period: float | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the duration of each complete stick against the position at which it begins, a point for each.
+
+    For a `MotorCart` and first sticks this is Lima and Sampaio (2022), figures 4 and 5, left. Sticks cut by the horizon
+    are left out, because only a part of them was seen; the legend gives their number. So are samples that did not reach
+    ``t1``.
+
+    Args:
+        result: An `Ensemble` (the sticks that it kept; with ``keep="statistics"`` those of the first samples); the
+            first stick of each sample, ``first_stick(ensemble)``; or a `Simulation` (one, or a batch by ``vmap``).
+        system: What was simulated. It must be given with ``first_stick(ensemble)``, which does not know it:
+            ``ensemble.system``.
+        bound: The voltage whose closed-form `stick_duration_bound` to draw (``ensemble.law``, say), for a `MotorCart`;
+            by default none. The current's transient when a stick begins can prolong it by about the electrical time
+            constant, inductance over resistance.
+        period: Angles are drawn modulo this, pi or 2 pi, rad; by default 2 pi. The sticks of a `MotorCart` repeat
+            themselves after pi.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes, with a note in them if there is no complete stick.
+
+    Raises:
+        ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
+    """
+    sticks = placed_sticks(result, system, bound, period)
+    ax = _style.axes_or_new(ax, (5.6, 4.0))
+    if len(sticks.duration):
+        many = len(sticks.duration) > _MANY
+        size, alpha = (3, 0.35) if many else (9, 0.6)
+        ax.scatter(sticks.position, sticks.duration, s=size, alpha=alpha, lw=0, color=_style.STICK, rasterized=many)
+        ax.plot([], [], ls="none", marker="o", ms=4, mew=0, color=_style.STICK, label=sticks.label)
+    finish(ax, sticks)
+    legend_above(ax, columns=1)
+    return ax

@@ -1,22 +1,125 @@
-"""The state and what drives it against time."""
+"""Figures of one trajectory: against time, with several contacts, its energies, and its phase portrait."""
 
+import re
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 
-from .._excitation.ground import GroundMotion
-from .._excitation.voltage import SourceVoltage
+from .._excitation.motion import SourceVoltage
+from .._excitation.recorded import GroundMotion
+from .._foundation import checks
 from .._simulation.result import Simulation
 from .._systems.system import Coordinate
-from . import _parts, _style
-from ._contacts import contact_history
-from ._legends import legend_above
-from ._trajectory import Phase, check_simulation, ground_acceleration, joined, values_of
-from ._types import SeveralAxes, Window
-from ._windows import phases_in, turns_of
+from . import _style
+from ._style import SeveralAxes, Window, legend_above
+from ._trajectory import (
+    Phase,
+    check_simulation,
+    check_window,
+    ground_acceleration,
+    has_steady_base,
+    joined,
+    phases_in,
+    phases_of,
+    turns_of,
+    values_of,
+)
+
+# A motion with several contacts: all coordinates against time, and a row of sticks for each contact.
+
+
+_POINTS = 4000  # on the whole window, besides events and time steps
+_FEW = 4  # lines that have a colour and a name each; of more, the first and the last are named
+_HEIGHT = 0.8  # of a bar, in rows
+
+
+def contact_rows(ax: Axes, one: Simulation, window: Window) -> None:
+    """Draw each stick as a bar, in a row for each contact, and in the last row the times in which all stick."""
+    contacts = one.totals.sticks.shape[-1]
+    rows = [*(one.of_contact(number) for number in range(contacts)), one.of_all_contacts()]
+    found = 0
+    for row, part in enumerate(rows):
+        mask = np.asarray(part.sticks.mask)
+        start, end = (np.asarray(times)[mask] for times in (part.sticks.start, part.sticks.end))
+        shown = (end > window[0]) & (start < window[1])
+        found += int(np.count_nonzero(shown))
+        at = np.full(int(np.count_nonzero(shown)), float(row))
+        corners = _style.rectangles(start[shown], end[shown], at - _HEIGHT / 2, at + _HEIGHT / 2)
+        is_all = row == contacts
+        look = {"facecolor": _style.MASS if is_all else _style.STICK, "lw": 0}
+        ax.add_collection(
+            PolyCollection(corners, label={0: "stick", contacts: "all closed contacts stick"}.get(row), **look),
+            autolim=False,
+        )
+    if not found:
+        _style.note(ax, "no sticks")
+    ax.set_ylim(contacts + 0.5, -0.5)
+    every = -(-contacts // 12)
+    numbers = range(0, contacts, every)
+    ax.set_yticks([*numbers, contacts], [*map(str, numbers), "all"])
+    ax.set_ylabel("contact")
+
+
+def contact_raster(one: Simulation, window: Window | None, ax: Axes | None) -> Axes:
+    """The figure `stick_raster` of one simulation with several contacts."""
+    shown = check_window(window, float(one.t1))
+    ax = _style.axes_or_new(ax, (6.4, 1.4 + 0.3 * min(one.totals.sticks.shape[-1], 16)))
+    contact_rows(ax, one, shown)
+    _style.time_axis(ax, shown)
+    legend_above(ax)
+    return ax
+
+
+def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | None) -> tuple[Axes, ...]:
+    """The figure `time_history` of a simulation with several contacts.
+
+    One panel for the coordinates of each unit, with the base velocity among those of its unit, and one for the sticks.
+    """
+    shown = check_window(window, float(one.t1))
+    times = line_times(one, shown)
+    state, base = one.evaluate(times), np.asarray(one.base_velocity(times))
+    units: dict[str, list[int]] = {}
+    for number, coordinate in enumerate(one.system.coordinates):
+        units.setdefault(coordinate.unit, []).append(number)
+    names = (*(f"coordinates in {unit}" for unit in units), "sticks")
+    panels = _style.axes_below_or_new(axes, names, (6.4, 1.9 * len(names) + 0.6))
+    for panel, (unit, numbers) in zip(panels, units.items(), strict=False):
+        named = [one.system.coordinates[number].name for number in numbers]
+        for place, number in enumerate(numbers):
+            is_named = len(numbers) <= _FEW or place in (0, len(numbers) - 1)
+            color = _style.SHADES(place / (len(numbers) - 1)) if len(numbers) > _FEW else _style.SERIES[1 + place]
+            label = named[place] if is_named else None
+            panel.plot(times, np.asarray(state[number]), color=color, lw=_style.SLIP_WIDTH, label=label)
+        if unit in ("m/s", "rad/s") and np.any(base != 0):
+            panel.plot(times, base, color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--", label="base")
+        kinds = {re.sub(r"\s*\d+$", "", name) for name in named}  # "position 1", "position 2", ...
+        panel.set_ylabel(_style.quantity_label(kinds.pop() if len(kinds) == 1 else "coordinates", unit))
+    contact_rows(panels[-1], one, shown)
+    for panel in panels:
+        _style.time_axis(panel, shown)
+    legend_above(*panels, columns=4)
+    return panels
+
+
+def line_times(one: Simulation, window: Window) -> np.ndarray:
+    """Times to draw a line at (s): a fine grid, with the beginnings of the time steps, at which events happen.
+
+    Around these the base velocity is taken just before and at a jump.
+    """
+    steps = np.unique(np.asarray(one.step_starts))
+    steps = steps[(steps > window[0]) & (steps < window[1])]
+    steps = steps[:: -(-len(steps) // (8 * _POINTS))] if len(steps) else steps
+    grid = np.linspace(*window, _POINTS, dtype=steps.dtype)
+    return np.unique(np.concatenate([grid, steps, np.nextafter(steps, steps.dtype.type(0))]))
+
+
+# The state and what drives it against time.
+
 
 _VELOCITIES = {"m/s", "rad/s"}
 _MOST_SWINGS = 40  # of the band by more than its width: more are needles without a meaning to the eye
@@ -115,7 +218,7 @@ def _base_panel(one: Simulation) -> int | None:
 def _base_label(coordinates: tuple[Coordinate, ...]) -> str:
     """The name of the base velocity, with its unit where there is only one unit of velocities among the coordinates."""
     units = {coordinate.unit for coordinate in coordinates} & _VELOCITIES
-    return _parts.quantity_label("base velocity", units.pop() if len(units) == 1 else "1")
+    return _style.quantity_label("base velocity", units.pop() if len(units) == 1 else "1")
 
 
 def _label(coordinate: Coordinate, holds_base: bool) -> str:
@@ -162,3 +265,268 @@ def _draw_band(panels: tuple[Axes, ...], result: Simulation, phases: list[Phase]
     width = np.max(highest - lowest)
     shown = max(np.min(lowest), np.min(state) - width), min(np.max(highest), np.max(state) + width)
     panel.update_datalim([(times[0], shown[0]), (times[-1], shown[1])])
+
+
+# Energies against time: what is stored, supplied and dissipated.
+
+
+_ENERGY_POINTS = 2000
+_SUPPLIED, _DISSIPATED = ("-", "-."), ("--", ":", (0, (3, 1, 1, 1, 1, 1)))
+
+
+def energies(
+    result: Simulation,
+    *,
+    window: Window | None = None,
+    axes: SeveralAxes | None = None,
+) -> tuple[Axes, Axes]:
+    """Draw the stored energies, and what was supplied and dissipated since the start, against time; sticks are shaded.
+
+    Energies that are zero all the time, such as the damping of a system without a damper, are left out.
+
+    Args:
+        result: A result of `simulate`, one trajectory that reached ``t1``, whose `Simulation.energies` are known.
+        window: First and last time to draw, s; by default as in `time_history`.
+        axes: Two, for the stored energies and for those supplied and dissipated; by default those of a new figure, one
+            below the other.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, for a simulation that did not reach ``t1``, and as
+            `Simulation.energies`.
+    """
+    check_simulation(result)
+    _, (begin, end) = phases_in(result, window)
+    upper, lower = _style.axes_below_or_new(axes, ("stored", "supplied and dissipated"), (6.4, 5.2))
+    mask = np.asarray(result.sticks.mask)
+    starts, ends = (np.asarray(times)[mask] for times in (result.sticks.start, result.sticks.end))
+    inside = (ends > begin) & (starts < end)
+    events = np.concatenate([starts[inside], ends[inside]])
+    times = np.union1d(np.linspace(begin, end, _ENERGY_POINTS), np.clip(events, begin, end))
+    found = result.energies(times)
+    for number, (name, values) in enumerate(found.stored.items()):
+        look = {"color": _style.SERIES[number], "ls": ("-", "-.")[number % 2], "lw": _style.SLIP_WIDTH}
+        upper.plot(times, values, label=name, **look)
+    total = np.sum([np.asarray(values) for values in found.stored.values()], axis=0)
+    upper.plot(times, total, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label="sum")
+    kinds = {"supplied by": (found.supplied, _SUPPLIED), "dissipated by": (found.dissipated, _DISSIPATED)}
+    number = 0
+    for words, (terms, styles) in kinds.items():
+        left = iter(styles)
+        for name, values in terms.items():
+            if np.any(np.asarray(values) != 0):
+                look = {"color": _style.SERIES[number], "ls": next(left), "lw": 1.5 * _style.SLIP_WIDTH}
+                lower.plot(times, values, label=f"{words} {_load(result) if name == 'load' else name}", **look)
+                number += 1
+    upper.set_ylabel("stored energy (J)")
+    lower.set_ylabel("energy since the start (J)")
+    for panel in (upper, lower):
+        for first, last in zip(starts[inside], ends[inside], strict=True):
+            panel.axvspan(max(first, begin), min(last, end), color=_style.STICK, alpha=0.25, lw=0, label="stick")
+        _style.time_axis(panel, (begin, end), float(result.t1) if window is None else None)
+        legend_above(panel, columns=4)
+    return upper, lower
+
+
+def _load(one: Simulation) -> str:
+    """What the load consists of: an external force, the inertia of a mass on moving ground, or both."""
+    parts = ["force"] if getattr(one.system, "force", None) is not None else []
+    if isinstance(one.base, GroundMotion):
+        parts.append("ground motion")
+    return " and ".join(parts) or "load"
+
+
+# Phase portraits: velocity against position, or angular velocity against angle.
+
+
+_POSITION, _SCALED = "position", "position_times_omega"
+
+Group = tuple[str, Callable[[Phase], bool], dict[str, Any]]
+"""How to draw a kind of phase: its label, which phases are of that kind, and how they look."""
+
+
+def _slip(sign: int) -> Callable[[Phase], bool]:
+    return lambda phase: not phase.sticks and np.sign(phase.base_velocity[0]) == sign
+
+
+# On a base at rest a stick is a point, which is visible by markers at its ends, as wide as the line.
+_STICK: Group = (
+    "stick",
+    lambda phase: phase.sticks,
+    {"color": _style.STICK, "lw": _style.STICK_WIDTH, "marker": "o", "ms": _style.STICK_WIDTH, "mew": 0},
+)
+_BY_BASE: tuple[Group, ...] = (
+    ("slip, base forward", _slip(1), {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
+    ("slip, base backward", _slip(-1), {"color": _style.BACKWARD, "lw": _style.SLIP_WIDTH}),
+    ("slip, base at rest", _slip(0), {"color": _style.AT_REST, "lw": _style.SLIP_WIDTH}),
+    _STICK,
+)
+_ALIKE: tuple[Group, ...] = (
+    ("slip", lambda phase: not phase.sticks, {"color": _style.EITHER_WAY, "lw": _style.SLIP_WIDTH}),
+    _STICK,
+)
+
+
+def phase_portrait(
+    result: Simulation,
+    *,
+    window: Window | None = None,
+    x: str | None = None,
+    y: str | None = None,
+    abscissa: str = _POSITION,
+    energy_regions: bool = False,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw velocity against position, as in Lima and Sampaio (conference paper), figures 3 to 5.
+
+    Sticks are thick and coloured. On a base of piecewise-constant velocity, slip is gray while the base moves forward,
+    black while it moves backward, and pale blue while it is at rest; on other bases slip is purple. Crosses mark the
+    centres of the slip arcs, ``(x, velocity) = (+- mu n / k, 0)`` (conference paper, equation 3), if the friction
+    coefficient is constant and there is no force and no ground motion; on a base that moves in one direction only, the
+    centre for a mass slower than the base: its only equilibrium. For a `MotorCart`, the angular velocity is drawn
+    against the angle modulo 2 pi; its sticks are points. For your own system, the second coordinate against the first,
+    or any other two.
+
+    Args:
+        result: A result of `simulate`, one trajectory that reached ``t1``.
+        window: First and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
+        x: Name of the coordinate on the abscissa, such as "angle", or "position 2" of `SwitchedSystem.state_names`; by
+            default the first one.
+        y: Name of that on the ordinate, likewise; by default the second one.
+        abscissa: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega" (m/s), in
+            which undamped slip arcs are circles, as in the paper.
+        energy_regions: Whether to shade where a slip takes energy from the base: where the mass moves in its direction
+            and is slower, ``0 < x' < v`` (Lima and Sampaio 2015, section 2). For a mass and spring on a base of
+            piecewise-constant velocity; each of its velocities has one such region.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, and for a simulation that did not reach ``t1``.
+    """
+    check_simulation(result)
+    window = check_window(window, float(result.t1))
+    chosen = _chosen(result, x, y)
+    first, second = (result.system.coordinates[number] for number in chosen)
+    choices = (_POSITION,) if first.period or result.system.natural_frequency is None else (_POSITION, _SCALED)
+    if chosen != (0, 1):
+        choices = (_POSITION,)
+    if abscissa not in choices:
+        names = " or ".join(map(repr, choices))
+        raise ValueError(
+            f"Argument abscissa must be {names} for a {type(result.system).__name__}, but {checks.show(abscissa)} was "
+            "given."
+        )
+    checks.truth("energy_regions", energy_regions)
+    if energy_regions and not (has_steady_base(result) and chosen == (0, 1)):
+        raise ValueError(
+            "Argument energy_regions must be False unless a mass and spring moves on a base of piecewise-constant "
+            "velocity and its velocity is drawn against its position, but True was given for a "
+            f"{type(result.system).__name__} on {checks.show(result.base)}, {second.name} against {first.name}."
+        )
+    ax = _style.axes_or_new(ax, (5.0, 4.6))
+    phases = phases_of(result, window)
+    if energy_regions:
+        for velocity in set(np.unique([phase.base_velocity[0] for phase in phases])) - {0}:
+            ax.axhspan(0, velocity, color=_style.FED, alpha=0.25, lw=0, label="friction feeds energy in")
+    if first.period:
+        _draw_periodic(ax, phases, result, chosen)
+    else:
+        _draw_plane(ax, result, phases, chosen, abscissa)
+    legend_above(ax, columns=2)
+    return ax
+
+
+def _chosen(one: Simulation, x: str | None, y: str | None) -> tuple[int, int]:
+    """The numbers of the coordinates called `x` and `y`, by default the first two."""
+    names = [coordinate.name for coordinate in one.system.coordinates]
+    for argument, name in (("x", x), ("y", y)):
+        if name is not None and name not in names:
+            raise ValueError(
+                f"Argument {argument} must be the name of a coordinate of the {type(one.system).__name__}, one of "
+                f"{', '.join(map(repr, names))}, but {checks.show(name)} was given."
+            )
+    chosen = 0 if x is None else names.index(x), 1 if y is None else names.index(y)
+    if chosen[0] == chosen[1]:
+        given = f"x={checks.show(x)}" if y is None else f"y={checks.show(y)}"
+        raise ValueError(
+            f"Arguments x and y must be two different coordinates, but {names[chosen[0]]!r} is both with {given}; "
+            f"give both, of {', '.join(map(repr, names))}."
+        )
+    return chosen
+
+
+def _draw_plane(ax: Axes, one: Simulation, phases: list[Phase], pair: tuple[int, int], abscissa: str) -> None:
+    """One coordinate against the other, or against it times the natural angular frequency."""
+    first, second = (one.system.coordinates[number] for number in pair)
+    scale = float(one.system.natural_frequency) if abscissa == _SCALED and one.system.natural_frequency else 1.0
+    for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
+        chosen = [phase for phase in phases if belongs(phase)]
+        if chosen:
+            ends = np.cumsum([len(phase.times) + 1 for phase in chosen]) - 2
+            starts = ends + 1 - [len(phase.times) for phase in chosen]
+            marked = np.union1d(starts, ends).tolist()
+            x, y = (joined(chosen, number) for number in pair)
+            ax.plot(scale * x, y, label=label, markevery=marked, **look)
+    center = one.system.slip_center
+    if center is not None and not isinstance(one.base, GroundMotion) and pair == (0, 1):
+        look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
+        directions = _directions(one, phases)
+        label = r"centres, $x = \pm \mu n/k$" if len(directions) > 1 else r"centre, $x = \mu n/k\,\mathrm{sgn}\,v$"
+        ax.plot(scale * float(center) * directions, 0 * directions, label=label, **look)
+    whose = " relative to ground" if isinstance(one.base, GroundMotion) else ""
+    scaled = f"{first.name}{whose} times frequency $\\omega {first.symbol}$ (m/s)"
+    ax.set_xlabel(scaled if abscissa == _SCALED else first.labeled(whose))
+    ax.set_ylabel(second.labeled(whose))
+    if abscissa == _SCALED:
+        ax.set_aspect("equal", adjustable="datalim")
+
+
+def _directions(one: Simulation, phases: list[Phase]) -> np.ndarray:
+    """-1 and 1; or the only one of them in which the base moves in all `phases`."""
+    if has_steady_base(one):
+        signs = {np.sign(phase.base_velocity[0]) for phase in phases}
+        if len(signs) == 1 and 0 not in signs:
+            return np.array(list(signs))
+    return np.array([-1.0, 1.0])
+
+
+def _draw_periodic(ax: Axes, phases: list[Phase], one: Simulation, pair: tuple[int, int]) -> None:
+    """One coordinate against the other modulo its period; sticks in which neither changes are points."""
+    first, second = (one.system.coordinates[number] for number in pair)
+    assert first.period is not None
+    period = first.period
+    still = [phase for phase in phases if phase.sticks and all(np.ptp(phase.state[number]) == 0 for number in pair)]
+    points = set(map(id, still))
+    for label, belongs, look in _ALIKE:
+        chosen = [phase for phase in phases if belongs(phase) and id(phase) not in points]
+        if chosen:
+            x, y = (joined(chosen, number) for number in pair)
+            ax.plot(*_wrapped(x, y, period), label=label, **look)
+    if still:
+        angles, speeds = np.transpose([[phase.state[number][0] for number in pair] for phase in still])
+        look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
+        ax.plot(np.mod(angles, period), speeds, label="stick", **look)
+    name = _style.angle_axis(ax, period)
+    ax.set_xlabel(first.labeled(f" modulo {name}"))
+    ax.set_ylabel(second.label)
+
+
+def _wrapped(angle: np.ndarray, speed: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """A line with its angle modulo `period`; where the angle leaves a period, the line goes to the edge and breaks."""
+    count = np.floor(angle / period)
+    at = np.flatnonzero(np.abs(np.diff(count)) > 0)  # NaN, where the line is broken already, compares false
+    edge = period * np.maximum(count[at], count[at + 1])
+    part = (edge - angle[at]) / (angle[at + 1] - angle[at])
+    between = speed[at] + part * (speed[at + 1] - speed[at])
+    forward = count[at + 1] > count[at]
+    leaving, entering = np.where(forward, period, 0), np.where(forward, 0, period)
+    x = np.insert(
+        angle - period * count, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
+    )
+    y = np.insert(speed, np.repeat(at + 1, 3), np.ravel([between, np.full(len(at), np.nan), between], "F"))
+    return x, y

@@ -1,18 +1,22 @@
-"""When the sticks of many realisations happen."""
+"""Figures of many samples: when their sticks happen, one stick after the other, and how estimates converge."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from .. import _checks
 from .._ensemble.result import Ensemble
+from .._foundation import checks
 from .._simulation.result import Simulation
-from . import _parts, _style
-from ._contacts import contact_raster
-from ._legends import legend_above
-from ._sticks import require_ensemble
-from ._trajectory import check_simulation, check_window
-from ._types import Window
+from .._statistics.estimate import DEFAULT_LEVEL, check_level
+from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES
+from .._statistics.totals import Convergence, HistogramConvergence
+from . import _style
+from ._histories import contact_raster
+from ._style import Window, legend_above
+from ._trajectory import check_simulation, check_window, require_ensemble
+
+# When the sticks of many realisations happen.
+
 
 _HEIGHT = 0.8  # of a bar, in rows
 _MANY = 2000  # bars: more are drawn as an image in vector formats
@@ -43,7 +47,7 @@ def stick_raster(
         return contact_raster(result, window, ax)
     require_ensemble(result)
     assert isinstance(result, Ensemble)
-    _checks.whole_number("samples", samples)
+    checks.whole_number("samples", samples)
     begin, end = check_window(window, result.t1)
     every = result.finished_sticks()
     sticks = every.head(min(samples, len(every.count)))
@@ -53,17 +57,182 @@ def stick_raster(
     number = int(np.count_nonzero(shown))
     if number:
         row = sticks.sample[shown]
-        corners = _parts.rectangles(sticks.start[shown], sticks.end[shown], row - _HEIGHT / 2, row + _HEIGHT / 2)
-        label = f"{_parts.counted(number, 'stick')} in {rows:,} of {_parts.counted(result.samples, 'realisation')}"
+        corners = _style.rectangles(sticks.start[shown], sticks.end[shown], row - _HEIGHT / 2, row + _HEIGHT / 2)
+        label = f"{_style.counted(number, 'stick')} in {rows:,} of {_style.counted(result.samples, 'realisation')}"
         ax.add_collection(
             PolyCollection(corners, facecolor=_style.STICK, lw=0, rasterized=number > _MANY, label=label), autolim=False
         )
     else:
-        _parts.note(ax, "no sticks")
+        _style.note(ax, "no sticks")
     ax.set_xlim(begin, end)
     ax.set_ylim(max(rows, 1) - 0.5, -0.5)
-    _parts.whole_numbers(ax.yaxis)
+    _style.whole_numbers(ax.yaxis)
     ax.set_xlabel("time $t$ (s)")
     ax.set_ylabel("realisation" if result.finished == result.samples else "realisation (of those that finished)")
     legend_above(ax, columns=1)
     return ax
+
+
+# The mean of a quantity over the first sticks of all samples, over their second sticks, and so on.
+
+
+_BOTTOM = 0.3  # of the height of the axes, for the shares
+
+
+def means_by_order(
+    result: Ensemble, quantity: str = "duration", *, level: float = DEFAULT_LEVEL, ax: Axes | None = None
+) -> Axes:
+    """Draw the mean over the samples of the i-th stick's duration, start or position, or of a slip's, against i.
+
+    Each mean is over the samples that have an i-th one, with its confidence interval. Where not all samples have one,
+    gray bars at the bottom show the share of those that do, on the axis at the right. Orders that no sample has are
+    left out.
+
+    Args:
+        result: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
+        quantity: "duration" (s), "start" (s) or "position" (m; of a motor its angle, rad) of the stick; "slip_duration"
+            or "slip_start" (s) of the slip, from the retained samples.
+        level: Of the confidence intervals, by Student's t. There are none from a single sample.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes, with a note in them if there are no sticks.
+
+    Raises:
+        ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
+    """
+    require_ensemble(result)
+    of_slips = [one.name for one in SLIP_QUANTITIES]
+    names = [*(one.name for one in STICK_QUANTITIES), *of_slips]
+    if not (isinstance(quantity, str) and quantity in names):
+        raise ValueError(
+            f"Argument quantity must be one of {', '.join(map(repr, names))}, but {checks.show(quantity)} was given."
+        )
+    check_level(level)
+    body = "slip" if quantity in of_slips else "stick"
+    statistics = result.statistics.slips if body == "slip" else result.statistics
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    orders = [statistics.order(number) for number in range(1, result.statistics.orders + 1)]
+    present = [order for order in orders if order.share.value > 0]
+    name = quantity.removeprefix("slip_")
+    ax.set_xlabel(f"order $i$ of the {body} in its sample")
+    ax.set_ylabel(_style.quantity_label(f"mean {name} of the $i$-th {body}", getattr(statistics, name).unit))
+    if not present:
+        _style.note(ax, f"no {body}s")
+        return ax
+    numbers = np.array([order.number for order in present])
+    means = [order.distributions[quantity].mean for order in present]
+    values = np.array([mean.value for mean in means])
+    low, high = np.array([mean.interval(level) for mean in means]).T
+    label = f"mean; bars: {_style.interval_name(level)}"
+    look = {"color": _style.STICK if body == "stick" else _style.MASS, "lw": _style.SLIP_WIDTH}
+    known = np.isfinite(low)
+    if np.any(known):
+        errors = (values - low)[known], (high - values)[known]
+        ax.errorbar(numbers[known], values[known], errors, ls="none", marker="o", ms=4, capsize=3, label=label, **look)
+    else:
+        label = "mean (no interval from one sample)"
+    ax.plot(numbers, values, ls="none", marker="o", ms=4, label="_mean" if np.any(known) else label, **look)
+    _style.whole_numbers(ax.xaxis)
+    ax.set_xlim(numbers[0] - 0.5, numbers[-1] + 0.5)
+    shares = np.array([order.share.value for order in present])
+    others = () if np.all(shares == 1) else (_draw_shares(ax, numbers, shares, body),)
+    legend_above(ax, *others, columns=2)
+    return ax
+
+
+def _draw_shares(ax: Axes, numbers: np.ndarray, shares: np.ndarray, body: str) -> Axes:
+    """Bars at the bottom, below all that `ax` shows so far, on axes of their own, which are returned."""
+    low, high = ax.get_ylim()
+    ax.set_yticks([tick for tick in ax.get_yticks() if low <= tick <= high])
+    ax.set_ylim(high - (high - low) / (1 - _BOTTOM), high)
+    below = ax.twinx()
+    below.bar(numbers, 100 * shares, width=0.8, color=_style.FORWARD, alpha=0.5, lw=0, label="share of samples")
+    below.set_ylim(0, 100 / (_BOTTOM - 0.06))
+    below.set_yticks([0, 50, 100])
+    below.set_ylabel(f"samples that have an $i$-th {body} (%)", loc="bottom", fontsize="small")
+    return below
+
+
+# How estimates converge as the number of samples grows.
+
+
+_FEWEST = 10  # samples: intervals from fewer are so wide that the others could not be seen beside them
+
+
+def convergence(
+    result: Convergence | HistogramConvergence, *, level: float = DEFAULT_LEVEL, ax: Axes | None = None
+) -> Axes:
+    """Draw an estimate, or the distance between two joint histograms, against the number of samples.
+
+    Args:
+        result: Of `stickslip_jax.convergence`: the estimate with its confidence interval over a logarithmic axis of the
+            number of samples, and a line at the estimate from all samples. Intervals from fewer than 10 samples may
+            leave the axes. Or of `stickslip_jax.histogram_convergence`: the total-variation distance between two
+            histograms with independent samples, both axes logarithmic, and the slope -1/2 that it approaches once every
+            cell holds many pairs; distances of 0 are left out.
+        level: Of the confidence intervals, by Student's t.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes, with a note in them if no estimate or distance is defined.
+
+    Raises:
+        ValueError: For arguments of another kind.
+    """
+    if not isinstance(result, (Convergence, HistogramConvergence)):
+        raise ValueError(
+            f"Argument result must be a Convergence or a HistogramConvergence, but {checks.show(result)} was given; "
+            "give the result of convergence or of histogram_convergence."
+        )
+    check_level(level)
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    ax.set_xscale("log")
+    if isinstance(result, Convergence):
+        _draw_estimates(ax, result, level)
+    else:
+        _draw_distances(ax, result)
+    if ax.has_data():
+        for axis in (ax.xaxis, ax.yaxis)[: 1 if isinstance(result, Convergence) else 2]:
+            _style.log_axis(axis)
+    legend_above(ax, columns=1)
+    return ax
+
+
+def _draw_estimates(ax: Axes, result: Convergence, level: float) -> None:
+    ax.set_xlabel("number of samples")
+    ax.set_ylabel(_style.quantity_label(result.name, result.unit))
+    known = np.isfinite(result.values)
+    if not np.any(known):
+        _style.note(ax, f"not defined in {result.numbers[-1]:,} samples")
+        return
+    numbers, values = result.numbers[known], result.values[known]
+    low, high = (ends[known] for ends in result.band(level))
+    ax.axhline(result.final.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--",
+               label=f"from all {result.final.samples:,} samples: {_style.with_error(result.final)}")  # fmt: skip
+    ax.fill_between(numbers, low, high, color=_style.SERIES[0], alpha=0.25, lw=0, label=_style.interval_name(level))
+    ax.plot(
+        numbers, values, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=3, label="from the first samples"
+    )
+    resolved = np.isfinite(low) & (numbers >= min(_FEWEST, numbers[-1]))
+    shown = np.concatenate([values, low[resolved], high[resolved], [result.final.value]])
+    margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
+    ax.set_ylim(shown.min() - margin, shown.max() + margin)
+
+
+def _draw_distances(ax: Axes, result: HistogramConvergence) -> None:
+    ax.set_yscale("log")
+    ax.set_xlabel("number of samples of each of the two histograms")
+    ax.set_ylabel("distance of the histograms\n(total variation)")
+    known = np.isfinite(result.distances) & (result.distances > 0)
+    if not np.any(known):
+        _style.note(ax, "no distance is known")
+        return
+    numbers, distances = result.numbers[known], result.distances[known]
+    fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
+    label = f"distance in {result.cells:,} cells with pairs{fitted}"
+    ax.plot(numbers, distances, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=4, label=label)
+    # The line begins at a distance of 1, the largest that there is.
+    ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
+    line = distances[-1] * np.sqrt(numbers[-1] / ends)
+    ax.plot(ends, line, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label="slope -1/2 through the last")

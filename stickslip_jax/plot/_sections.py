@@ -1,17 +1,25 @@
-"""Sections of motions, and bifurcation diagrams."""
+"""Sections of motions, bifurcation diagrams, basins of attraction, and branches of orbits."""
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
 
-from .. import _checks
-from . import _parts, _style
-from ._labeled import is_labeled
-from ._legends import legend_above
+from .._foundation import checks
+from . import _style
+from ._curves import is_labeled
+from ._style import legend_above
 
 if TYPE_CHECKING:
     import xarray
+
+    from ..nonlinear import OrbitBranch
+
+
+# Sections of motions, and bifurcation diagrams.
+
 
 _RETURNS = ("cycle", "event")
 _FEW = 2000  # points; more are smaller and paler
@@ -53,8 +61,8 @@ def section(
         legend_above(ax)
     else:
         _dots(ax, points[0].ravel(), points[1].ravel(), _style.MASS, None)
-    ax.set_xlabel(_parts.label_of(columns[0]))
-    ax.set_ylabel(_parts.label_of(columns[1]))
+    ax.set_xlabel(_style.label_of(columns[0]))
+    ax.set_ylabel(_style.label_of(columns[1]))
     return ax
 
 
@@ -96,8 +104,8 @@ def bifurcation_diagram(
         rows = np.asarray(own.transpose(along, ...)).reshape(own.sizes[along], -1)
         abscissas = np.repeat(np.asarray(results[along], float), rows.shape[1])
         _dots(ax, abscissas, rows.ravel(), color, None if label is None else f"followed {label}")
-    ax.set_xlabel(_parts.label_of(results[along]))
-    ax.set_ylabel(_parts.wrapped(_parts.label_of(values)))
+    ax.set_xlabel(_style.label_of(results[along]))
+    ax.set_ylabel(_style.wrapped(_style.label_of(values)))
     legend_above(ax)
     return ax
 
@@ -116,7 +124,7 @@ def _states(results: Any, argument: str) -> tuple[list[str], str | None]:
     if not is_labeled(results) or not hasattr(results, "data_vars"):
         raise ValueError(
             f"Argument {argument} must be a Dataset of a section or a bifurcation diagram, but "
-            f"{_checks.show(results)} was given."
+            f"{checks.show(results)} was given."
         )
     returns = next((one for one in _RETURNS if one in results.dims), None)
     where = ("at the end of the period", "at the event")
@@ -136,7 +144,116 @@ def _states(results: Any, argument: str) -> tuple[list[str], str | None]:
 def _column(results: Any, name: str) -> Any:
     if name not in results.data_vars:
         raise ValueError(
-            f"Argument name must be one of {', '.join(map(str, results.data_vars))}, but {_checks.show(name)} was "
-            "given."
+            f"Argument name must be one of {', '.join(map(str, results.data_vars))}, but {checks.show(name)} was given."
         )
     return results[name]
+
+
+# Basins of attraction.
+
+
+_COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#999999")
+_NONE = "#FFFFFF"
+
+
+def basins(results: "xarray.Dataset", *, ax: Axes | None = None) -> Axes:
+    """Draw which starts end on which attractor, and the attractors.
+
+    Args:
+        results: Of `nonlinear.basins`: on a grid of two coordinates, or starts of a system with two.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes. Basins beyond the eighth share a colour; starts on no attractor are white.
+
+    Raises:
+        ValueError: For results of another kind.
+    """
+    if not is_labeled(results) or "basin" not in getattr(results, "data_vars", {}):
+        raise ValueError(f"Argument results must be a Dataset of basins, but {checks.show(results)} was given.")
+    basin = results["basin"]
+    ax = _style.axes_or_new(ax, (5.6, 4.6))
+    number = results.sizes["attractor"]
+    shown = min(number, len(_COLORS))
+    colors = ListedColormap([_NONE, *_COLORS[:shown]])
+    norm = BoundaryNorm(np.arange(-0.5, shown + 1), shown + 1)
+    labels = np.minimum(np.asarray(basin), shown)
+    x, y = _axes_of(results, basin)
+    if basin.ndim == 2:
+        ax.pcolormesh(np.asarray(results[x]), np.asarray(results[y]), labels.T, cmap=colors, norm=norm, rasterized=True)
+        names = x, y
+    else:
+        ax.scatter(results[x], results[y], c=labels, cmap=colors, norm=norm, s=6, lw=0, rasterized=True)
+        names = x.removeprefix("initial_"), y.removeprefix("initial_")
+    for row in range(shown):
+        points = [np.asarray(results[f"attractor_{name}"])[row] for name in names if f"attractor_{name}" in results]
+        if len(points) == 2 and not bool(results["is_stuck"][row]):
+            ax.plot(*points, ls="none", marker=".", ms=2.5, color="black", zorder=3)
+    ax.set_xlabel(_style.label_of(results[x]))
+    ax.set_ylabel(_style.label_of(results[y]))
+    shares = np.asarray(results["share"])
+    for row in range(shown):
+        ax.fill([], [], color=_COLORS[row], label=f"attractor {row + 1}: {shares[row]:.1%}")
+    ax.plot([], [], ls="none", marker=".", color="black", label="points of attractors")
+    legend_above(ax)
+    return ax
+
+
+def _axes_of(results: Any, basin: Any) -> tuple[str, str]:
+    names = [str(one) for one in basin.dims]
+    if basin.ndim == 1:
+        names = [str(one) for one in results.coords if str(one).startswith("initial_")]
+    if len(names) != 2:
+        raise ValueError(
+            "Argument results must have starts in two coordinates, but those given differ in "
+            f"{', '.join(names) or 'none'}; choose of the others with results.isel(...)."
+        )
+    return names[0], names[1]
+
+
+# Branches of periodic orbits.
+
+
+_MARKERS = {
+    "fold": "s", "flip": "D", "Neimark-Sacker": "^", "branch point": "P", "stick appears": "o", "stick vanishes": "o",
+    "slip appears": "p", "slip vanishes": "p", "grazing": "v", "Hopf": "*", "end": "X",
+}  # fmt: skip
+
+
+def orbit_branch(result: "OrbitBranch", name: str = "period", *, ax: Axes | None = None) -> Axes:
+    """Draw a number of periodic orbits along a branch: lines where they are stable, dashes where they are not.
+
+    Args:
+        result: The branch, of `nonlinear.continue_orbit`.
+        name: Of the variable of ``result.points`` to draw.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes, with a mark and a name for each event on the way.
+
+    Raises:
+        ValueError: For anything else, and for a name that is not among the variables.
+    """
+    points: Any = getattr(result, "points", None)
+    if not hasattr(points, "data_vars") or "is_stable" not in points:
+        raise ValueError(f"Argument result must be that of continue_orbit, but {checks.show(result)} was given.")
+    known = [str(one) for one, values in points.data_vars.items() if values.dims == ("point",) and one != "modes"]
+    checks.chosen("name", name, known)
+    ax = _style.axes_or_new(ax, (5.6, 4.2))
+    (parameter,) = points.coords
+    x, y = np.asarray(points[parameter], float), np.asarray(points[name], float)
+    stable = np.asarray(points["is_stable"], bool)
+    edges = [0, *(np.flatnonzero(stable[1:] != stable[:-1]) + 1), len(x)]
+    for begin, end in pairwise(edges):
+        last = min(end + 1, len(x))  # up to the next, so that no gap is left
+        style, label = ("-", "stable") if stable[begin] else ("--", "unstable")
+        new = label not in ax.get_legend_handles_labels()[1]
+        ax.plot(x[begin:last], y[begin:last], style, color=_style.MASS, lw=1.3, label=label if new else None)
+    for event in result.events:
+        near = min(event.point + 1, len(x) - 1)
+        color = _style.STICK if event.kind.startswith("stick") else _style.BASE
+        ax.plot(event.parameter, y[near], ls="none", marker=_MARKERS[event.kind], ms=6, color=color, label=event.kind)
+    ax.set_xlabel(_style.label_of(points[parameter]))
+    ax.set_ylabel(_style.wrapped(_style.label_of(points[name])))
+    legend_above(ax)
+    return ax

@@ -1,15 +1,20 @@
-"""Derivatives of stick statistics: over a parameter, and several parameters compared."""
+"""Derivatives of stick statistics, and calibrations."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from .. import _checks
+from .._calibration.call import Calibration
+from .._calibration.sticks import StickCalibration
+from .._foundation import checks
 from .._sensitivity.estimate import Sensitivity
 from .._statistics.estimate import DEFAULT_LEVEL, check_level
-from . import _parts, _style
-from ._legends import legend_above
+from . import _style
+from ._style import SeveralAxes, Window, legend_above
+from ._trajectory import check_window
+
+# Derivatives of stick statistics: over a parameter, and several parameters compared.
 
 
 def sensitivity_curve(
@@ -45,7 +50,7 @@ def sensitivity_curve(
     )
     values, color = values[order], _style.SERIES[0]
     low, high = derivatives - width * errors, derivatives + width * errors
-    ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label=_parts.interval_name(level))
+    ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label=_style.interval_name(level))
     ax.plot(values, derivatives, color=color, lw=_style.SLIP_WIDTH, marker="o", ms=3.5, label="corrected")
     if pathwise and np.any(np.isfinite(paths)):
         ax.plot(values, paths, color=_style.SERIES[4], lw=_style.SLIP_WIDTH, ls="--", label="pathwise part alone")
@@ -94,7 +99,7 @@ def tornado(
         if np.any(chosen):
             ax.barh(heights[chosen], sizes[chosen], xerr=errors[chosen], color=color, label=label, **shown)
     if np.any(np.isfinite(errors)):
-        ax.plot([], [], ls="none", marker="_", ms=12, color=_style.MASS, label=f"bars: {_parts.interval_name(level)}")
+        ax.plot([], [], ls="none", marker="_", ms=12, color=_style.MASS, label=f"bars: {_style.interval_name(level)}")
     ax.axvline(0, color="black", lw=0.8)
     ax.set_yticks(heights, [bar.parameter for bar in bars])
     ax.set_xlabel(_title(bars[0]))
@@ -115,7 +120,7 @@ def _checked(results: Sequence[Sensitivity]) -> list[Sensitivity]:
     found = list(results) if isinstance(results, Sequence) and not isinstance(results, str) else []
     if not found or not all(isinstance(one, Sensitivity) for one in found):
         raise ValueError(
-            f"Argument results must hold one or more Sensitivity results, but {_checks.show(results)} was given."
+            f"Argument results must hold one or more Sensitivity results, but {checks.show(results)} was given."
         )
     if len({(one.statistic, one.is_elasticity) for one in found}) > 1:
         raise ValueError(
@@ -129,3 +134,95 @@ def _title(one: Sensitivity) -> str:
         return f"elasticity of the\n{one.statistic}\n(% per % of the parameter)"
     unit = "" if one.unit == "1" else f"\n({one.unit} per unit of the parameter)"
     return f"derivative of the\n{one.statistic}{unit}"
+
+
+# Moments of sticks as they were observed, and as a fitted model has them.
+
+
+def calibration_moments(result: StickCalibration, *, level: float = DEFAULT_LEVEL, ax: Axes | None = None) -> Axes:
+    """Draw how far the observed moments are from those of the fitted model, in percent of these, with error bars.
+
+    Args:
+        result: Of `calibrate_sticks`. The first moment of the first experiment is on top.
+        level: Of the intervals, by the normal distribution: the bars hold the errors of recordings and simulations.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind.
+    """
+    if not isinstance(result, StickCalibration):
+        raise checks.refused("result", "be what calibrate_sticks returned", result)
+    width, several = width_of(level), len(result.systems) > 1
+    fits = result.moments[::-1]
+    ax = _style.axes_or_new(ax, (6.4, 0.45 * len(fits) + 1.6))
+    fitted, misfit = np.array([(float(one.fitted), one.observed.value - one.fitted.value) for one in fits]).T
+    scale = 100 / np.where(fitted == 0, 1, np.abs(fitted))
+    errors = np.array([one.error for one in fits])
+    heights = np.arange(len(fits))
+    ax.errorbar(
+        misfit * scale, heights, xerr=width * errors * scale, fmt="o", ms=4.5, capsize=2.5, color=_style.SERIES[0],
+        label=f"observed, {_style.interval_name(level)}",
+    )  # fmt: skip
+    ax.axvline(0, color="black", lw=0.8, label="fitted")
+    names = [(f"experiment {one.experiment}: " if several else "") + one.observed.name for one in fits]
+    ax.set_yticks(heights, names)
+    ax.set_ylim(-0.6, len(fits) - 0.4)
+    ax.set_xlabel("observed less fitted (% of fitted)")
+    legend_above(ax, columns=2)
+    return ax
+
+
+# A calibration: what was measured, what was fitted, and what is left.
+
+
+_FEW = 400  # points: of more, the marks are small
+
+
+def calibration(
+    result: Calibration,
+    *,
+    channel: str | None = None,
+    window: Window | None = None,
+    axes: SeveralAxes | None = None,
+) -> tuple[Axes, Axes]:
+    """Draw one channel of a record with the motion fitted to it, and below it the residuals.
+
+    Where several windows were fitted, each is a line of its own. The residuals are in units of the noise; about 95 % of
+    them should lie in the shaded band, without any pattern.
+
+    Args:
+        result: Of `calibrate`.
+        channel: Its name; by default the first.
+        window: First and last time to draw, s; by default all of the record.
+        axes: Two, for the motion and for the residuals; by default those of a new figure, one below the other.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind.
+    """
+    if not isinstance(result, Calibration):
+        raise checks.refused("result", "be a Calibration, the result of calibrate", result)
+    names = list(result.channels)
+    row = 0 if channel is None else names.index(checks.chosen("channel", channel, names))
+    shown = check_window(window, float(result.times[-1]))
+    upper, lower = _style.axes_below_or_new(axes, ("motion", "residuals"), (6.4, 4.8))
+    inside = (result.times >= shown[0]) & (result.times <= shown[1]) & np.isfinite(result.measured[row])
+    times, measured, fitted = result.times[inside], result.measured[row, inside], result.fitted[row, inside]
+    size = 3 if len(times) <= _FEW else 1.2
+    upper.plot(times, measured, ".", ms=size, color=_style.FORWARD, label="measured")
+    parts = np.split(np.arange(len(times)), np.searchsorted(times, result.start_times[1:]))
+    for part in parts:
+        upper.plot(times[part], fitted[part], lw=_style.SLIP_WIDTH, color=_style.BASE, label="fitted")
+    upper.set_ylabel(_style.quantity_label(names[row], result.units[row] or "1"))
+    lower.axhspan(-1.96, 1.96, color=_style.BAND, alpha=0.25, lw=0, label="95 % of white noise")
+    lower.plot(times, (measured - fitted) / result.noise[names[row]], ".", ms=size, color=_style.MASS)
+    lower.set_ylabel("residual over noise")
+    for ax in (upper, lower):
+        _style.time_axis(ax, shown)
+        legend_above(ax, columns=3)
+    return upper, lower

@@ -1,23 +1,71 @@
-"""What all figures share: colours, new axes, their scales.
-
-The colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind readers can distinguish.
-"""
+"""What all figures share: types of arguments, colours, axes, names, legends, and the file a figure is saved in."""
 
 import math
+import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from matplotlib.typing import ColorType
 
-from .. import _checks
-from ._types import SeveralAxes, Window
+from .._ensemble.result import Ensemble
+from .._excitation.motion import RandomPhase, SourceVoltage
+from .._foundation import checks
+from .._foundation.files import file_for_user, file_to_write
+from .._foundation.types import AnyArray
+from .._simulation.result import Simulation
+from .._statistics.estimate import Estimate
+from .._statistics.quantities import FirstSticks
+
+# What the figures take, as names for annotations.
+
+
+if TYPE_CHECKING:
+    import xarray
+
+    LabeledData: TypeAlias = xarray.DataArray | xarray.Dataset
+else:  # it is an extra
+    LabeledData = Any
+
+SimulatedSticks: TypeAlias = Ensemble | FirstSticks | Simulation
+"""Results that hold sticks one by one: an ensemble, the first sticks of its samples, one simulation or a batch."""
+
+SeveralAxes: TypeAlias = Sequence[Axes] | np.ndarray
+"""As many axes as a figure has panels."""
+
+Numbers: TypeAlias = AnyArray | Sequence[float | int]
+"""One-dimensional real numbers."""
+
+Bins: TypeAlias = int | np.integer | Numbers
+"""How many bins of equal width, or their increasing edges."""
+
+JointBins: TypeAlias = int | np.integer | tuple[Bins, Bins] | list[Bins]
+"""Bins along each of two axes: one number for both, or two `Bins`."""
+
+Window: TypeAlias = tuple[float | int, float | int]
+"""First and last time to draw, s."""
+
+Voltage: TypeAlias = SourceVoltage | RandomPhase
+"""A voltage whose bound of stick durations is known in closed form."""
+
+
+# What all figures share: colours, new axes, their scales.
+#
+# The colours are those of Okabe and Ito ("Color universal design", 2008), which colour-blind readers can distinguish.
+
 
 STICK = "#D55E00"
 """The colour of sticks in every figure, and of nothing else."""
@@ -45,7 +93,7 @@ def axes_or_new(ax: Axes | None, size: tuple[float, float]) -> Axes:
     if ax is None:
         _, ax = plt.subplots(figsize=size, layout="constrained")
     if not isinstance(ax, Axes):
-        raise ValueError(f"Argument ax must be a matplotlib Axes, but {_checks.show(ax)} was given.")
+        raise ValueError(f"Argument ax must be a matplotlib Axes, but {checks.show(ax)} was given.")
     return ax
 
 
@@ -125,8 +173,7 @@ def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tu
     if len(found) != len(names):
         number = {1: "one", 2: "two", 3: "three"}.get(len(names), len(names))
         raise ValueError(
-            f"Argument axes must hold {number} matplotlib Axes ({', '.join(names)}), but {_checks.show(axes)} was "
-            "given."
+            f"Argument axes must hold {number} matplotlib Axes ({', '.join(names)}), but {checks.show(axes)} was given."
         )
     return found
 
@@ -143,3 +190,250 @@ def angle_axis(ax: Axes, period: float) -> str:
     ax.set_xlim(0, period)
     ax.set_xticks(ticks, names)
     return names[-1]
+
+
+# What the figures of statistics share: names of axes, notes in empty axes, outlines of histograms, rectangles.
+
+
+ERROR_LOOK = {"color": MASS, "elinewidth": 0.9, "capsize": 0}
+"""How error bars look."""
+
+
+def numbers_or_gaps(name: str, given: object, ndim: int) -> np.ndarray:
+    """The argument `name` as an array of `ndim` dimensions, in which NaN is a gap. Raises ValueError for others."""
+    finite = given
+    with suppress(TypeError, ValueError):
+        finite = np.nan_to_num(np.asarray(given, float), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    checks.numeric(name, finite, ndim=ndim)
+    return np.asarray(given, float)
+
+
+def checked_errors(errors: object, values: np.ndarray) -> np.ndarray:
+    """Standard errors of the `values`, NaN where not known. Raises ValueError for others."""
+    array = numbers_or_gaps("errors", errors, values.ndim)
+    if array.shape != values.shape or np.any(array < 0):
+        raise ValueError(
+            f"Argument errors must hold numbers of zero or more in the shape {values.shape} of the values, but an "
+            f"array of shape {array.shape} with smallest entry {np.nanmin(array, initial=np.inf):g} was given."
+        )
+    return array
+
+
+def interval_name(level: float) -> str:
+    """The name of confidence intervals at `level` in legends."""
+    return f"{100 * level:.4g} % confidence interval"
+
+
+def wrapped(text: str, letters: int = 40) -> str:
+    """`text` in lines of so many letters, by default those that fit beside axes of the usual size.
+
+    Formulas stay whole, and so do the lines that it has.
+    """
+    guarded = re.sub(r"\$[^$]*\$", lambda formula: formula[0].replace(" ", "\0"), text)
+    lines = [fill(line, max(letters, 10), break_long_words=False) for line in guarded.split("\n")]
+    return "\n".join(lines).replace("\0", " ")
+
+
+def quantity_label(name: str, unit: str) -> str:
+    """The name of a quantity with its unit, if it has one."""
+    return name if unit == "1" else f"{name} ({unit})"
+
+
+def label_of(values: Any) -> str:
+    """The name of a labelled array with its unit."""
+    return quantity_label(str(values.attrs.get("long_name", values.name)), str(values.attrs.get("units", "1")))
+
+
+def unit_after(unit: str) -> str:
+    """A unit to stand after a number."""
+    return "" if unit == "1" else f" {unit}"
+
+
+def density_label(*units: str) -> str:
+    """The name of the probability density over quantities of these units."""
+    named = [unit for unit in units if unit != "1"]
+    if not named:
+        return "probability density"
+    if len(named) == 1:
+        return f"probability density (1/{named[0]})"
+    together = f"{named[0]}$^2$" if named[0] == named[1] else f"({' '.join(named)})"
+    return f"probability density (1/{together})"
+
+
+def color_of(name: str) -> str:
+    """The colour of the quantity `name`: sticks have one of their own."""
+    return STICK if "stick" in name else SERIES[0]
+
+
+def with_error(estimate: Estimate) -> str:
+    """Value, standard error and unit of an estimate, without its name."""
+    return estimate.without_name().replace("+-", "±")
+
+
+def counted(number: int, word: str) -> str:
+    """A number with the word for what was counted, in the plural where it is due."""
+    return f"{number:,} {word}{'' if number == 1 else 's'}"
+
+
+def whole_numbers(axis: Axis) -> None:
+    """Put the ticks of an axis at whole numbers only."""
+    axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def note(ax: Axes, text: str) -> None:
+    """Write into empty axes why there is nothing to draw."""
+    ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
+
+
+def draw_histogram(
+    ax: Axes, edges: np.ndarray, heights: np.ndarray, errors: np.ndarray, color: str, *, label: str | None = None,
+    upright: bool = True,
+) -> None:  # fmt: skip
+    """Draw a histogram with the standard errors of its bins.
+
+    - `edges`: (bins + 1,). `heights`, `errors`: (bins,); bars are left out where an error is NaN.
+    - `upright`: whether the bars stand on the lower edge of `ax`, or on its left edge.
+    """
+    orientation = "vertical" if upright else "horizontal"
+    ax.stairs(heights, edges, fill=True, color=color, alpha=0.35, lw=0, orientation=orientation)
+    ax.stairs(heights, edges, color=color, lw=SLIP_WIDTH, orientation=orientation, label=label)
+    known = np.isfinite(errors) & (heights > 0)
+    if np.any(known):
+        centers = ((edges[1:] + edges[:-1]) / 2)[known]
+        if upright:
+            ax.errorbar(centers, heights[known], yerr=errors[known], ls="none", **ERROR_LOOK)
+        else:
+            ax.errorbar(heights[known], centers, xerr=errors[known], ls="none", **ERROR_LOOK)
+
+
+def rectangles(left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray) -> list[np.ndarray]:
+    """The corners of rectangles with these sides (rectangles,): arrays (4, 2)."""
+    return list(np.stack([np.stack([left, right, right, left], -1), np.stack([bottom, bottom, top, top], -1)], -1))
+
+
+# The legend above the axes, fitted to the room that there is, and numbers at ticks that do not reach into it.
+
+
+_ROOM = 0.92  # of the width of the figure: twice the way from the middle of the axes to the right edge
+_LEAST, _MOST = 1e-3, 1e5  # numbers at ticks beyond these are written with powers of ten
+
+
+def legend_above(
+    ax: Axes, *others: Axes, columns: int = 3, lines_first: bool = False, room: float | None = None
+) -> None:
+    """Put one legend for `ax` and `others`, if anything has a label, above `ax`, where it hides no data.
+
+    Each label is listed once. There are as many columns as have room, and long labels are wrapped.
+
+    - `columns`: at most. `lines_first`: whether lines come before areas, so that of two columns each holds one kind.
+    - `room`: for the legend, a share of the width of the figure; by default that of the axes with their labels.
+    """
+    handles = {}
+    for one in (ax, *others):
+        plain_numbers(one.yaxis)
+        for handle, label in zip(*one.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if not handles:
+        return
+    if lines_first:
+        handles = dict(sorted(handles.items(), key=lambda item: not isinstance(item[1], Line2D)))
+    figure = figure_of(ax)
+    # Not the renderer of the figure's own backend: that of SVG measures in other units than the figure.
+    measure = RendererAgg(1, 1, figure.dpi)
+    most = (_room(ax) if room is None else room) * figure.bbox.width
+    width = most
+    for number in range(min(columns, len(handles)), 0, -1):
+        width = _legend(ax, list(handles), list(handles.values()), number).get_window_extent(measure).width
+        if width <= most:
+            return
+    letters = int(max(map(len, handles)) * most / width) - 6  # the handle is as wide
+    _legend(ax, [wrapped(label, letters) for label in handles], list(handles.values()), 1)
+
+
+def _legend(ax: Axes, labels: list[str], handles: list, columns: int) -> Legend:
+    place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
+    return ax.legend(handles, labels, ncols=columns, **place)
+
+
+def _room(ax: Axes) -> float:
+    """The width of the part of the figure that is for these axes, as a share of the figure."""
+    place = ax.get_subplotspec()
+    if place is None:
+        return max(_ROOM * ax.get_position().width, 0.1)
+    grid = place.get_gridspec()
+    return _ROOM * len(place.colspan) / grid.ncols
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Write the numbers at linear ticks in full, instead of what is common to them at the end of the axis.
+
+    The legend stands there.
+    """
+    if type(axis.get_major_formatter()) is ScalarFormatter:
+        axis.set_major_formatter(_WholeNumbers())
+
+
+class _WholeNumbers(ScalarFormatter):
+    """Numbers without a common offset or power of ten; each has its own power where they are very small or large."""
+
+    def __init__(self) -> None:
+        super().__init__(useOffset=False)
+        self.set_scientific(False)
+        self._ticks = np.zeros(0)
+
+    def set_locs(self, locs: Any) -> None:
+        super().set_locs(locs)
+        self._ticks = np.asarray(locs, float)
+
+    def __call__(self, x: Any, pos: int | None = None) -> str:
+        largest = np.max(np.abs(self._ticks), initial=0.0)
+        if largest == 0 or _LEAST <= largest < _MOST:
+            return super().__call__(x, pos)
+        if x == 0:
+            return "0"
+        power = int(np.floor(np.log10(np.abs(x)) + 1e-9))
+        step = np.min(np.diff(np.unique(self._ticks)), initial=np.inf)
+        digits = max(0, power - int(np.floor(np.log10(step) + 1e-9))) if np.isfinite(step) else 2
+        mantissa = f"{x / 10.0**power:.{digits}f}"
+        if "." in mantissa:
+            mantissa = mantissa.rstrip("0").rstrip(".")
+        return self.fix_minus(rf"${mantissa}\times10^{{{power}}}$")
+
+
+# Write a figure to a file and close it.
+
+
+def save(
+    axes: Axes | SeveralAxes, path: str | Path, *, title: str | None = None, dpi: float = 150, overwrite: bool = False
+) -> None:
+    """Save the figure that `axes` belong to, and close it.
+
+    Args:
+        axes: What a function of this module returned: one matplotlib Axes, or several of one figure.
+        path: The file; its ending chooses the format.
+        title: Written above the figure.
+        dpi: Dots per inch.
+        overwrite: Whether to replace a file of that name. Until the new one is whole, an older one stays.
+
+    Raises:
+        ValueError: If `axes` holds anything else and for what is no file name of a figure.
+        FileExistsError: Where a file would be replaced.
+        FileNotFoundError: For a folder that does not exist.
+        OSError: Where it cannot be written.
+    """
+    found = (axes,) if isinstance(axes, Axes) else axes_in(axes)
+    if not found:
+        raise ValueError(
+            "Argument axes must be a matplotlib Axes or hold several, as the figures here return them, but "
+            f"{checks.show(axes)} was given."
+        )
+    figure = figure_of(found[0])
+    try:
+        known = tuple(f".{name}" for name in figure.canvas.get_supported_filetypes())
+        path = file_to_write(path, known, overwrite=overwrite)
+        if title is not None:
+            figure.suptitle(title)
+        with file_for_user(path) as file:
+            figure.savefig(file, dpi=dpi, format=path.suffix[1:].lower())
+    finally:
+        plt.close(figure)

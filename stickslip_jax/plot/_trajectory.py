@@ -1,4 +1,4 @@
-"""A simulated trajectory cut into phases at its events, so that sticks are drawn exactly where they happen."""
+"""A simulated trajectory cut into phases at its events, so that sticks are drawn exactly where they are."""
 
 import math
 from collections.abc import Callable
@@ -9,13 +9,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .. import _checks
-from .._excitation.ground import GroundMotion
+from .._ensemble.result import Ensemble
 from .._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
-from .._forks import require_threads_of_jax
+from .._excitation.recorded import GroundMotion
+from .._foundation import checks
+from .._foundation.processes import require_threads_of_jax
+from .._foundation.types import Ending, Status
 from .._simulation.result import Simulation
-from .._status import Status
-from ._types import Window
+from .._statistics.quantities import FirstSticks
+from ._style import Bins, SimulatedSticks, Window
+
+# A simulated trajectory cut into phases at its events, so that sticks are drawn exactly where they happen.
+
 
 _POINTS_PER_REVOLUTION = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius
 _POINTS_PER_KNOT = 6  # at least; a time step of the simulation is 1/16 of the shortest period or less
@@ -46,10 +51,10 @@ def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None
     require_threads_of_jax()
     if not isinstance(result, Simulation):
         raise ValueError(
-            f"Argument result must be a result of simulate, but {_checks.show(result)} was given; sample i of an "
+            f"Argument result must be a result of simulate, but {checks.show(result)} was given; sample i of an "
             "ensemble is simulated with its base motion and initial state, ensemble.realization(i)."
         )
-    if _checks.holds_traced(result):
+    if checks.holds_traced(result):
         raise ValueError(
             "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure "
             "outside jit, vmap and grad."
@@ -72,7 +77,7 @@ def require_one_contact(result: Simulation) -> None:
     """Raise ValueError for a simulation with the sticks of several contacts."""
     if result.sticks.contact is not None:
         raise ValueError(
-            f"Argument result must have the sticks of one contact, but {_checks.show(result)} was given; take "
+            f"Argument result must have the sticks of one contact, but {checks.show(result)} was given; take "
             "result.of_contact(number) or result.of_all_contacts()."
         )
 
@@ -86,7 +91,7 @@ def check_window(window: Window | None, t1: float) -> Window:
         begin, end = (float(time) for time in window)
     if not 0 <= begin < end <= t1:
         raise ValueError(
-            f"Argument window must be two times (in s) with 0 <= t_a < t_b <= t1 = {t1:g}, but {_checks.show(window)} "
+            f"Argument window must be two times (in s) with 0 <= t_a < t_b <= t1 = {t1:g}, but {checks.show(window)} "
             "was given."
         )
     return begin, end
@@ -207,3 +212,149 @@ def _follow_base(one: Simulation, times: jax.Array, state: tuple[jax.Array, ...]
         shaken = ground_acceleration(one.base)
         ground = jnp.nan if shaken is None else shaken(times)
     return velocity, *one.system.stick_band(times, state, velocity, acceleration, ground)
+
+
+# How much of a long trajectory is drawn, so that its oscillations can be distinguished.
+
+
+_MOST_TURNS = 80  # of a line across the axes: more make it a black band
+_FIRST_TURNS = 40  # are drawn of such a line
+_LARGE = 0.25  # of the range of the line: the least way back that counts
+
+
+def phases_in(one: Simulation, window: Window | None) -> tuple[list[Phase], Window]:
+    """The phases to draw, and the window that they are in (s), which is the one given.
+
+    Without one it is all of ``[0, t1]``, or of a motion that turns more than 80 times its beginning.
+
+    Raises:
+        ValueError: For a window that is none.
+    """
+    whole = check_window(window, float(one.t1))
+    phases = phases_of(one, whole)
+    if window is not None:
+        return phases, whole
+    times = np.concatenate([phase.times for phase in phases])
+    end = whole[1]
+    for number in range(len(phases[0].state)):
+        values = np.concatenate([values_of(phase, number) for phase in phases])
+        turns = times[turns_of(values, _LARGE * float(np.ptp(values)))]
+        if len(turns) > _MOST_TURNS:
+            end = min(end, _round_down(float(turns[_FIRST_TURNS])))
+    return (phases, whole) if end == whole[1] else (phases_of(one, (0.0, end)), (0.0, end))
+
+
+def turns_of(values: np.ndarray, least: float) -> np.ndarray:
+    """The numbers of the values (points,) at which a line turns and then goes back by more than `least`."""
+    rising = np.sign(np.diff(values))
+    moving = np.flatnonzero(rising != 0)
+    extremes = moving[1:][rising[moving[1:]] != rising[moving[:-1]]]
+    found: list[int] = []
+    best, way = 0, 0  # the farthest point since the last turn, and which way the line went
+    for place in [*extremes.tolist(), len(values) - 1]:
+        change = values[place] - values[best]
+        if way * change >= 0 and (way or abs(change) > least):
+            best, way = place, way or int(np.sign(change))
+        elif way and abs(change) > least:
+            found.append(best)
+            best, way = place, -way
+    return np.array(found, int)
+
+
+def _round_down(time: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not after `time`."""
+    power = 10.0 ** math.floor(math.log10(time))
+    return next(factor * power for factor in (5.0, 2.0, 1.0) if factor * power <= time * (1 + 1e-12))
+
+
+# The complete sticks of a result, one by one: their durations and the positions at which they begin.
+
+
+class CompleteSticks(NamedTuple):
+    """Sticks whose end was seen, in samples that reached ``t1``; arrays (sticks,).
+
+    - `duration`: s. `position`: where they begin, m (of a motor its angle, rad).
+    - `cut`: how many more the horizon cut short.
+    - `part`: for legends, of which samples the sticks are, where not of all.
+    """
+
+    duration: np.ndarray
+    position: np.ndarray
+    cut: int
+    part: str = ""
+
+    @property
+    def label(self) -> str:
+        """How many there are, for legends."""
+        more = f" ({self.cut:,} more, cut by the horizon, left out)" if self.cut else ""
+        return (f"{len(self.duration):,} sticks" if len(self.duration) else "no sticks") + self.part + more
+
+
+def require_ensemble(result: Ensemble | Simulation) -> None:
+    """Raise ValueError unless `result` is an ensemble."""
+    if not isinstance(result, Ensemble):
+        raise ValueError(
+            f"Argument result must be an Ensemble, but {checks.show(result)} was given; give the result of "
+            "simulate_ensemble."
+        )
+
+
+def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteSticks:
+    """The complete sticks of a `Simulation`, one or a batch, of an `Ensemble`, those that it kept, or of `FirstSticks`.
+
+    `also`: what else the figure takes, for the message.
+
+    Raises:
+        ValueError: For anything else, and for an ensemble with ``keep="totals"``.
+    """
+    part = ""
+    if isinstance(result, Ensemble):
+        sticks = result.numbered_sticks()
+        used, duration = np.ones(len(sticks.start), bool), sticks.duration
+        part = f" of the first {len(sticks.count):,} samples" if len(sticks.count) < result.finished else ""
+    elif isinstance(result, FirstSticks):
+        sticks, used, duration = result, result.mask, result.duration
+    elif isinstance(result, Simulation):
+        require_one_contact(result)
+        sticks = result.sticks
+        if any(checks.is_traced(leaf) for leaf in (sticks.mask, result.status)):
+            raise ValueError(
+                "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure "
+                "outside jit, vmap and grad."
+            )
+        used = np.asarray(sticks.mask) & (np.asarray(result.status) == Status.FINISHED)[..., None]
+        duration = np.asarray(sticks.duration)
+    else:
+        raise ValueError(
+            f"Argument result must be a result of simulate_ensemble or of simulate, or of first_stick{also}, but "
+            f"{checks.show(result)} was given."
+        )
+    cut = np.asarray(sticks.ending) == Ending.HORIZON
+    kept = used & ~cut
+    duration, position = (np.asarray(values, float)[kept] for values in (duration, sticks.position))
+    return CompleteSticks(duration, position, int(np.sum(used & cut)), part)
+
+
+def edges_of_bins(name: str, bins: Bins, span: tuple[float, float], unit: str) -> np.ndarray:
+    """The edges of `bins`, (bins + 1,): so many of equal width over `span`, or the increasing edges given.
+
+    `name` of the argument and `unit` are for the message.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    if np.ndim(bins) == 0:
+        return np.linspace(*span, checks.whole_number(name, bins) + 1)
+    checks.numeric(name, bins, ndim=1)
+    edges = np.asarray(bins, float)
+    if len(edges) < 2 or np.any(np.diff(edges) <= 0):
+        raise ValueError(
+            f"Argument {name} must be a whole number or increasing edges (in {unit}), but {checks.show(bins)} was "
+            "given."
+        )
+    return edges
+
+
+def outside(label: str, number: int) -> str:
+    """`label` with a line on how many sticks lie outside the bins, if any do."""
+    return f"{label}\n{number:,} of them outside the bins" if number else label

@@ -11,7 +11,7 @@ Importing this module raises ImportError if the extra ``study`` is not installed
 
 from importlib import import_module
 
-from .._extras import require as _require
+from .._foundation.extras import require as _require
 
 # Before any module of this folder is there: who asks again is told again.
 _require("Studies and the command need", "study", "pydantic", "cyclopts", "xarray", "h5netcdf", "h5py", "filelock")

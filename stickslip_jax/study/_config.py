@@ -1,19 +1,57 @@
-"""A study: the sections of its TOML file as pydantic models."""
+"""A study or a sweep: the sections of its TOML file as pydantic models, and the way back from objects to a file."""
 
 import math
+import re
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from .. import _diffrax as diffrax
-from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._excitation.motion import RandomPhase
+from .._foundation import lazy_diffrax as diffrax
+from .._foundation.checks import LARGEST, one_of
+from .._foundation.fields import described
 from .._statistics.accumulator import MOST_ORDERS
+from .._sweep.plan import MOST_POINTS
+from .._systems.structure import LinearStructure
+from .._systems.system import System
 from .._uncertainty.families import Uniform
-from ._bases_config import BaseConfig, SourceVoltageConfig
-from ._sections import Section, Start, UniformConfig, kinds_in, start_value, tag_of, toml_blocks, toml_value
-from ._structures_config import BlockRowConfig, LinearStructureConfig, StoreysOnBearingConfig, StructureSection
-from ._systems_config import MassSpringConfig, MotorCartConfig, SystemConfig
+from ._errors import StudyError
+from ._sections import (
+    Section,
+    Start,
+    UniformConfig,
+    kinds_in,
+    shown_value,
+    start_value,
+    tag_key,
+    tag_of,
+    toml_blocks,
+    toml_value,
+)
+from ._systems_config import (
+    BaseConfig,
+    BlockRowConfig,
+    FrictionConfig,
+    LinearStructureConfig,
+    MassSpringConfig,
+    MotorCartConfig,
+    NormalForceConfig,
+    NumberOrForce,
+    SourceVoltageConfig,
+    StoreysOnBearingConfig,
+    StructureSection,
+    SystemConfig,
+)
+
+# A study: the sections of its TOML file as pydantic models.
+
 
 _OR_RANDOM = "or { low = ..., high = ... } for one drawn in every sample"
 
@@ -238,3 +276,261 @@ class StudyConfig(FileConfig):
         default_factory=dict, validate_default=True
     )
     output: OutputConfig = OutputConfig()
+
+
+# A parameter sweep: the sections of its TOML file.
+
+
+_RANGES = {"linspace": np.linspace, "logspace": np.geomspace}
+
+
+class OverConfig(Section):
+    """Section ``[sweep.over]``: the swept parameters by name, with their values.
+
+    A name is one as in `stickslip_jax.Sweep`, or that of an initial value in ``[run]``; several with commas between
+    them change together.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    @model_validator(mode="after")
+    def _all_have_values(self) -> "OverConfig":
+        self.parameter_values()
+        return self
+
+    def parameter_values(self) -> dict[tuple[str, ...], np.ndarray]:
+        """The values by the names that change together: (points,) of one name, (points, names) of several.
+
+        Raises ValueError for anything else.
+        """
+        given = self.model_extra or {}
+        if not given:
+            raise ValueError("a parameter must be given with its values, such as mu = [0.5, 1.0].")
+        found = {tuple(part.strip() for part in name.split(",")): _values(name, value) for name, value in given.items()}
+        _check_number(math.prod(map(len, found.values())))
+        return found
+
+
+def _check_number(points: int) -> None:
+    if points > MOST_POINTS:
+        raise ValueError(
+            f"its parameters must have at most {MOST_POINTS} combinations, but have "
+            f"{points if points < 10**20 else f'about 1e{len(str(points)) - 1}'}; give fewer values."
+        )
+
+
+def _values(name: str, given: object) -> np.ndarray:
+    several = "," in name
+    if isinstance(given, dict) and not several:
+        return _range(name, given)
+    if not isinstance(given, list) or not given:
+        wanted = (
+            "rows such as [[0.5, 1.0], [1.0, 2.0]]" if several else "a list, { linspace = ... } or { logspace = ... }"
+        )
+        raise ValueError(f"{name} must be {wanted}, but {shown_value(given)} was given.")
+    rows = given if several else [[one] for one in given]
+    width = name.count(",") + 1
+    for row in rows:
+        if not (isinstance(row, list) and len(row) == width and all(map(_is_number, row))):
+            wanted = f"rows of {width} numbers" if several else "numbers"
+            raise ValueError(f"{name} must hold {wanted}, but {shown_value(row if several else row[0])} was given.")
+    return np.array(rows if several else given, float)
+
+
+def _range(name: str, given: dict[str, object]) -> np.ndarray:
+    """The values of ``{ linspace = [from, to, number] }``, or logspace."""
+    (kind, limits), *more = given.items() or [("", None)]
+    if kind not in _RANGES or more:
+        near = get_close_matches(kind, {"geomspace": "", **_RANGES}, n=1)
+        hint = f"; did you mean {near[0].replace('geom', 'log')}?" if near else ""
+        dotted = "" if hint or not re.fullmatch(r"\w+", kind) else f'; for a name with dots write "{name}.{kind}" = ...'
+        raise ValueError(
+            f"{name} must be a list, or a table with {one_of(_RANGES)}, but {shown_value(given)} was given"
+            f"{hint or dotted or '.'}"
+        )
+    ends = limits if isinstance(limits, list) else []
+    if (
+        len(ends) != 3
+        or not all(_is_number(end) and abs(end) <= LARGEST for end in ends)
+        or not isinstance(ends[2], int)
+        or ends[2] < 1
+    ):
+        raise ValueError(
+            f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], but {shown_value(limits)} "
+            "was given."
+        )
+    if kind == "logspace" and min(ends[:2]) <= 0:
+        raise ValueError(
+            f"logspace of {name} must go from and to positive numbers, but {shown_value(limits)} was given."
+        )
+    _check_number(ends[2])  # before there are any values
+    return _RANGES[kind](*ends)
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a number; whole ones of a size that can be computed with."""
+    return (
+        isinstance(value, (int, float))
+        and not isinstance(value, bool)
+        and (isinstance(value, float) or abs(value) <= LARGEST)
+    )
+
+
+class SweepSection(Section):
+    """Section ``[sweep]``: what is estimated at each point; the points are in ``[sweep.over]``."""
+
+    keep: Literal["statistics", "totals"] = Field(
+        default="statistics", description="statistics; totals: fewer of them, about three times as fast"
+    )
+    statistics: list[str] | None = Field(
+        default=None, min_length=1, description='names, such as ["mean_stick_duration"]; not given: all'
+    )
+    sensitivities: dict[str, list[str]] | None = Field(
+        default=None, description='derivatives: { mean_stick_duration = ["mu", "rate"] }; not given: none'
+    )
+    independent: bool = Field(
+        default=False, description="false: the same random numbers at all points, so that differences have small errors"
+    )
+    standard_error: dict[str, float] | None = Field(
+        default=None, description="at which a point ends before all samples: { mean_stick_duration = 0.01 }"
+    )
+    realizations: int = Field(default=0, ge=0, description="number of samples whose sticks are in the result")
+    batch: int | None = Field(
+        default=None, ge=1, le=2**31, description="samples stored together; not given: chosen from the size"
+    )
+    over: OverConfig = Field(description="the parameters and their values")
+
+
+class SweepConfig(FileConfig):
+    """A whole parameter sweep."""
+
+    runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
+        MassSpringConfig: MassSpringPointConfig,
+        MotorCartConfig: MotorCartPointConfig,
+        **dict.fromkeys(STRUCTURES, StructurePointConfig),
+    }
+
+    run: MassSpringPointConfig | MotorCartPointConfig | StructurePointConfig = Field(
+        default_factory=dict, validate_default=True
+    )
+    sweep: SweepSection = Field(default_factory=dict, validate_default=True)
+
+
+# A study's file from the objects that a simulation takes: the way back of `build`.
+
+
+_KEYS = ("step", "max_steps", "width", "shape")
+"""Of the section [run] that are fields of a method too."""
+
+
+def config_of(
+    system: System,
+    law: Any,
+    *,
+    y0: tuple[Any, ...] | None,
+    t1: float,
+    samples: int,
+    seed: int,
+    method: Exact | Regularized = EXACT,
+) -> StudyConfig:
+    """The description of a study of these objects.
+
+    Raises:
+        StudyError: For objects that no section of a study's file describes, such as classes of a user's own; so what
+            is described is what was given.
+    """
+    table = _system_table(system)
+    run: dict[str, Any] = {"t1": float(t1), "samples": samples, "seed": seed, **_method_keys(method)}
+    run["dtype"] = str(jnp.result_type(float))
+    if y0 is not None:
+        starts = [_start(one) for one in y0]
+        kind = StudyConfig.runs[kinds_in(SystemConfig)[table["model"]]]
+        run |= dict(zip(kind.initial, starts, strict=True)) if kind.initial else {"initial_state": starts}
+    base = _table(law, kinds_in(BaseConfig))
+    try:
+        config = StudyConfig.model_validate({"system": table, "base": base, "run": run})
+    except ValidationError as error:
+        said = error.errors()[0]
+        raise StudyError(f"No study's file can hold this: {said['msg']} ({'.'.join(map(str, said['loc']))}).") from None
+    again = config.system.build(), config.base.build(), config.run.method(config.system.has_inner_states)
+    for name, one, other in zip(("system", "base", "method"), (system, law, method), again, strict=True):
+        if not eqx.tree_equal(jax.tree.map(_plain, one), jax.tree.map(_plain, other)):
+            raise StudyError(f"No study's file can hold this {name}, but one that differs; copy it as Python instead.")
+    return config
+
+
+def _method_keys(method: Exact | Regularized) -> dict[str, Any]:
+    """The keys of the section [run] that say how is simulated."""
+    found = {key: getattr(method, key, None) for key in _KEYS}
+    if method.solver is not None:
+        found["solver"] = type(method.solver).__name__
+    return {key: _plain(value) for key, value in found.items() if value is not None}
+
+
+def _start(value: Any) -> Any:
+    return {"low": float(value.low), "high": float(value.high)} if isinstance(value, Uniform) else _plain(value)
+
+
+def _system_table(system: Any) -> dict[str, Any]:
+    if type(system) is not LinearStructure:
+        return _table(system, kinds_in(SystemConfig))
+    counted = system.counted_track
+    normal_forces, frictions = kinds_in(NormalForceConfig), kinds_in(FrictionConfig)
+    contacts = [
+        {
+            "direction": _plain(one.direction),
+            "normal_force": _table(one.normal_force, normal_forces),
+            "friction": _table(one.friction, frictions),
+            "on_base": _plain(one.on_base),
+        }
+        for one in system.contacts
+    ]
+    table = {
+        "model": "LinearStructure",
+        "mass": _plain(system.mass),
+        "stiffness": _plain(system.stiffness),
+        "rotates": system.rotates,
+        "contact": "all" if counted in (None, -1) else counted,
+        "contacts": contacts,
+    }
+    if system.damping is not None:
+        table["damping"] = _plain(system.damping)
+    if system.force is not None:
+        table["force"] = [0.0 if one is None else _table(one, kinds_in(NumberOrForce)) for one in system.force]
+    return table
+
+
+def _table(value: Any, kinds: Mapping[str, type[Section]]) -> Any:
+    """The section or number that describes `value`. `kinds`: the sections that may stand here, by name."""
+    if isinstance(value, RandomPhase):
+        table = _table(value.signal, kinds)
+        return {key: entry for key, entry in table.items() if key not in ("phase", "phases")} | {"random_phase": True}
+    if not isinstance(value, eqx.Module):
+        return _plain(value)
+    name = type(value).__name__
+    kind = kinds.get(name)
+    if kind is None or getattr(kind, "described_class", type(value)) is not type(value):
+        raise StudyError(f"{name} has no section in a study's file; copy it as Python instead.")
+    tag = tag_key(kind)
+    table: dict[str, Any] = {} if tag is None else {tag: name}
+    known = described(type(value))
+    for key, info in kind.model_fields.items():
+        name_of_field = "law" if key == "slip" else key
+        entry = getattr(value, name_of_field, None) if key in known or key not in ("mu", tag) else None
+        if entry is not None and key != tag:
+            table[key] = _table(entry, kinds_in(info.annotation))
+    if "random_phase" in kind.model_fields:
+        table["random_phase"] = False
+    return table
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and lists of them, as TOML holds them."""
+    if isinstance(value, (bool, str, int, float)) or value is None:
+        return value
+    if isinstance(value, (tuple, list)) or np.ndim(value) > 0:
+        return [_plain(one) for one in np.asarray(value).tolist()]
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise StudyError(f"{type(value).__name__} has no key in a study's file; copy it as Python instead.") from None

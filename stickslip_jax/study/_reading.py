@@ -1,23 +1,234 @@
-"""Reads studies and sweeps from TOML files and the command's options; every mistake becomes one sentence."""
+"""Reads studies and sweeps from TOML files and the command's options; every mistake becomes a sentence."""
 
+import math
 import os
 import re
 import sys
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args
 
+from cyclopts import Parameter, Token
 from pydantic import ValidationError
 
-from .._checks import one_of
-from ._config import FileConfig, StudyConfig
+from .. import papers
+from .._foundation.checks import one_of
+from ._config import FileConfig, StudyConfig, SweepConfig
 from ._errors import StudyError
-from ._examples import EXAMPLES, PAPERS
 from ._sections import NUMBER, Section, UniformConfig, kinds_in, shown_value, tables_of, tag_key, tag_of
-from ._sweep_config import SweepConfig
 from ._systems_config import MassSpringConfig
+
+# Studies and sweeps to start from, by name: what differs from the defaults.
+
+
+_BUILDING, _PERIOD, _GRAVITY = 2.0e5, 2.5, 9.81  # kg; s, natural period on its isolators; m/s^2
+
+EXAMPLES: dict[str, Mapping[str, Mapping[str, object]]] = {
+    "harmonic-base": {
+        "system": {"friction": {"law": "Stribeck", "mu": 0.3, "mu_static": 0.5, "stribeck_speed": 0.2}},
+        "base": {"law": "Harmonic", "amplitude": 0.5, "angular_frequency": 0.8, "offset": 0.2},
+        "run": {"t1": 100.0, "samples": 1000, "initial_velocity": 0.0},
+        "output": {"directory": "results/harmonic-base"},
+    },
+    "base-isolation": {
+        "system": {
+            "mass": _BUILDING,
+            "stiffness": float(f"{_BUILDING * (2 * math.pi / _PERIOD) ** 2:.4g}"),
+            "normal_force": float(f"{_BUILDING * _GRAVITY:.4g}"),
+            "damping": 2.0e4,
+            "friction": {"law": "Coulomb", "mu": 0.05, "mu_static": 0.07},
+        },
+        "base": {"law": "KanaiTajimi", "rms": 1.5},
+        "run": {"t1": 30.0, "samples": 1000, "initial_velocity": 0.0},
+        "output": {"directory": "results/base-isolation"},
+    },
+    "motor-cart": {"system": {"model": "MotorCart"}, "output": {"directory": "results/motor-cart"}},
+    "two-blocks": {
+        "system": {
+            "model": "LinearStructure",
+            "mass": [1.0, 1.0],
+            "stiffness": [[2.2, -1.2], [-1.2, 2.2]],
+            "contact": 0,
+            "contacts": [
+                {"mass": mass, "normal_force": force, "friction": {"law": "Coulomb", "mu": 0.8, "mu_static": 1.0}}
+                for mass, force in enumerate((1.0, 1.3))
+            ],
+        },
+        "base": {"law": "PoissonSwitching", "speed": 0.3, "rate": 0.5},
+        "run": {"t1": 60.0, "samples": 1000, "initial_state": [{"low": -0.5, "high": 0.5}, 0.0, 0.0, 0.0]},
+        "output": {"directory": "results/two-blocks"},
+    },
+}
+"""A mass on an oscillating base; a building sliding on its isolators in an earthquake; the motor and cart; two blocks
+joined by a spring on a base that switches.
+"""
+
+
+def _share(
+    law: Mapping[str, object], samples: int = 1, keep: str = "totals", *, swept: bool = True
+) -> dict[str, Mapping[str, object]]:
+    over = {"mu": {"linspace": list(papers.SHARE_FRICTIONS)}}
+    if swept:
+        over["r"] = {"linspace": list(papers.SHARE_RATIOS)}
+    return {
+        "base": law,
+        "run": {"samples": samples},
+        "sweep": {"keep": keep, "statistics": ["stick_fraction"], "over": over},
+    }
+
+
+PAPERS: dict[str, Mapping[str, Mapping[str, object]]] = {
+    "parametric-analysis": {
+        "sweep": {
+            "over": {
+                "mu": {"linspace": list(papers.ANALYSIS_FRICTIONS)},
+                "rate": {"logspace": list(papers.ANALYSIS_RATES)},
+            }
+        }
+    },
+    "stick-share-constant": _share({"law": "Constant", "speed": 1.0}, swept=False),
+    "stick-share-square": _share({"law": "SquareWave", "speed": 1.0, "period": math.pi}),
+    "stick-share-harmonic": _share({"law": "Harmonic", "amplitude": 1.0, "angular_frequency": 2.0, "phase": 0.0}),
+    "stick-share-random": _share(
+        {"law": "RandomSteps", "speed": 1.0, "interval": math.pi}, papers.SHARE_SAMPLES, "statistics"
+    ),
+}
+"""The sweeps of `papers.parametric_analysis` and `papers.stick_share_map` as files."""
+
+
+# The options of the ``stickslip`` command.
+
+
+def _whole_number(kind: type, tokens: Sequence[Token]) -> int:
+    """Read a whole number; cyclopts alone would round 2.7 to 3."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f'"{tokens[0].value}" is not a whole number.') from None
+
+
+_Whole = Annotated[int | None, Parameter(converter=_whole_number)]
+Example = Literal["harmonic-base", "base-isolation", "motor-cart", "two-blocks"]
+Paper = Literal[
+    "parametric-analysis", "stick-share-constant", "stick-share-square", "stick-share-harmonic", "stick-share-random"
+]
+FIGURES = (".png", ".pdf", ".svg")
+Switch = Annotated[bool, Parameter(negative="", show_default=False)]
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """The options of ``stickslip study``; None leaves the choice to the configuration.
+
+    Parameters
+    ----------
+    samples
+        Number of samples.
+    seed
+        Seed of the random numbers.
+    t1
+        Duration of each sample, s.
+    threads
+        Worker threads (default: all cores).
+    chunk
+        Samples simulated per call (default: chosen for speed). Does not change the results.
+    out
+        Folder for the result (default: results/study).
+    force
+        Replace a result in that folder, once the new one is complete.
+    figures
+        Draw figures, or not.
+    json
+        Print the statistics as one JSON object on standard output, all else on standard error.
+    quiet
+        Print no table and no progress.
+    progress
+        Show a progress bar, or not (default: only on a terminal).
+    print_config
+        Print the complete configuration, a file to start from, and run nothing.
+    print_example
+        Print the configuration of an example, likewise: a mass on a base that oscillates (harmonic-base), a building on
+        sliding isolators in an earthquake (base-isolation), a cart driven by a motor (motor-cart), or a structure with
+        several contacts (two-blocks).
+    """
+
+    samples: _Whole = None
+    seed: _Whole = None
+    t1: float | None = None
+    threads: _Whole = None
+    chunk: _Whole = None
+    out: str | None = None
+    force: Switch = False
+    figures: bool | None = None
+    json: Switch = False
+    quiet: Switch = False
+    progress: bool | None = None
+    print_config: Switch = False
+    print_example: Example | None = None
+
+
+@dataclass(frozen=True)
+class ExecutorOptions:
+    """Where a sweep is simulated; the numbers are the same everywhere.
+
+    Parameters
+    ----------
+    threads
+        Threads of one process (default: all cores).
+    workers
+        Processes on this machine, in place of threads.
+    dask
+        Address of a dask scheduler whose workers simulate, such as tcp://127.0.0.1:8786.
+    quiet
+        Print no table and no progress.
+    progress
+        Show a progress bar, or not (default: only on a terminal).
+    """
+
+    threads: _Whole = None
+    workers: _Whole = None
+    dask: str | None = None
+    quiet: Switch = False
+    progress: bool | None = None
+
+    def __post_init__(self):
+        given = [f"--{name}" for name in ("threads", "workers", "dask") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise StudyError(f"Options {given[0]} and {given[1]} were both given; each says where to simulate.")
+        for name in ("threads", "workers"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise StudyError(f"option --{name} must be at least 1, but {value} was given.")
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """The options of ``stickslip sweep``.
+
+    Parameters
+    ----------
+    out
+        Folder of the sweep; needed to run it.
+    samples
+        Number of samples at each point.
+    paper
+        A sweep of a paper in place of a file: statistics over friction and switching rate (parametric-analysis), or the
+        share of time spent sticking over friction and frequency of the belt (stick-share-...).
+    print_config
+        Print the complete configuration, a file to start from, and run nothing.
+    """
+
+    out: Path | None = None
+    samples: _Whole = None
+    paper: Paper | None = None
+    print_config: Switch = False
+
+
+# Reads studies and sweeps from TOML files and the command's options; every mistake becomes one sentence.
+
 
 _File = TypeVar("_File", bound=FileConfig)
 _Tables = Mapping[str, Mapping[str, object]]

@@ -1,9 +1,18 @@
-"""Running a study: its ensemble is simulated, its statistics are estimated, both are stored with figures."""
+"""Running a study: its ensemble is simulated, its statistics are estimated, stored, drawn and told."""
 
+import dataclasses
+import json
+import math
+import os
 import platform
 import re
+import shutil
+import signal
+import tempfile
+import threading
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,18 +25,182 @@ import numpy as np
 import xarray as xr
 
 from .._ensemble.call import simulate_ensemble
-from .._ensemble.dataset import compression
-from .._ensemble.netcdf import as_netcdf
+from .._ensemble.dataset import as_netcdf, compression
 from .._ensemble.result import Ensemble
-from .._files import write_whole, writing
-from .._statistics.estimate import Estimate
-from .._statistics.first_sticks import FirstSticks, first_stick
+from .._excitation.motion import RandomPhase, SourceVoltage
+from .._foundation.files import write_whole, writing
+from .._foundation.types import Ending, Status
+from .._simulation.call import simulate
+from .._simulation.result import Simulation
+from .._statistics.estimate import Estimate, format_with_error
+from .._statistics.quantities import FirstSticks, first_stick
 from .._statistics.totals import STATISTICS
-from .._status import Ending
+from .._systems.system import System
 from ._config import FileConfig, PointConfig, RunConfig, StudyConfig
 from ._errors import StudyError
-from ._figures import draw_figures
-from ._folder import CONFIG, DATA, RESULT_FILES, SUMMARY, result_folder
+
+# The folder of a result: no file is overwritten without --force, and no result is left incomplete.
+
+
+DATA = "study.nc"
+CONFIG = "study.toml"
+SUMMARY = "summary.txt"
+TIME_HISTORY = "time_history.png"
+PHASE_PORTRAIT = "phase_portrait.png"
+STICK_DURATIONS = "stick_durations.png"
+DURATION_AND_POSITION = "duration_and_position.png"
+RESULT_FILES = (CONFIG, SUMMARY, TIME_HISTORY, PHASE_PORTRAIT, STICK_DURATIONS, DURATION_AND_POSITION, DATA)
+"""The files of a result, in the order in which they are put in place; the data come last and mark it complete."""
+
+
+@contextmanager
+def result_folder(directory: Path, *, force: bool = False) -> Iterator[Path]:
+    """A temporary folder to write `RESULT_FILES` into, which become the result in `directory` if the block succeeds.
+
+    The files are moved to `directory` together at the end. With `force` they replace an older result, at the end and
+    not before. Other files in `directory` stay. If the block fails or is interrupted, everything is as it was before.
+
+    Raises StudyError, before the block runs, if `directory` holds a result and `force` is False, or cannot be written.
+    """
+    _refuse_to_overwrite(directory, force)
+    made: list[Path] = []
+    try:
+        staging = _staging_in(directory, made)
+        try:
+            yield staging
+            with _uninterrupted():
+                _refuse_to_overwrite(directory, force)  # another run may have finished meanwhile
+                _publish(staging, directory)
+        finally:
+            with _uninterrupted():
+                shutil.rmtree(staging, ignore_errors=True)
+    except BaseException:
+        for folder in reversed(made):
+            with suppress(OSError):  # others may have put something there
+                folder.rmdir()
+        raise
+
+
+def _refuse_to_overwrite(directory: Path, force: bool) -> None:
+    found = [name for name in RESULT_FILES if os.path.lexists(directory / name)]
+    if found and not force:
+        raise StudyError(
+            f"{directory} holds a result already ({found[-1]}); choose another folder with --out, or replace it with "
+            "--force."
+        )
+
+
+def _staging_in(directory: Path, made: list[Path]) -> Path:
+    """Make `directory` and a temporary folder in it, which is returned; append to `made` what did not exist before."""
+    try:
+        for folder in reversed([directory, *directory.parents]):
+            if not folder.exists():
+                folder.mkdir()
+                made.append(folder)
+        return Path(tempfile.mkdtemp(prefix=".unfinished-", dir=directory))
+    except NotADirectoryError:
+        raise StudyError(f"{directory} cannot hold a result, because it is, or lies below, a file.") from None
+    except (OSError, ValueError) as error:  # ValueError: not even a path, because it holds a null character
+        reason = getattr(error, "strerror", None) or error
+        raise StudyError(f"{directory} cannot be written ({reason}); choose another folder.") from None
+
+
+def _publish(staging: Path, directory: Path) -> None:
+    """Move the old files aside and the new ones into place; if that fails, move all of them back."""
+    aside = staging / "replaced"
+    aside.mkdir()
+    old = [(directory / name, aside / name) for name in reversed(RESULT_FILES)]
+    new = [(staging / name, directory / name) for name in RESULT_FILES]
+    moved: list[tuple[Path, Path]] = []
+    try:
+        for source, target in (*old, *new):
+            if os.path.lexists(source):
+                source.replace(target)
+                moved.append((source, target))
+    except BaseException:
+        for source, target in reversed(moved):
+            target.replace(source)
+        raise
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ignore Ctrl-C for the few milliseconds that moving or removing files takes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if usual is None else usual)
+
+
+# The figures of a study, drawn by `stickslip_jax.plot`.
+
+
+_PERIODS_SHOWN = 16  # of the free oscillation: more could not be distinguished
+_VOLTAGE_PERIODS_SHOWN = 6
+
+
+def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSticks | None, folder: Path) -> None:
+    """Draw the beginning of sample 0 and, unless only totals were kept, the sticks of all samples, as PNG files.
+
+    - `first_sticks`: of every sample of a `MotorCart`; else None.
+    - `folder`: where to write the files, which are called as in `RESULT_FILES`.
+    """
+    from .. import plot  # noqa: PLC0415 - slow to load, and not wanted with --no-figures
+
+    one = beginning_of_sample_0(config, ensemble)
+    if int(one.status) == Status.FINISHED:
+        part = f", first {float(one.t1):.3g} s of {config.run.t1:g} s" if float(one.t1) < config.run.t1 else ""
+        title = f"Sample 0{part}"
+        plot.save(plot.time_history(one), folder / TIME_HISTORY, title=title)
+        plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
+    if ensemble.accumulator is None:
+        return
+    plot.save(
+        plot.histogram(ensemble), folder / STICK_DURATIONS, title=f"Stick durations in {ensemble.samples} samples"
+    )
+    if first_sticks is None:
+        whose, axes = "sticks", plot.joint_histogram(ensemble.statistics.joint("duration", "position"))
+    else:
+        bound = _voltage(ensemble)
+        whose, axes = "first sticks", plot.stick_map(first_sticks, system=ensemble.system, bound=bound)
+    title = f"Duration and position of {whose} in {ensemble.samples} samples"
+    plot.save(axes, folder / DURATION_AND_POSITION, title=title)
+
+
+def _voltage(ensemble: Ensemble) -> SourceVoltage | RandomPhase | None:
+    """The voltage if the bound of its stick durations is known in closed form; else None."""
+    law = ensemble.law
+    known = isinstance(law, SourceVoltage) or (isinstance(law, RandomPhase) and isinstance(law.signal, SourceVoltage))
+    return law if known else None
+
+
+def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:
+    """Sample 0 of the ensemble with all its events, from 0 to a time short enough for a figure."""
+    t1 = min(ensemble.t1, _time_shown(ensemble.system, ensemble.law))
+    method = dataclasses.replace(config.run.method(config.system.has_inner_states), max_steps=None)
+    for covered in (t1, 2 * t1, 4 * t1):
+        # A base motion drawn for a shorter time begins in the same way: the beginning is enough, if it covers t1.
+        system, base, y0 = dataclasses.replace(ensemble, t1=covered).realization(0)
+        one = simulate(system, base, t1=t1, y0=y0, method=method)
+        if int(one.status) != Status.BASE_TOO_SHORT:
+            break
+    return one
+
+
+def _time_shown(system: System, law: object) -> float:
+    """The longest time whose oscillations can be distinguished in a figure, s."""
+    frequency = system.natural_frequency
+    if frequency is None or not np.all(np.asarray(frequency) > 0):
+        signal: Any = law.signal if isinstance(law, RandomPhase) else law
+        return _VOLTAGE_PERIODS_SHOWN * float(getattr(signal, "shortest_period", math.inf))
+    return _PERIODS_SHOWN * 2 * math.pi / float(frequency)
+
+
+# Running a study: its ensemble is simulated, its statistics are estimated, both are stored with figures.
 
 
 @dataclass(frozen=True)
@@ -71,7 +244,7 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
     directory = Path(config.output.directory).expanduser()
     with result_folder(directory, force=force) as folder, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # as the configuration asks
-        ensemble = simulate(config, progress)
+        ensemble = simulate_study(config, progress)
         statistics = {name: estimate(ensemble) for name, estimate in STATISTICS.items()}
         first = _first_sticks(config, ensemble)
         with writing(directory):
@@ -92,7 +265,7 @@ def _write(
         draw_figures(config, ensemble, first, folder)
 
 
-def simulate(config: StudyConfig, progress: bool | None = None) -> Ensemble:
+def simulate_study(config: StudyConfig, progress: bool | None = None) -> Ensemble:
     """Simulate the ensemble that `config` describes.
 
     Raises StudyError for records that are unsuitable or cannot be read, and for arguments that `simulate_ensemble`
@@ -247,3 +420,90 @@ def _flat(name: str, value: object) -> dict[str, object]:
     if isinstance(value, dict):
         return {key: entry for part in value for key, entry in _flat(f"{name}_{part}", value[part]).items()}
     return {name: int(value) if isinstance(value, bool) else value}
+
+
+# The result of a study as text: a table for people, JSON for programs.
+
+
+def table(study: StoredStudy) -> str:
+    """A table of the statistics with units and standard errors, then samples finished, time taken, and files."""
+    run, ensemble = study.config.run, study.ensemble
+    rows = [("statistic", "value", "standard error", "unit"), *(_row(each) for each in study.statistics.values())]
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    lines = [
+        f"{run.samples} samples of {study.config.system.title}, {study.config.base.title}, on [0, {run.t1:g}] s "
+        f"({run.dtype}, seed {run.seed})",
+        "",
+        *(f"{a:<{widths[0]}}  {b:>{widths[1]}}  {c:>{widths[2]}}  {d}" for a, b, c, d in rows),
+        "",
+        *_endings(study),
+        *_first_sticks_row(study),
+        *(["In float32 event times are accurate to about 2e-6 of t1."] if run.dtype == "float32" else []),
+        f"Time: {ensemble.compile_seconds:.3g} s to compile, {ensemble.run_seconds:.3g} s to run "
+        f"on {ensemble.threads} thread{'s' if ensemble.threads > 1 else ''}.",
+        f"Files in {study.directory}: {', '.join(study.files)}",
+    ]
+    return "\n".join(lines)
+
+
+def as_json(study: StoredStudy) -> str:
+    """One JSON object: statistics by name, samples not finished, times, files. Undefined numbers are null."""
+    ensemble = study.ensemble
+    content: dict[str, object] = {
+        name: {
+            "value": _number(estimate.value),
+            "standard_error": _number(estimate.standard_error),
+            "unit": estimate.unit,
+            "samples": estimate.samples,
+        }
+        for name, estimate in study.statistics.items()
+    }
+    content["samples"] = ensemble.samples
+    content["not_finished"] = {status.name: count for status, count in _not_finished(study).items()}
+    content["near_grazing_samples"] = ensemble.near_grazing_samples
+    if study.first_sticks is not None:
+        content["first_sticks"] = study.first_sticks.count
+    content["seconds"] = {"compile": ensemble.compile_seconds, "run": ensemble.run_seconds}
+    content["files"] = [str(study.directory / name) for name in study.files]
+    return json.dumps(content, indent=2, allow_nan=False)
+
+
+def _row(estimate: Estimate) -> tuple[str, str, str, str]:
+    if math.isnan(estimate.value):
+        return estimate.name, "not defined", "", estimate.unit
+    value, error = format_with_error(estimate.value, estimate.standard_error).split(" +- ")
+    return estimate.name, value, error, estimate.unit
+
+
+def _endings(study: StoredStudy) -> list[str]:
+    samples, near_grazing_samples = study.ensemble.samples, study.ensemble.near_grazing_samples
+    lines = [
+        f"NOT FINISHED: {count} of {samples} samples, because {status.meaning}; they enter no statistic."
+        for status, count in _not_finished(study).items()
+    ] or [f"All {samples} samples reached t1."]
+    if study.ensemble.keep == "totals" and not study.config.run.count_initial_rest:
+        lines.append('With keep = "totals" sticks that begin at t = 0 count in all numbers.')
+    if study.ensemble.key_data is None and samples > 1:
+        lines.append(f"Nothing is random here: all {samples} samples are the same.")
+    if near_grazing_samples:
+        lines.append(
+            f"Near-grazing: {near_grazing_samples} of {samples} samples, in which round-off decides about an event."
+        )
+    return lines
+
+
+def _first_sticks_row(study: StoredStudy) -> list[str]:
+    if study.first_sticks is None:
+        return []
+    run = study.config.run
+    rest = "" if run.count_initial_rest else ", rest at t = 0 not counted"
+    return [f"A first stick was found in {study.first_sticks.count} of {study.ensemble.samples} samples{rest}."]
+
+
+def _not_finished(study: StoredStudy) -> dict[Status, int]:
+    counts = study.ensemble.status_counts
+    return {status: count for status, count in counts.items() if status is not Status.FINISHED and count}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -10,10 +10,9 @@ import pytest
 from scipy import optimize, stats
 
 import stickslip_jax as ss
-from stickslip_jax._calibration.bounds import all_bounds
-from stickslip_jax._calibration.fit import Fit, Free, Point, Problem, Seen
-from stickslip_jax._calibration.information import information_of
-from stickslip_jax._calibration.transform import Transform, identity
+from stickslip_jax._calibration.information import all_bounds, information_of
+from stickslip_jax._calibration.parameters import Transform, identity
+from stickslip_jax._calibration.search import Fit, Free, Point, Problem, Seen
 
 SETS = 200
 TIMES = np.linspace(0, 20, 401)

@@ -8,19 +8,17 @@ import pytest
 from scipy import optimize, stats
 
 import stickslip_jax as ss
-from stickslip_jax._calibration.stick_moments import Observed
-from stickslip_jax._calibration.stick_parameters import Models
-from stickslip_jax._calibration.stick_remarks import remarks_of
-from stickslip_jax._calibration.stick_result import Overidentification
-from stickslip_jax._calibration.stick_search import Precision, minimised, precision
-from stickslip_jax._calibration.stick_simulation import Simulated
-from stickslip_jax._calibration.stick_weights import (
+from stickslip_jax._calibration.parameters import Models
+from stickslip_jax._calibration.stick_moments import (
+    Observed,
     Part,
+    Simulated,
     by_likelihood,
     by_moments,
     covariance_of_misfit,
     with_products,
 )
+from stickslip_jax._calibration.sticks import Overidentification, Precision, minimised, precision, remarks_of
 
 NUMBERS = (ss.SumOfSquaredDurations(), ss.TimeToFirstStick())
 ENOUGH = 10**12  # simulated realisations: no error

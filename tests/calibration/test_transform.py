@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._calibration.transform import Transform, transform_of
+from stickslip_jax._calibration.parameters import Transform, transform_of
 from stickslip_jax._uncertainty.numbers import Parameter
 
 INF = np.inf

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import stats
 
-from stickslip_jax._calibration.whiteness import whiteness
+from stickslip_jax._calibration.record import whiteness
 
 
 def test_p_values_of_white_noise_are_uniform():

@@ -11,15 +11,8 @@ import numpy as np
 import pytest
 from jax import lax
 
-from stickslip_jax._compiler import (
-    CompiledNatively,
-    computed_once,
-    native_call,
-    native_loop,
-    native_loops,
-    native_loops_work,
-)
-from stickslip_jax._compiler.known_operations import compilable
+from stickslip_jax._compiler import CompiledNatively, computed_once, native_loop, native_loops, native_loops_work
+from stickslip_jax._compiler.native_loops import compilable
 
 X = np.linspace(0.1, 0.9, 8)
 LARGE = 1 << 12  # loops over less become native without being asked to
@@ -76,7 +69,7 @@ def test_what_is_computed_once_is_the_same(transform):
 
 def test_called_outside_of_jit_a_native_loop_is_compiled_once():
     loop = native_loop(doubling)
-    caches = (native_call._compiled, native_call._with_tangents, native_call._batched)
+    caches = (native_loops._compiled, native_loops._with_tangents, native_loops._batched)
     for transform in (lambda f: f, jax.vmap, along, lambda f: jax.vmap(along(f))):
         misses = []
         for _ in range(3):

@@ -8,9 +8,9 @@ from jax.extend.core import jaxprs_in_params
 
 import stickslip_jax as ss
 from stickslip_jax._compiler import sharing
-from stickslip_jax._dynamics.common.stopping_scan import CHECK_EVERY, padded_length, stopping_scan
+from stickslip_jax._dynamics.common.path import CHECK_EVERY, padded_length, stopping_scan
+from stickslip_jax._numerics.derivatives import NotKnown, bounds_of
 from stickslip_jax._numerics.elementary import sincos
-from stickslip_jax._numerics.known import NotKnown, bounds_of
 
 BASE, T1, START = ss.Harmonic(1.0, 0.8), 10.0, (0.3, 0.0)
 METHODS = {"exact": ss.Exact(), "regularised": ss.Regularized(0.05, step=0.02)}

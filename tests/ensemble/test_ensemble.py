@@ -16,7 +16,7 @@ from stickslip_jax._dynamics.common import lanes
 from stickslip_jax._dynamics.interval.engine import IntervalEngine
 from stickslip_jax._ensemble import parts
 from stickslip_jax._events.sticks import NUMBERS, slips_between
-from stickslip_jax._numerics.moments import Moments
+from stickslip_jax._numerics.sums import Moments
 from stickslip_jax._statistics.totals import TOTALS
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
@@ -154,7 +154,7 @@ def test_one_compilation_serves_other_parameters_keys_and_sample_counts():
         law = ss.PoissonSwitching(1.0, rate)
         ss.simulate_ensemble(system, law, t1=t1, samples=samples, key=jax.random.key(seed), chunk=64)
 
-    from stickslip_jax._dynamics.compiled import compiled_for  # noqa: PLC0415 - the cache under test
+    from stickslip_jax._dynamics.engine_choice import compiled_for  # noqa: PLC0415 - the cache under test
 
     summarize, begin, record = compiled_for(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
     chunks = (summarize.native, begin, record.native)

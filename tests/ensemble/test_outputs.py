@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.switched import path
+from stickslip_jax._dynamics.switched import engine
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -146,7 +146,7 @@ def test_samples_that_need_more_steps_get_them(monkeypatch):
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8), damping=0.1)
     run = {**RUN, "samples": 12, "outputs": {"peak": lambda one: one.peak("velocity")}}
     enough = ss.simulate_ensemble(system, ss.RandomPhase(ss.Harmonic(1.0, 1.3)), **run)
-    monkeypatch.setattr(path, "steps_for", lambda *_: 64)
+    monkeypatch.setattr(engine, "steps_for", lambda *_: 64)
     again = ss.simulate_ensemble(system, ss.RandomPhase(ss.Harmonic(1.0, 1.3)), **run)
     np.testing.assert_allclose(again.output_values["peak"], enough.output_values["peak"], rtol=1e-12)
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from stickslip_jax._excitation.ground import GroundAcceleration
-from stickslip_jax._excitation.kanai_tajimi import KanaiTajimi
+from stickslip_jax._excitation.gaussian import KanaiTajimi
+from stickslip_jax._excitation.recorded import GroundAcceleration
 
 CHANCE = 1e-3
 KEY = jax.random.key(0)

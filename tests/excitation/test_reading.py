@@ -6,9 +6,8 @@ All numbers in the files are invented.
 import numpy as np
 import pytest
 
-from stickslip_jax._excitation.ground import GroundAcceleration
 from stickslip_jax._excitation.reading import read_acceleration_csv, read_at2, read_csv, read_recorded_csv
-from stickslip_jax._excitation.recorded import Recorded
+from stickslip_jax._excitation.recorded import GroundAcceleration, Recorded
 
 G = 9.80665
 TIMES, VALUES = [0.0, 0.5, 1.25], [0.1, -2.0, 30.0]

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._explore.controls import NumberControl
-from stickslip_jax._explore.page import GIVEN
+from stickslip_jax._explore.page import GIVEN, NumberControl, Worker
 from stickslip_jax._explore.pictures import motion_of, realization, statistics_of
 from stickslip_jax._explore.scene import Scene
-from stickslip_jax._explore.work import Worker
 from stickslip_jax.study import read_config
 
 T1, SAMPLES, Y0 = 20.0, 300, (0.0, 1.0)

@@ -6,11 +6,21 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._explore.catalogue import FRICTIONS, SYSTEMS, bases_for, friction_called, scene_of, with_friction
-from stickslip_jax._explore.python_code import NotWritable, as_python
-from stickslip_jax._explore.scene import Scene, numbers_of, quantity_of, read_number
+from stickslip_jax._explore.page import NotWritable, as_python
+from stickslip_jax._explore.scene import (
+    FRICTIONS,
+    SYSTEMS,
+    Scene,
+    bases_for,
+    friction_called,
+    numbers_of,
+    quantity_of,
+    read_number,
+    scene_of,
+    with_friction,
+)
 from stickslip_jax.study import StudyConfig, StudyError, read_config
-from stickslip_jax.study._from_objects import config_of
+from stickslip_jax.study._config import config_of
 
 
 def scene_called(name):
@@ -181,7 +191,7 @@ def test_program_of_a_users_class_imports_it():
 
 
 def test_scene_of_float32_says_so(monkeypatch):
-    monkeypatch.setattr("stickslip_jax._explore.python_code.jnp.result_type", lambda kind: np.dtype("float32"))
+    monkeypatch.setattr("stickslip_jax._explore.page.jnp.result_type", lambda kind: np.dtype("float32"))
     assert '"jax_enable_x64", False' in as_python(scene_called("mass on a spring"))
 
 

@@ -8,7 +8,7 @@ from support.scripts import loaded
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
-from stickslip_jax.nonlinear._attractors import dense, matched
+from stickslip_jax.nonlinear._basins import dense, matched
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,9 @@ from support.turning import DRAG, FAR, Disc
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
-from stickslip_jax.nonlinear._branch_function import Equations, Evaluated
-from stickslip_jax.nonlinear._branch_points import Point, change_of_modes
+from stickslip_jax.nonlinear._branches import Equations, Evaluated, Point, change_of_modes
 from stickslip_jax.nonlinear._continuation import _Branch
-from stickslip_jax.nonlinear._modes import Mode, sequence, stick_count
+from stickslip_jax.nonlinear._orbits import Mode, sequence, stick_count
 
 BELT = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.5, mu_static=1.0, stribeck_speed=0.5), damping=0.1)
 LAST_SPEED = 1.836600973

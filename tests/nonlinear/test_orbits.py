@@ -13,9 +13,9 @@ from support.turning import DRAG, FAR, Disc
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
-from stickslip_jax._numerics.orthogonal import orthogonal_factors, solution
-from stickslip_jax.nonlinear._cycle import without_turns
-from stickslip_jax.nonlinear._orbit_parts import multipliers_of
+from stickslip_jax._numerics.matrices import orthogonal_factors, solution
+from stickslip_jax.nonlinear._cases import without_turns
+from stickslip_jax.nonlinear._orbits import multipliers_of
 
 LEINE = ss.MassSpring(1.0, 1.0, 1.0, ss.VelocityWeakening(mu_static=1.0, weakening=3.0))
 BELT = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.5, mu_static=1.0, stribeck_speed=0.5), damping=0.1)

@@ -9,7 +9,7 @@ import xarray as xr
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
 from stickslip_jax.nonlinear import _following
-from stickslip_jax.nonlinear._stored import Kept
+from stickslip_jax.nonlinear._following import Kept
 
 SYSTEM = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.4, mu_static=0.6, stribeck_speed=0.5), damping=0.05)
 BASE = ss.Harmonic(amplitude=0.8, angular_frequency=1.3)
@@ -159,7 +159,7 @@ def test_a_block_of_another_call_is_not_taken(tmp_path):
 
 
 def test_a_folder_in_use_is_refused(tmp_path):
-    from stickslip_jax._sweep.locking import locked  # noqa: PLC0415
+    from stickslip_jax._sweep.store import locked  # noqa: PLC0415
 
     CALLS["section"](folder=tmp_path)
     with locked(tmp_path / "lock", "busy"), pytest.raises(ss.SweepError, match="is in use by another call"):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from stickslip_jax._numerics.elementary import angle_of, log, sincos
-from stickslip_jax._numerics.random_bits import exponential, key_data_of, random_words, uniform
+from stickslip_jax._numerics.elementary import angle_of, exponential, key_data_of, log, random_words, sincos, uniform
 
 COUNT = 3000
 TYPES = [np.float64, np.float32]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from stickslip_jax._numerics.rotation import responses
+from stickslip_jax._numerics.elementary import responses
 
 
 def exact(beta, squared, h) -> list[mpf]:

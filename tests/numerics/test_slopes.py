@@ -7,7 +7,7 @@ import pytest
 from jax import lax
 
 import stickslip_jax as ss
-from stickslip_jax._numerics.slopes import with_slopes
+from stickslip_jax._numerics.derivatives import with_slopes
 
 POINT = (0.7, 1.3, 0.4)
 STEPS = 5

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import eigh
 
 import stickslip_jax as ss
-from stickslip_jax._numerics.small_matrices import (
+from stickslip_jax._numerics.matrices import (
     WRITTEN_OUT,
     Banded,
     by_bands,

@@ -16,12 +16,9 @@ from support.study import BAD_CONFIGS, SMALL, config_file
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
-from stickslip_jax._compilation_cache import VARIABLE
-from stickslip_jax.study._examples import EXAMPLES
-from stickslip_jax.study._folder import CONFIG, DATA, SUMMARY
-from stickslip_jax.study._options import Example
-from stickslip_jax.study._reading import read_config
-from stickslip_jax.study._run import STATISTICS
+from stickslip_jax._foundation.compilation_cache import VARIABLE
+from stickslip_jax.study._reading import EXAMPLES, Example, read_config
+from stickslip_jax.study._run import CONFIG, DATA, STATISTICS, SUMMARY
 
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]
 

@@ -9,8 +9,8 @@ import time
 import pytest
 from support.study import config_file
 
-from stickslip_jax import _compilation_cache
-from stickslip_jax._compilation_cache import VARIABLE
+from stickslip_jax._foundation import compilation_cache
+from stickslip_jax._foundation.compilation_cache import VARIABLE
 from stickslip_jax.study._run import STATISTICS
 
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli", "study", "--json", "--force"]
@@ -35,7 +35,7 @@ def finish(process):
 
 # One small function instead of a study.
 SMALL = """
-from stickslip_jax._compilation_cache import use
+from stickslip_jax._foundation.compilation_cache import use
 print(use())
 import jax
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -114,5 +114,5 @@ def test_halves_that_a_killed_process_left_are_removed(tmp_path):
     long_ago = time.time() - 3600
     for name in ("whole-cache", "old-cache"):
         os.utime(tmp_path / name, (long_ago, long_ago))
-    _compilation_cache._remove_halves(tmp_path)
+    compilation_cache._remove_halves(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["whole-atime", "whole-cache", "young-cache"]

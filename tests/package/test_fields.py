@@ -13,11 +13,10 @@ import pytest
 from pydantic import ValidationError
 
 import stickslip_jax as ss
-from stickslip_jax._fields import Checked, Choice, described
-from stickslip_jax.study._bases_config import BaseConfig
+from stickslip_jax._foundation.fields import Checked, Choice, described
 from stickslip_jax.study._config import StudyConfig
 from stickslip_jax.study._sections import DescribedSection, kinds_in, section_of
-from stickslip_jax.study._systems_config import ForceConfig, FrictionConfig, SystemConfig
+from stickslip_jax.study._systems_config import BaseConfig, ForceConfig, FrictionConfig, SystemConfig
 
 PUBLIC = [getattr(ss, name) for name in ss.__all__]
 CHECKED = [kind for kind in PUBLIC if isinstance(kind, type) and issubclass(kind, Checked)]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from stickslip_jax import _forks
+from stickslip_jax._foundation import processes
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 
@@ -132,4 +132,4 @@ print(_forks._has_started(), len(jax.devices("cpu")), _forks._has_started(), jax
 
 
 def test_this_process_is_no_fork():
-    _forks.require_threads_of_jax()
+    processes.require_threads_of_jax()

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax import _checks, plot
+from stickslip_jax import plot
+from stickslip_jax._foundation import checks
 from stickslip_jax.study import StudyError
 from stickslip_jax.study._reading import read_config, read_sweep_config
 
@@ -351,8 +352,8 @@ class _Broken:
 
 def test_showing_never_fails_and_is_short():
     for value in (_Broken(), 10**100_000, [0] * 10**6, "x" * 10**6, {"a": [1] * 10**4}, np.zeros(10**6), b"x" * 10**4):
-        assert len(_checks.show(value)) <= 80
-        assert "\n" not in _checks.show(value)
-    assert _checks.show(_Broken()) == "an object of the class _Broken"
-    assert _checks.show([1, 2]) == "[1, 2]"
-    assert _checks.show(True) == "True"
+        assert len(checks.show(value)) <= 80
+        assert "\n" not in checks.show(value)
+    assert checks.show(_Broken()) == "an object of the class _Broken"
+    assert checks.show([1, 2]) == "[1, 2]"
+    assert checks.show(True) == "True"

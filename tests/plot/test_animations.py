@@ -18,7 +18,7 @@ from support.films import Pair, bodies, contact_rows, history
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax.plot import _frames, _style
+from stickslip_jax.plot import _animations, _style
 
 SYSTEM = ss.MassSpring(1.0, 2.0, 1.0, ss.Coulomb(1.0))
 FLIPS = ss.SquareWave(1.0, 5.0)
@@ -142,10 +142,10 @@ def test_contacts_are_coloured_each_for_itself(several):
 
 
 def test_a_stick_without_length_is_in_no_frame_and_one_that_the_end_cuts_is_in_the_last():
-    stuck = _frames.Stuck(np.array([1.0, 2.0, 4.0]), np.array([1.0, 3.0, 5.0]), np.array([False, False, True]))
+    stuck = _animations.Stuck(np.array([1.0, 2.0, 4.0]), np.array([1.0, 3.0, 5.0]), np.array([False, False, True]))
     times = np.array([0.5, 1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0])
     assert stuck.lasts_at(times).tolist() == [False, False, True, True, False, False, True, True]
-    nothing = _frames.Stuck(*np.zeros((2, 0)), np.zeros(0, bool))
+    nothing = _animations.Stuck(*np.zeros((2, 0)), np.zeros(0, bool))
     assert not nothing.lasts_at(times).any()
 
 

@@ -10,7 +10,7 @@ from support.films import bodies, disks, marks_of, rods, springs
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._systems.mechanism import Belt
+from stickslip_jax._systems.system import Belt
 
 COULOMB = ss.Coulomb(1.0)
 FEW = (0, 17, 50)  # of 51 frames

@@ -13,7 +13,7 @@ import stickslip_jax as ss
 from stickslip_jax import plot
 from stickslip_jax._statistics.estimate import Estimate
 from stickslip_jax.plot import _style
-from stickslip_jax.plot._windows import turns_of
+from stickslip_jax.plot._trajectory import turns_of
 
 NAMES = {"xlabel": "belt speed (m/s)", "ylabel": "stick duration (s)"}
 

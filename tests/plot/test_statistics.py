@@ -12,7 +12,7 @@ from support.plot import MAP_LABELS, T1, band_of, error_bars, line, mesh, only, 
 import stickslip_jax as ss
 from stickslip_jax import plot
 from stickslip_jax._ensemble.data import Retained
-from stickslip_jax._statistics.convergence import convergence, histogram_convergence
+from stickslip_jax._statistics.totals import convergence, histogram_convergence
 from stickslip_jax.plot import _style
 
 

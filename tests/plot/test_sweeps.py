@@ -9,8 +9,8 @@ from support.plot import MAP_LABELS, T1, band_of, line, mesh, only, texts
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._statistics.convergence import Convergence, HistogramConvergence, convergence, histogram_convergence
 from stickslip_jax._statistics.estimate import Estimate
+from stickslip_jax._statistics.totals import Convergence, HistogramConvergence, convergence, histogram_convergence
 
 
 def test_convergence_draws_estimates_band_and_final_value(many):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._sensitivity.pilot import problem_of, require_precision
+from stickslip_jax._sensitivity.problem import problem_of, require_precision
 
 OSCILLATOR = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4))
 

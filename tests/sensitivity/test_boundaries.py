@@ -7,16 +7,14 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax._dynamics.common.lanes import Job
-from stickslip_jax._numerics.moments import Moments
-from stickslip_jax._numerics.roots import steepest_fall
-from stickslip_jax._sensitivity import sequences, windows
-from stickslip_jax._sensitivity.chunks import Accumulator, DerivativeColumns, derivatives_of
+from stickslip_jax._numerics.steps import steepest_fall
+from stickslip_jax._numerics.sums import Moments
+from stickslip_jax._sensitivity import estimate, statistic
+from stickslip_jax._sensitivity.counting import recording
 from stickslip_jax._sensitivity.estimate import gradient_of_ratio
-from stickslip_jax._sensitivity.pilot import problem_of
-from stickslip_jax._sensitivity.problem import buffer_sizes_for
-from stickslip_jax._sensitivity.random_inputs import wrapped, wrapped_path
-from stickslip_jax._sensitivity.recording import recording
-from stickslip_jax._sensitivity.statistic import StickSequence
+from stickslip_jax._sensitivity.estimators import Accumulator, DerivativeColumns, derivatives_of
+from stickslip_jax._sensitivity.problem import buffer_sizes_for, problem_of
+from stickslip_jax._sensitivity.statistic import StickSequence, wrapped, wrapped_path
 from stickslip_jax._uncertainty.numbers import with_numbers
 
 LANES = 512
@@ -57,7 +55,7 @@ def test_what_is_close_to_a_boundary_crosses_it(name):
     def record(values, varying, first):
         varied = with_numbers(engine, paths, values)
         job = Job(varied, problem.key_data, first, np.int32(1), varying)
-        recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
+        recorded = statistic.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances.two_sided
         is_active = jnp.stack([distance.is_active for distance in found])
         return jnp.stack([distance.value for distance in found]), (is_active, recorded.counts.sticks)
@@ -98,7 +96,7 @@ def test_distances_move_as_their_derivatives_say(wrt):
     def distances(values):
         varied = with_numbers(engine, paths, values)
         job = Job(varied, problem.key_data, jnp.uint32(0), np.int32(1), varying)
-        recorded = sequences.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
+        recorded = statistic.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances
         is_active = jnp.stack([distance.is_active for distance in found.two_sided])
         return jnp.stack([distance.value for distance in found.two_sided]), (is_active, found.time)
@@ -133,24 +131,24 @@ def test_stick_of_no_length():
     """Put between two; in the place of one that is there; and at the end."""
     two = sequence((1.0, 2.0), (4.0, 7.0))
     between = parts(sequence((1.0, 2.0), (3.0, 3.0), (4.0, 7.0))) - parts(two)
-    np.testing.assert_allclose(sequences._jump_of_stick(parts, two, jnp.array(3.0), False), between)
+    np.testing.assert_allclose(statistic._jump_of_stick(parts, two, jnp.array(3.0), False), between)
     replaced = parts(sequence((1.0, 1.0), (4.0, 7.0))) - parts(sequence((4.0, 7.0)))
-    np.testing.assert_allclose(sequences._jump_of_stick(parts, two, jnp.array(1.0), True), replaced)
+    np.testing.assert_allclose(statistic._jump_of_stick(parts, two, jnp.array(1.0), True), replaced)
     last = parts(sequence((1.0, 2.0), (4.0, 7.0), (9.0, 9.0))) - parts(two)
-    np.testing.assert_allclose(sequences._jump_of_stick(parts, two, jnp.array(9.0), False), last)
+    np.testing.assert_allclose(statistic._jump_of_stick(parts, two, jnp.array(9.0), False), last)
     # An arrival whose stick was too short to be one: nothing is taken away.
-    np.testing.assert_allclose(sequences._jump_of_stick(parts, two, jnp.array(3.0), True), between)
+    np.testing.assert_allclose(statistic._jump_of_stick(parts, two, jnp.array(3.0), True), between)
 
 
 def test_slip_of_no_length():
     """In a stick; in the place of the slip that is there; outside of all sticks."""
     two = sequence((1.0, 2.0), (4.0, 7.0))
     parted = parts(sequence((1.0, 2.0), (4.0, 5.0), (5.0, 7.0))) - parts(two)
-    np.testing.assert_allclose(sequences._jump_of_slip(parts, two, jnp.array(5.0), jnp.array(False)), parted)
+    np.testing.assert_allclose(statistic._jump_of_slip(parts, two, jnp.array(5.0), jnp.array(False)), parted)
     joined = parts(sequence((1.0, 2.0), (2.0, 7.0))) - parts(sequence((1.0, 7.0)))
-    np.testing.assert_allclose(sequences._jump_of_slip(parts, two, jnp.array(2.0), jnp.array(True)), joined)
+    np.testing.assert_allclose(statistic._jump_of_slip(parts, two, jnp.array(2.0), jnp.array(True)), joined)
     for time, exists in ((3.0, False), (7.0, True), (3.0, True)):
-        np.testing.assert_array_equal(sequences._jump_of_slip(parts, two, jnp.array(time), jnp.array(exists)), 0)
+        np.testing.assert_array_equal(statistic._jump_of_slip(parts, two, jnp.array(time), jnp.array(exists)), 0)
 
 
 def test_fall_inside_a_step():
@@ -173,25 +171,25 @@ def tally_of(rng, bias, number=4000):
 
 def test_window_is_wide_unless_it_disagrees(monkeypatch):
     accumulator, where = tally_of(np.random.default_rng(3), 0.0)
-    got, window = windows.estimate(accumulator, where, accumulator.in_window[0], None)
+    got, window = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
     assert window == 0
     assert got == gradient_of_ratio(accumulator.moments, 2, 6, None)
     # No two windows agree: the error of the narrowest alone would be too sure of itself, and is not given.
     accumulator, where = tally_of(np.random.default_rng(3), 1.0)
-    got, window = windows.estimate(accumulator, where, accumulator.in_window[0], None)
+    got, window = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
     narrow = gradient_of_ratio(accumulator.moments, 4, 6, None)
     assert (window, got.derivative) == (1, narrow.derivative)
     assert np.isnan(got.standard_error)
-    assert windows.windows_disagree(accumulator, where, accumulator.in_window[0])
-    monkeypatch.setattr(windows, "_DISAGREE", np.inf)  # without that guard the error is finite
-    assert windows.estimate(accumulator, where, accumulator.in_window[0], None) == (narrow, 1)
+    assert estimate.windows_disagree(accumulator, where, accumulator.in_window[0])
+    monkeypatch.setattr(estimate, "_DISAGREE", np.inf)  # without that guard the error is finite
+    assert estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None) == (narrow, 1)
     # A narrow window that holds too little judges nothing.
-    assert windows.estimate(accumulator, where, np.array([1000.0, windows.FEW - 1]), None)[1] == 0
+    assert estimate.estimate_by_windows(accumulator, where, np.array([1000.0, estimate.FEW - 1]), None)[1] == 0
 
 
 def _chosen(accumulator, where):
     """The window that all samples choose together."""
-    return windows._widest(accumulator.moments, where, accumulator.in_window[0], windows._AGREE, 0.0)
+    return estimate._widest(accumulator.moments, where, accumulator.in_window[0], estimate._AGREE, 0.0)
 
 
 @pytest.mark.slow
@@ -202,7 +200,7 @@ def test_choosing_a_window_leaves_errors_honest():
     rng, scores, scaled, narrow = np.random.default_rng(5), [], [], 0
     for _ in range(2000):
         accumulator, where = tally_of(rng, 0.0, number=400)
-        got, window = windows.estimate(accumulator, where, accumulator.in_window[0], None)
+        got, window = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
         scores.append((got.derivative - 1) / got.standard_error)
         narrow += window
         chosen = where.derivative[_chosen(accumulator, where)]

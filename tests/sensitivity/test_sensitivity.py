@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._numerics.random_bits import random_words, uniform
-from stickslip_jax._sensitivity.kernels import one_sided_kernel, two_sided_kernel
+from stickslip_jax._numerics.elementary import random_words, uniform
+from stickslip_jax._sensitivity.boundaries import one_sided_kernel, two_sided_kernel
 
 STATISTICS = {
     "count": ss.mean_stick_count,

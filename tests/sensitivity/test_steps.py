@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._sensitivity import windows
-from stickslip_jax._sensitivity.chunks import run_chunks
-from stickslip_jax._sensitivity.estimators import counted, recorded
-from stickslip_jax._sensitivity.pilot import problem_of
+from stickslip_jax._sensitivity import estimate
+from stickslip_jax._sensitivity.estimators import counted, recorded, run_chunks
+from stickslip_jax._sensitivity.problem import problem_of
 
 JUMPS = ss.PoissonSwitching(1.0, 1.0)
 
@@ -216,7 +215,7 @@ def test_cart_that_nearly_stops(monkeypatch):
     plain differences of ensembles with other random numbers, at two steps, with the guard against windows that disagree
     switched off.
     """
-    monkeypatch.setattr(windows, "_DISAGREE", math.inf)
+    monkeypatch.setattr(estimate, "_DISAGREE", math.inf)
     law, y0, mu, number = ss.RandomPhase(ss.SourceVoltage()), (ss.Uniform(0.0, 6.283), 0.0, 0.0), 0.45, 32_768
 
     def totals(mu):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._statistics.atoms import atoms_of
+from stickslip_jax._statistics.distribution import atoms_of
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-13])

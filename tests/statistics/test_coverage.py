@@ -10,8 +10,8 @@ from scipy import stats
 from support.statistics import statistics_of, sticks_from
 
 import stickslip_jax as ss
-from stickslip_jax._numerics.moments import Moments
-from stickslip_jax._statistics.orders import OrderStatistics
+from stickslip_jax._numerics.sums import Moments
+from stickslip_jax._statistics.ensemble_statistics import OrderStatistics
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)

@@ -13,7 +13,7 @@ from scipy import stats
 from support.plot import simulate
 
 import stickslip_jax as ss
-from stickslip_jax._statistics.units import same_unit, unit_of_product
+from stickslip_jax._statistics.estimate import same_unit, unit_of_product
 
 ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
 A = ss.Estimate("a", 2.0, 0.1, "s", 10)

@@ -11,9 +11,7 @@ import pytest
 from scipy import stats
 from support.independence import autoregressive, cut, drift, flat, iid, rows, shared, spearman_of
 
-from stickslip_jax._statistics.identical import identically_distributed
-from stickslip_jax._statistics.independence import independent, independent_and_identical
-from stickslip_jax._statistics.verdicts import holm
+from stickslip_jax._statistics.independence import holm, identically_distributed, independent, independent_and_identical
 
 REPEATS = 500
 CHANCE = 1e-3  # for distribution tests of p-values: a correct test fails them this often, for a seed picked blindly

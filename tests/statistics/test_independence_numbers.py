@@ -10,10 +10,15 @@ from scipy import integrate, stats
 from support.independence import autoregressive, flat, iid, rows, shared, spearman_of
 
 from stickslip_jax._events.sticks import FlatSticks, with_columns
-from stickslip_jax._statistics.anderson_darling import anderson_darling, limit_tail
-from stickslip_jax._statistics.identical import identically_distributed
-from stickslip_jax._statistics.independence import independent, independent_and_identical
-from stickslip_jax._statistics.verdicts import HypothesisTest, holm
+from stickslip_jax._statistics.independence import (
+    HypothesisTest,
+    anderson_darling,
+    holm,
+    identically_distributed,
+    independent,
+    independent_and_identical,
+    limit_tail,
+)
 
 
 def unwrapped(verdict):

@@ -12,10 +12,9 @@ from support.statistics import T1, made_up_sticks, statistics_of
 
 import stickslip_jax as ss
 from stickslip_jax._ensemble import parts as ensemble_parts
-from stickslip_jax._events.stick_stream import StickCollector
 from stickslip_jax._events.sticks import NUMBERS as COLUMNS
-from stickslip_jax._numerics.dyadic import DyadicCounts
-from stickslip_jax._numerics.power_sums import PowerSums
+from stickslip_jax._events.sticks import StickCollector
+from stickslip_jax._numerics.sums import DyadicCounts, PowerSums
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)

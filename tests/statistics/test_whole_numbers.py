@@ -8,10 +8,8 @@ from scipy import stats
 from support.statistics import statistics_of, sticks_from
 
 import stickslip_jax as ss
-from stickslip_jax._numerics.dyadic import DyadicCounts
-from stickslip_jax._numerics.power_sums import PowerSums
-from stickslip_jax._statistics.clusters import Clusters
-from stickslip_jax._statistics.distribution import BINS, Distribution
+from stickslip_jax._numerics.sums import DyadicCounts, PowerSums
+from stickslip_jax._statistics.distribution import BINS, Clusters, Distribution
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,7 @@ from support.study import HARMONIC, TIMES, TONES, VALUES, G, config_file, mass_s
 
 import stickslip_jax as ss
 from stickslip_jax.study._config import MotorCartRunConfig, RunConfig, StudyConfig
-from stickslip_jax.study._examples import EXAMPLES
-from stickslip_jax.study._reading import read_config
+from stickslip_jax.study._reading import EXAMPLES, read_config
 
 
 @pytest.fixture(autouse=True)

@@ -13,9 +13,8 @@ from support.study import TIMES, VALUES, config_file, write_records
 
 import stickslip_jax as ss
 from stickslip_jax.study import StudyError
-from stickslip_jax.study._folder import DATA, RESULT_FILES
 from stickslip_jax.study._reading import read_config, read_sweep_config
-from stickslip_jax.study._run import STATISTICS, run_study
+from stickslip_jax.study._run import DATA, RESULT_FILES, STATISTICS, run_study
 from stickslip_jax.study._sweep_run import sweep_of
 
 LOWER = ss.Contact.of_mass(0, 2, 5.0, ss.Coulomb(0.2))

@@ -14,11 +14,20 @@ from support.study import BAD_CONFIGS, BAD_SYSTEMS_AND_BASES, SMALL, config_file
 import stickslip_jax as ss
 from stickslip_jax.study import StudyError
 from stickslip_jax.study._config import OutputConfig, RunConfig, StudyConfig
-from stickslip_jax.study._figures import beginning_of_sample_0
-from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES, STICK_DURATIONS, SUMMARY, result_folder
 from stickslip_jax.study._reading import OPTIONS, read_config
-from stickslip_jax.study._report import as_json, table
-from stickslip_jax.study._run import STATISTICS, run_study
+from stickslip_jax.study._run import (
+    CONFIG,
+    DATA,
+    RESULT_FILES,
+    STATISTICS,
+    STICK_DURATIONS,
+    SUMMARY,
+    as_json,
+    beginning_of_sample_0,
+    result_folder,
+    run_study,
+    table,
+)
 
 LAWS = {
     "PoissonSwitching": (
@@ -233,7 +242,7 @@ def test_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
     def refuse(**_):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("stickslip_jax.study._folder.tempfile.mkdtemp", refuse)
+    monkeypatch.setattr("stickslip_jax.study._run.tempfile.mkdtemp", refuse)
     with pytest.raises(StudyError, match="Permission denied"), result_folder(tmp_path / "new"):
         pytest.fail("must be refused before the work begins")
     assert list(tmp_path.iterdir()) == []

@@ -15,11 +15,18 @@ from support.study import HARMONIC, TIMES, TONES, VALUES, G, config_file, mass_s
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax.study import StudyError
-from stickslip_jax.study._figures import beginning_of_sample_0
-from stickslip_jax.study._folder import CONFIG, DATA, RESULT_FILES, SUMMARY
 from stickslip_jax.study._reading import read_config, read_sweep_config
-from stickslip_jax.study._report import as_json, table
-from stickslip_jax.study._run import STATISTICS, run_study
+from stickslip_jax.study._run import (
+    CONFIG,
+    DATA,
+    RESULT_FILES,
+    STATISTICS,
+    SUMMARY,
+    as_json,
+    beginning_of_sample_0,
+    run_study,
+    table,
+)
 from stickslip_jax.study._sweep_run import sweep_of
 
 
@@ -160,7 +167,7 @@ def check_sample_0(study):
 
 @pytest.mark.slow
 def test_figures_show_as_much_as_they_can_hold(tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip_jax.study._figures._PERIODS_SHOWN", 2)
+    monkeypatch.setattr("stickslip_jax.study._run._PERIODS_SHOWN", 2)
     assert check_sample_0(run(tmp_path, STUDIES["artificial accelerogram"][0])) == pytest.approx(2 * math.pi)
 
 

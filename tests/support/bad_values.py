@@ -17,7 +17,7 @@ import pandas as pd
 import xarray as xr
 
 import stickslip_jax as ss
-from stickslip_jax import _fields
+from stickslip_jax._foundation.fields import is_distribution
 
 Draw = np.random.Generator
 LARGEST = 1e100
@@ -257,7 +257,7 @@ def is_truth(value: Any) -> bool:
 
 def is_field(value: Any, low: float = -math.inf) -> bool:
     """A number, or in place of it one for each sample, or a distribution."""
-    return is_number(value, low) or is_array(value, low) or (_fields.is_distribution(value))
+    return is_number(value, low) or is_array(value, low) or (is_distribution(value))
 
 
 def is_of_contacts(value: Any, low: float) -> bool:

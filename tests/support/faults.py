@@ -73,7 +73,7 @@ def failing(folder: Path, fail: Callable[[int, str, Any], None]) -> Iterator[Non
     The operations are those of the store: what is between two of them leaves nothing on the disk but a part of a file
     with a temporary name, which is there when ``fsync`` is called.
     """
-    from stickslip_jax import _files  # noqa: PLC0415
+    from stickslip_jax._foundation import files as _files  # noqa: PLC0415
 
     number = 0
 
@@ -125,7 +125,7 @@ def started(what: str, folder: Path) -> subprocess.Popen[str]:
 
 
 def _main(what: str, folder: Path) -> None:
-    from stickslip_jax import _compilation_cache  # noqa: PLC0415
+    from stickslip_jax._foundation import compilation_cache as _compilation_cache  # noqa: PLC0415
 
     jax.config.update("jax_enable_x64", True)
     _compilation_cache.use()

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from stickslip_jax._events.stick_stream import StickStream
-from stickslip_jax._events.sticks import FlatSticks
+from stickslip_jax._events.sticks import FlatSticks, StickStream
 from stickslip_jax._statistics.accumulator import Numbering, StickAccumulator
 from stickslip_jax._statistics.ensemble_statistics import EnsembleStatistics
 

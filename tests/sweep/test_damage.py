@@ -11,12 +11,11 @@ import pytest
 from support.faults import assert_same, failing, files_in, log_of, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
-from stickslip_jax._files import unpacked_arrays
-from stickslip_jax._sweep.dataset import read_dataset
-from stickslip_jax._sweep.errors import DamagedBatchError
-from stickslip_jax._sweep.header import id_and_name, with_header, without_header
+from stickslip_jax._foundation.files import unpacked_arrays
+from stickslip_jax._sweep.dataset import Work, read_dataset
+from stickslip_jax._sweep.manifest import id_and_name, with_header, without_header
+from stickslip_jax._sweep.plan import DamagedBatchError
 from stickslip_jax._sweep.store import Batch, Store
-from stickslip_jax._sweep.work import Work
 
 SENSITIVITIES = [("stick_fraction", "mu")]
 

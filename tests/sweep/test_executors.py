@@ -20,10 +20,9 @@ from support.faults import log_of, wait_for
 from support.sweep import POINTS, assert_same, small_sweep
 
 import stickslip_jax as ss
+from stickslip_jax._sweep.batches import Failed, UnfitWorkerError, perform_sent, sent, warnings_by_thread
 from stickslip_jax._sweep.manifest import versions
 from stickslip_jax._sweep.plan import Task
-from stickslip_jax._sweep.task_warnings import warnings_by_thread
-from stickslip_jax._sweep.workers import Failed, UnfitWorkerError, perform_sent, sent
 
 SUPPORT = Path(__file__).parents[1]
 
@@ -172,7 +171,7 @@ def test_points_that_fail_come_back_as_their_reason(monkeypatch):
     def failing(plan, task):
         raise ValueError("No such point.")
 
-    monkeypatch.setattr("stickslip_jax._sweep.workers.perform", failing)
+    monkeypatch.setattr("stickslip_jax._sweep.batches.perform", failing)
     assert perform_sent(sent(small_sweep().plan), Task(0, 0, 10)) == Failed("No such point.")
 
 
@@ -184,7 +183,7 @@ def test_two_precisions_in_one_process_do_not_mix(monkeypatch):
         time.sleep(0.01)
         return f"{before} {jnp.result_type(float)}".encode()
 
-    monkeypatch.setattr("stickslip_jax._sweep.workers.perform", precision)
+    monkeypatch.setattr("stickslip_jax._sweep.batches.perform", precision)
     sweep = sent(small_sweep().plan)
     try:
         with ThreadPoolExecutor(4) as pool:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.faults import assert_same, failing, run, sweep_of
 
-from stickslip_jax._sweep import workers
+from stickslip_jax._sweep import batches
 
 U = 2.0**-53
 SAMPLES, LONGER, BATCH, T1 = 500, 900, 256, 20.0
@@ -15,13 +15,13 @@ SAMPLES, LONGER, BATCH, T1 = 500, 900, 256, 20.0
 @pytest.fixture
 def simulated(monkeypatch):
     """The tasks that are done, (point, first sample, last, number of the derivative)."""
-    tasks, perform = [], workers.perform
+    tasks, perform = [], batches.perform
 
     def noted(plan, task):
         tasks.append(tuple(task))
         return perform(plan, task)
 
-    monkeypatch.setattr(workers, "perform", noted)
+    monkeypatch.setattr(batches, "perform", noted)
     return tasks
 
 

@@ -10,12 +10,10 @@ from support.faults import assert_same, log_of, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax._sweep.batches import derivatives_of, head_of, unpacked
-from stickslip_jax._sweep.dataset import status_of, stored_dataset
-from stickslip_jax._sweep.errors import DamagedBatchError
-from stickslip_jax._sweep.header import ID_LENGTH, ForeignBatchError, with_header, without_header
-from stickslip_jax._sweep.manifest import manifest_text
+from stickslip_jax._sweep.dataset import Work, status_of, stored_dataset
+from stickslip_jax._sweep.manifest import ID_LENGTH, ForeignBatchError, manifest_text, with_header, without_header
+from stickslip_jax._sweep.plan import DamagedBatchError
 from stickslip_jax._sweep.store import Store
-from stickslip_jax._sweep.work import Work
 
 SENSITIVITIES = [("stick_fraction", "mu"), ("mean_stick_count", "mu")]
 SWEEP_ID, DATA = b"0123456789abcdef", b"the bytes of a batch"
@@ -142,7 +140,7 @@ def test_worker_that_gives_back_another_task(tmp_path, monkeypatch, whole):
             return perform(plan, task._replace(first=256, end=500))
         return perform(plan, task)
 
-    monkeypatch.setattr("stickslip_jax._sweep.workers.perform", mixed_up)
+    monkeypatch.setattr("stickslip_jax._sweep.batches.perform", mixed_up)
     sweep = sweep_of(sensitivities=SENSITIVITIES)
     assert_same(run(sweep, tmp_path / "sweep"), whole[1])
     assert len(wrong) == 1

@@ -8,7 +8,7 @@ import xarray as xr
 from support.faults import assert_same, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
-from stickslip_jax._sweep import workers
+from stickslip_jax._sweep import batches
 
 TIME = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d"
 
@@ -39,15 +39,15 @@ def test_samples_that_did_not_finish_are_counted(tmp_path):
 @pytest.fixture
 def failing_point(monkeypatch):
     """The second point cannot be simulated; calling it mends that."""
-    perform = workers.perform
+    perform = batches.perform
 
     def refuse(plan, task):
         if task.point == 1:
             raise ValueError("The mass went on strike.")
         return perform(plan, task)
 
-    monkeypatch.setattr(workers, "perform", refuse)
-    return lambda: monkeypatch.setattr(workers, "perform", perform)
+    monkeypatch.setattr(batches, "perform", refuse)
+    return lambda: monkeypatch.setattr(batches, "perform", perform)
 
 
 def test_results_of_the_others_are_there_when_a_point_failed(tmp_path, failing_point):

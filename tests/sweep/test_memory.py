@@ -11,10 +11,10 @@ from support.faults import TESTS, assert_same, log_of, one_sentence, run, sweep_
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
-from stickslip_jax._sweep import workers
+from stickslip_jax._sweep import batches
+from stickslip_jax._sweep.batches import Failed, NoMemory, outcome_of, perform_sent, sent
 from stickslip_jax._sweep.dataset import status_of
 from stickslip_jax._sweep.plan import Task
-from stickslip_jax._sweep.workers import Failed, NoMemory, outcome_of, perform_sent, sent
 
 
 def no_memory(message: str = "") -> MemoryError:
@@ -51,7 +51,7 @@ def test_reason_of_a_failure_is_never_empty(error, outcome):
 
 def starving(monkeypatch, may_begin):
     """Let the work of a task begin where `may_begin` says so; else its memory runs out. Returns the tasks tried."""
-    perform, tried = workers.perform, []
+    perform, tried = batches.perform, []
 
     def hungry(plan, task):
         tried.append(task)
@@ -59,7 +59,7 @@ def starving(monkeypatch, may_begin):
             raise no_memory()
         return perform(plan, task)
 
-    monkeypatch.setattr(workers, "perform", hungry)
+    monkeypatch.setattr(batches, "perform", hungry)
     return tried
 
 
@@ -104,7 +104,7 @@ def test_fewer_and_fewer_at_a_time(tmp_path, monkeypatch):
         most.append(len(inside))
         return len(inside) <= 2
 
-    perform = workers.perform
+    perform = batches.perform
 
     def counted(plan, task):
         inside.append(task)
@@ -113,7 +113,7 @@ def test_fewer_and_fewer_at_a_time(tmp_path, monkeypatch):
         finally:
             inside.remove(task)
 
-    monkeypatch.setattr(workers, "perform", counted)
+    monkeypatch.setattr(batches, "perform", counted)
     starving(monkeypatch, may_begin)
     sweep = sweep_of(samples=30 * 256)
     dataset = sweep.run(tmp_path / "sweep", threads=8, progress=False)
@@ -125,7 +125,7 @@ def test_worker_without_memory_sends_that_back(monkeypatch):
     def hungry(plan, task):
         raise no_memory("std::bad_alloc")
 
-    monkeypatch.setattr(workers, "perform", hungry)
+    monkeypatch.setattr(batches, "perform", hungry)
     with ThreadPoolExecutor(1) as pool:
         found = pool.submit(perform_sent, sent(sweep_of().plan), Task(0, 0, 10)).result()
     assert found == NoMemory("MemoryError: std::bad_alloc")

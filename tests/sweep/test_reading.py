@@ -17,8 +17,7 @@ from support.faults import TESTS, log_of, run, sweep_of
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import dataset, store
-from stickslip_jax._sweep.dataset import status_of, stored_dataset
-from stickslip_jax._sweep.work import ReadCache
+from stickslip_jax._sweep.dataset import ReadCache, status_of, stored_dataset
 
 
 @pytest.fixture
@@ -99,7 +98,7 @@ def test_listing_that_misses_the_parts_and_the_whole(begun, monkeypatch):
 
 
 def test_what_was_read_goes_to_the_disk_where_it_is_much(monkeypatch):
-    monkeypatch.setattr("stickslip_jax._sweep.work._IN_MEMORY", 10)
+    monkeypatch.setattr("stickslip_jax._sweep.dataset._IN_MEMORY", 10)
     cache = ReadCache()
     batches = [(store.Batch(Path("a"), 0, 5), b"12345"), (store.Batch(Path("b"), 5, 9), b"6789" * 10)]
     cache.put(3, batches)
@@ -113,7 +112,7 @@ def test_no_room_for_what_was_read(monkeypatch, begun):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("stickslip_jax._sweep.work.SpooledTemporaryFile.write", full)
+    monkeypatch.setattr("stickslip_jax._sweep.dataset.SpooledTemporaryFile.write", full)
     with pytest.raises(ss.SweepError, match=r"cannot be written \(No space left on device\).*TMPDIR\."):
         stored_dataset(begun[0])
 

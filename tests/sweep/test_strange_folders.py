@@ -10,9 +10,9 @@ from support.faults import assert_same, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
+from stickslip_jax._sweep import batches
 from stickslip_jax._sweep import run as run_module
 from stickslip_jax._sweep import store as store_module
-from stickslip_jax._sweep import workers
 from stickslip_jax._sweep.dataset import status_of, stored_dataset
 
 MANIFESTS = ("manifest.json", "manifest-copy.json")
@@ -42,7 +42,7 @@ def in_time(call):
 
 def taking(monkeypatch, take) -> None:
     """Call `take` while the third batch is simulated."""
-    perform, begun = workers.perform, []
+    perform, begun = batches.perform, []
 
     def taken(plan, task):
         begun.append(task)
@@ -50,7 +50,7 @@ def taking(monkeypatch, take) -> None:
             take()
         return perform(plan, task)
 
-    monkeypatch.setattr(workers, "perform", taken)
+    monkeypatch.setattr(batches, "perform", taken)
 
 
 def emptied(folder: Path) -> None:

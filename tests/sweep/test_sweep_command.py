@@ -23,9 +23,7 @@ from stickslip_jax import _cli as cli
 from stickslip_jax import papers
 from stickslip_jax._sweep.dataset import read_dataset
 from stickslip_jax._sweep.manifest import manifest_text
-from stickslip_jax.study._examples import PAPERS
-from stickslip_jax.study._options import Paper
-from stickslip_jax.study._reading import read_sweep_config
+from stickslip_jax.study._reading import PAPERS, Paper, read_sweep_config
 from stickslip_jax.study._sweep_run import sweep_of
 
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]

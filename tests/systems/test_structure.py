@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._numerics.small_matrices import Banded
+from stickslip_jax._numerics.matrices import Banded
 
 DRY = ss.Coulomb(0.3)
 PAIR = np.array([[2.0, -1.0], [-1.0, 2.0]])

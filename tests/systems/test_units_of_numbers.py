@@ -5,8 +5,8 @@ from typing import NamedTuple
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._fields import Quantity
-from stickslip_jax._systems.units import unit_at
+from stickslip_jax._foundation.fields import Quantity
+from stickslip_jax._systems.system import unit_at
 from stickslip_jax._uncertainty.numbers import quantity_at
 
 

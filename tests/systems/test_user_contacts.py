@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
-from stickslip_jax._systems.user_contacts_checks import check_contacts
+from stickslip_jax._systems.users_checks import check_contacts
 
 COUPLING = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 

@@ -5,10 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.common.lanes import Job, lanes_at_start
-from stickslip_jax._dynamics.common.method import Exact
-from stickslip_jax._dynamics.common.validation import Arguments
-from stickslip_jax._dynamics.common.varying import VaryingEngine, engines_of
+from stickslip_jax._dynamics.common.lanes import Job, VaryingEngine, engines_of, lanes_at_start
+from stickslip_jax._dynamics.common.method import Arguments, Exact
 from stickslip_jax._dynamics.engine_choice import engine_for
 
 TIMES = np.linspace(0, 100, 1001)

@@ -1,5 +1,5 @@
 // The random numbers of the package: JAX's threefry-2x32 (Salmon et al. 2011), 32-bit integers and floats of 64 bits.
-// As `random_words` and `exponential` in stickslip_jax/_numerics/random_bits.py.
+// As `random_words` and `exponential` in stickslip_jax/_numerics/elementary.py.
 "use strict";
 (() => {
   const PARITY = 0x1bd11bda;

@@ -1,24 +1,272 @@
-"""Simulation of many samples side by side in lanes, one block of steps at a time.
-
-A lane simulates one sample after the other: when a sample has ended, it starts its next one after the block. The
-excitation of a sample is drawn while simulating, so no realisation is ever too short and none is stored. `summarize`
-keeps totals; `record` returns every stick, a few blocks at a time. An `Engine` defines how ONE lane begins, takes a
-step and ends; everything about many lanes is here.
+"""Simulation of many samples side by side in lanes: what each engine defines for that, and the loop over lanes,
+which is written once.
 """
 
+import abc
+import dataclasses
+from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array
 
 from ..._compiler import Layout, packed, unpacked
 from ..._events.sticks import NUMBERS
-from ..._numerics.random_bits import stored_words
-from ..._types import AnyArray, AnyInteger, Array, BoolArray, IntArray
-from .engine import Engine, SampleTotals
+from ..._foundation import checks
+from ..._foundation.types import AnyArray, AnyInteger, BoolArray, IntArray
+from ..._numerics.elementary import stored_words
+
+# How one trajectory among many is followed: what each engine of ensembles defines.
+
+
+Shared = TypeVar("Shared")  # what all steps of all samples share
+Sample = TypeVar("Sample")  # the constants of a sample
+Motion = TypeVar("Motion")  # its state of motion, which every step changes
+Record = TypeVar("Record")  # what a step leaves: a `StickRecord`, or an object that holds one
+Results = TypeVar("Results")  # of a sample
+
+
+class SampleTotals(NamedTuple):
+    """What is recorded of each sample: numbers of sticks and slips, total stick time (s), `Status` code, and number of
+    near-grazing instants (see `Simulation`); one entry for each sample.
+
+    Of a system with several contacts, an engine's first three are arrays (samples, tracks).
+    """
+
+    sticks: AnyArray
+    slips: AnyArray
+    stick_time: AnyArray
+    status: AnyArray
+    near_grazing_count: AnyArray
+
+    def of_track(self, track: int | None) -> "SampleTotals":
+        """Those of one track; all of them where there is one contact."""
+        if track is None:
+            return self
+        sticks, slips, stick_time = (column[:, track] for column in (self.sticks, self.slips, self.stick_time))
+        return SampleTotals(sticks, slips, stick_time, self.status, self.near_grazing_count)
+
+
+class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
+    """How one lane is simulated step by step; a step is a time step, or a whole interval of the base."""
+
+    looks_back: ClassVar[bool] = False
+    """Whether `after_block` reads the records of the block."""
+
+    @property
+    def tracks(self) -> int | None:
+        """Of a system with several contacts, how many of its results and records are of something that sticks: each
+        contact, and all at once. None for one contact.
+        """
+        return None
+
+    @property
+    def compiles_natively(self) -> bool:
+        """Whether its steps can be compiled into native loops."""
+        return True
+
+    def asked(self, quantities: tuple[str, ...]) -> "Engine":
+        """The same engine, whose records hold these `quantities` of each stick; without them it computes none."""
+        return dataclasses.replace(self, quantities=quantities)
+
+    @abc.abstractmethod
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Sample, Motion]:
+        """The constants of the sample that `key_data` choose, and its motion at t = 0."""
+
+    def columns(self, varying: tuple[AnyArray, ...]) -> tuple[AnyArray, ...]:
+        """The varying leaves of all samples, from what `Job.varying` holds of them."""
+        return varying
+
+    def begin_varying(self, key_data: tuple[Array, Array], varying: tuple[Array, ...], dtype) -> tuple[Sample, Motion]:
+        """As `begin`, for the sample with these `varying` leaves; none where samples differ in their key data only."""
+        return self.begin(key_data, dtype)
+
+    @abc.abstractmethod
+    def shared(self, dtype) -> Shared:
+        """Quantities that all steps of all samples share, computed once per block."""
+
+    def draw(self, sample: Sample, number: Array, dtype) -> Any:
+        """The random (or looked-up) numbers of step `number`; drawn for a whole block at once."""
+        return None
+
+    @abc.abstractmethod
+    def step(self, shared: Shared, sample: Sample, motion: Motion, drawn: Any) -> tuple[Motion, Record]:
+        """Take one step: returns the motion after it and its record."""
+
+    def after_block(self, samples: Sample, motions: Motion, records: Record) -> Motion:
+        """The motions of ALL lanes, corrected after a block with these records, (BLOCK, lanes)."""
+        return motions
+
+    @abc.abstractmethod
+    def ended(self, motion: Motion, before: Motion) -> BoolArray:
+        """Whether the sample has ended, for whatever reason; `before`: its motion a block ago."""
+
+    @abc.abstractmethod
+    def results(self, sample: Sample, motion: Motion) -> Results:
+        """The results of one sample."""
+
+
+# Lanes whose system, excitation or start differ from sample to sample.
+
+
+class _Common(eqx.Module):
+    """What the steps of the template share, and which of its leaves differ from sample to sample."""
+
+    shared: Any
+    leaf_numbers: tuple[int, ...] = eqx.field(static=True)
+
+
+class VaryingEngine(Engine):
+    """An engine with numbers of its own for every sample.
+
+    `template`: the engine of any sample. `leaf_numbers`: which of its leaves vary, in the order of ``jax.tree.leaves``.
+    """
+
+    template: Any
+    leaf_numbers: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def looks_back(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """That of the template."""
+        return self.template.looks_back
+
+    @property
+    def tracks(self) -> int | None:
+        return self.template.tracks
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.template.compiles_natively
+
+    def asked(self, quantities: tuple[str, ...]) -> "VaryingEngine":
+        return VaryingEngine(self.template.asked(quantities), self.leaf_numbers)
+
+    def of_sample(self, varying: tuple[Array, ...]) -> Any:
+        """The engine of the sample with its `varying` leaves."""
+        return with_leaves(self.template, self.leaf_numbers, varying)
+
+    def begin(self, key_data: Any, dtype) -> tuple[Any, Any]:
+        leaves = jax.tree.leaves(self.template)
+        return self.begin_varying(key_data, tuple(leaves[place] for place in self.leaf_numbers), dtype)
+
+    def begin_varying(self, key_data: Any, varying: tuple[Array, ...], dtype) -> tuple[Any, Any]:
+        """As `begin`, for the sample with its `varying` leaves.
+
+        Its constants are these, what its steps share unlike those of other samples, and the template's constants.
+        """
+        engine = self.of_sample(varying)
+        sample, motion = engine.begin(key_data, dtype)
+        leaves = jax.tree.leaves(engine.shared(dtype))
+        return (varying, tuple(leaves[place] for place in self._shared_leaf_numbers(dtype)), sample), motion
+
+    def constants(self, sample: Any) -> Any:
+        """The constants of samples as the template knows them."""
+        return sample[2]
+
+    def shared(self, dtype) -> _Common:
+        return _Common(self.template.shared(dtype), self._shared_leaf_numbers(dtype))
+
+    def _shared_leaf_numbers(self, dtype) -> tuple[int, ...]:
+        """Which leaves of what the steps share follow from `varying` leaves.
+
+        The others are not carried from lane to lane: a record of a base motion has thousands of points.
+        """
+        leaves = jax.tree.leaves(self.template)
+        varying = tuple(jnp.asarray(leaves[place])[None] for place in self.leaf_numbers)
+
+        def differs(place: int) -> bool:
+            def leaf(varying):
+                return jax.tree.leaves(self.of_sample(varying).shared(dtype))[place]
+
+            try:
+                jax.eval_shape(jax.vmap(leaf, out_axes=None), varying)
+            except ValueError:  # the leaf is mapped
+                return True
+            return False
+
+        return tuple(filter(differs, range(len(jax.tree.leaves(self.template.shared(dtype))))))
+
+    def draw(self, sample: Any, number: Array, dtype) -> Any:
+        varying, _, constants = sample
+        return self.of_sample(varying).draw(constants, number, dtype)
+
+    def step(self, shared: _Common, sample: Any, motion: Any, drawn: Any) -> tuple[Any, Any]:
+        varying, mine, constants = sample
+        here = with_leaves(shared.shared, shared.leaf_numbers, mine)
+        return self.of_sample(varying).step(here, constants, motion, drawn)
+
+    def ended(self, motion: Any, before: Any) -> BoolArray:
+        return self.template.ended(motion, before)  # asks for the horizon only, which is the same for all samples
+
+    def results(self, sample: Any, motion: Any) -> Any:
+        varying, _, constants = sample
+        return self.of_sample(varying).results(constants, motion)
+
+
+def with_leaves(tree: Any, leaf_numbers: tuple[int, ...], values: Any) -> Any:
+    """`tree` with the leaves at `leaf_numbers` replaced by `values`."""
+    leaves, structure = jax.tree.flatten(tree)
+    for place, value in zip(leaf_numbers, values, strict=True):
+        leaves[place] = value
+    return jax.tree.unflatten(structure, leaves)
+
+
+class Engines(NamedTuple):
+    """Engines of many samples.
+
+    - `template`: one of them; where they differ, with the leaves of the first. Sizes, such as numbers of steps, are the
+      largest that any sample needs.
+    - `leaf_numbers`: which leaves vary; `varying`: these, arrays (samples, ...).
+    - `origins`: for each place, which of the values it is; None where it follows from them.
+    """
+
+    template: Any
+    leaf_numbers: tuple[int, ...]
+    varying: tuple[AnyArray, ...]
+    origins: tuple[int | None, ...]
+
+
+def engines_of(build: Callable[..., Any], values: tuple[AnyArray, ...], others: Any = None) -> Engines:
+    """The engines that `build` makes of each entry of `values` and `others`, arrays (samples, ...)."""
+    made, origins = [], []
+
+    def leaves_that_differ(values, others):
+        engine = build(values, others)
+        varying = [leaf for leaf in jax.tree.leaves(engine) if checks.is_traced(leaf)]
+        made.append(engine)
+        origins.extend(next((i for i, value in enumerate(values) if value is leaf), None) for leaf in varying)
+        return varying
+
+    varying = jax.vmap(leaves_that_differ)(values, others)
+    leaves, structure = jax.tree.flatten(made[0])
+    leaf_numbers = tuple(place for place, leaf in enumerate(leaves) if checks.is_traced(leaf))
+    for place, column in zip(leaf_numbers, varying, strict=True):
+        leaves[place] = column[0]
+    return Engines(jax.tree.unflatten(structure, leaves), leaf_numbers, tuple(varying), tuple(origins))
+
+
+def widest(templates: list[Any], leaf_numbers: tuple[int, ...]) -> Any:
+    """The first template, with sizes (whole numbers that all samples share) as large as in any other."""
+    leaves, structure = jax.tree.flatten(templates[0])
+    for other in templates[1:]:
+        for place, leaf in enumerate(jax.tree.leaves(other)):
+            if place not in leaf_numbers and isinstance(leaf, (int, np.integer)):
+                leaves[place] = np.maximum(leaves[place], leaf)
+    return jax.tree.unflatten(structure, leaves)
+
+
+# Simulation of many samples side by side in lanes, one block of steps at a time.
+#
+# A lane simulates one sample after the other: when a sample has ended, it starts its next one after the block. The
+# excitation of a sample is drawn while simulating, so no realisation is ever too short and none is stored. `summarize`
+# keeps totals; `record` returns every stick, a few blocks at a time. An `Engine` defines how ONE lane begins, takes a
+# step and ends; everything about many lanes is here.
+
 
 BLOCK = 24  # intervals or steps in a block; after the end of a sample a lane idles for half a block on average
 

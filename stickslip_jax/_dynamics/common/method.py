@@ -1,23 +1,41 @@
-"""Simulation methods: `Exact` switched dynamics and `Regularized` dynamics, with their options."""
+"""Simulation methods, `Exact` and `Regularized`; the time steps that follow from a system and its excitation; and
+the checks of what is simulated by them.
+"""
 
 import difflib
-from typing import Any
+import math
+import warnings
+from contextlib import suppress
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ... import _checks
-from ... import _diffrax as diffrax
-from ..._methods import Module
-from ..._types import AnyArray, Scalar
+from ..._excitation.excitation import BaseMotion, Excitation, excitation_of, motion_of
+from ..._excitation.motion import SEEN_IN_STEPS
+from ..._excitation.segments import SegmentLaw
+from ..._foundation import checks
+from ..._foundation import lazy_diffrax as diffrax
+from ..._foundation.methods import Module
+from ..._foundation.types import AnyArray, InitialState, Number, Scalar
+from ..._numerics.derivatives import NotKnown, largest, primal_of, smallest
+from ..._systems.system import SHORTEST_TIME, StepCount, System, require_system
+from ..._uncertainty.inputs import varying
+from ..._uncertainty.numbers import shown
+from .path import padded_length
+
+# Simulation methods: `Exact` switched dynamics and `Regularized` dynamics, with their options.
+
 
 SHAPES = ("tanh", "linear", "arctan", "rational")
 """The smooth switches of `Regularized`."""
 
 
 def _as_max_steps(number: Any) -> int | None:
-    return None if number is None else _checks.whole_number("max_steps", number)
+    return None if number is None else checks.whole_number("max_steps", number)
 
 
 class Exact(Module):
@@ -39,11 +57,11 @@ class Exact(Module):
 
     def __check_init__(self):
         if self.step is not None:
-            _checks.positive("step", self.step, "s")
+            checks.positive("step", self.step, "s")
         if self.solver is not None and not isinstance(self.solver, diffrax.AbstractERK):
             raise ValueError(
                 "Argument solver must be an explicit Runge-Kutta solver such as diffrax.Tsit5(), but "
-                f"{_checks.show(self.solver)} was given."
+                f"{checks.show(self.solver)} was given."
             )
 
 
@@ -102,40 +120,40 @@ class Regularized(Module):
 
     def __check_init__(self):
         if self.width is not None:
-            _checks.positive("width", self.width, "m/s")
+            checks.positive("width", self.width, "m/s")
         if not isinstance(self.shape, str) or self.shape not in SHAPES:
             near = difflib.get_close_matches(self.shape, SHAPES, 1, 0.4) if isinstance(self.shape, str) else []
             guess = f"; did you mean {near[0]!r}?" if near else "."
             raise ValueError(
-                f"Argument shape must be one of {', '.join(map(repr, SHAPES))}, but {_checks.show(self.shape)} was "
+                f"Argument shape must be one of {', '.join(map(repr, SHAPES))}, but {checks.show(self.shape)} was "
                 f"given{guess}"
             )
         if self.step is not None:
-            _checks.positive("step", self.step, "s")
+            checks.positive("step", self.step, "s")
         for name, unit, bounds in (("threshold", "m/s", {"above": 0}), ("minimum_duration", "s", {"at_least": 0})):
             _check_of_contacts(name, getattr(self, name), unit, bounds)
-        _checks.positive("rtol", self.rtol)
+        checks.positive("rtol", self.rtol)
         if self.atol is not None:
-            _checks.numeric("atol", self.atol, ndim=None)
-            if not _checks.is_traced(self.atol) and np.any(np.asarray(self.atol) <= 0):
-                raise ValueError(f"Argument atol must be positive, but {_checks.show(self.atol)} was given.")
+            checks.numeric("atol", self.atol, ndim=None)
+            if not checks.is_traced(self.atol) and np.any(np.asarray(self.atol) <= 0):
+                raise ValueError(f"Argument atol must be positive, but {checks.show(self.atol)} was given.")
         self._check_solver()
 
     def _check_solver(self):
         if self.step is not None and (self.solver is not None or self.adjoint is not None):
             raise ValueError(
-                f"Arguments solver and adjoint must be None with a fixed step, but step = {_checks.show(self.step)} "
+                f"Arguments solver and adjoint must be None with a fixed step, but step = {checks.show(self.step)} "
                 "was given; leave the step out for adaptive steps."
             )
         if self.solver is not None and not isinstance(self.solver, diffrax.AbstractAdaptiveSolver):
             raise ValueError(
                 "Argument solver must be a solver of diffrax with an error estimate, such as diffrax.Kvaerno3() or "
-                f"diffrax.Tsit5(), but {_checks.show(self.solver)} was given."
+                f"diffrax.Tsit5(), but {checks.show(self.solver)} was given."
             )
         if self.adjoint is not None and not isinstance(self.adjoint, diffrax.AbstractAdjoint):
             raise ValueError(
                 "Argument adjoint must be one of diffrax's, such as diffrax.ForwardMode(), but "
-                f"{_checks.show(self.adjoint)} was given."
+                f"{checks.show(self.adjoint)} was given."
             )
 
 
@@ -144,10 +162,234 @@ def _check_of_contacts(name: str, value: Any, unit: str, bounds: dict[str, Any])
     if value is None:
         return
     is_array = isinstance(value, (np.ndarray, jax.Array)) and np.ndim(value) > 0
-    _checks.bounded(name, value, unit, ndim=int(is_array), **bounds)
+    checks.bounded(name, value, unit, ndim=int(is_array), **bounds)
     if is_array and not np.size(value):
-        raise _checks.refused(name, f"be a number (in {unit}), or one for each contact", value)
+        raise checks.refused(name, f"be a number (in {unit}), or one for each contact", value)
 
 
 EXACT = Exact()
 """The exact method with all options at their defaults."""
+
+
+# Choice and check of the time step, from the time scales of a system and of its excitation.
+
+
+_USUAL = StepCount(1.0, 1.0)
+_ACCURATE = 6  # times as many steps as a time scale needs at least: fixed steps are then hardly ever shortened
+
+
+def step_for(system: System, excitation: Excitation, method: Exact | Regularized) -> Scalar:
+    """The time step (s) of `method`, checked; by default a fraction of the shortest time scale.
+
+    Raises ValueError for a step that is too long for a time scale, and where `method` gives none although a time scale
+    is not known.
+    """
+    scales = {
+        name: (primal_of(of.time), of.steps) for name, of in system.time_scales(excitation, method.solver).items()
+    }
+    if isinstance(method, Regularized):  # whose fixed steps are not shortened where the motion is fast
+        scales["time scale of the fastest motion"] = primal_of(system.usual_step(excitation)), _USUAL
+    known = {name: (time, steps) for name, (time, steps) in scales.items() if time is not None}
+    unknown = [name for name in scales if name not in known]
+    if method.step is None and unknown:
+        raise ValueError(
+            f"Argument method must give the step, Exact(step=...), but the {unknown[0]} is not known; or give what "
+            f"you wrote a property {_property_of(unknown[0])} (s)."
+        )
+    if method.step is None:
+        return _shortest([time / count.default for time, count in known.values()])
+    step = primal_of(method.step)
+    limits = [time / count.least for time, count in known.values() if checks.is_traced(time)]
+    if limits:  # numbers that are not known before the call: steps that are too long cannot be refused, so shorten them
+        step = jnp.min(jnp.stack([jnp.asarray(limit, float) for limit in (step, *limits)]))
+    for name, (time, count) in known.items():
+        with suppress(NotKnown):
+            shortest, given = smallest(time), largest(step)
+            longest, share = shortest / count.least, 1 / count.least
+            if given > longest * (1 + 1e-9):
+                raise ValueError(
+                    f"Argument step must be at most {longest:.4g} s, {share:.2g} times the {name} of {shortest:.4g} "
+                    f"s, but {given} was given; between longer steps sticks could be missed."
+                )
+    return step
+
+
+def longest_step(system: System, excitation: Excitation) -> Scalar:
+    """The longest adaptive step (s): one that no change of what drives the system can be hidden in; infinity if any.
+
+    Steps end at the points of records and at jumps in any case. Raises ValueError where a shortest period is not known.
+    """
+    times = {name: primal_of(time) for name, time in system.driving_times(excitation).items()}
+    unknown = [name for name, time in times.items() if time is None]
+    if unknown:
+        fixed = "" if system.inner_laws else ", or choose a fixed step, Regularized(width, step=...)"
+        raise ValueError(
+            f"Argument method must not leave the steps to the motion while the {unknown[0]} is not known, for they "
+            f"could pass over a short pulse: give what you wrote a property {_property_of(unknown[0])} (s){fixed}."
+        )
+    return _shortest([time / SEEN_IN_STEPS for time in times.values() if time is not None])
+
+
+def _property_of(name: str) -> str:
+    return "shortest_time" if name == SHORTEST_TIME else "shortest_period"
+
+
+def _shortest(times: list[Any]) -> Scalar:
+    if any(checks.is_traced(time) for time in times):
+        return jnp.min(jnp.stack([jnp.asarray(time, float) for time in times]))
+    return min(map(float, times))
+
+
+def accurate_step(system: System, excitation: Excitation, step: float) -> float:
+    """The fixed `step` (s), or if shorter that to which the time scales that are known let it be shortened."""
+    scales = system.time_scales(excitation, None).values()
+    longest = _known([of.time / of.steps.least for of in scales if of.time is not None])
+    return min([step, *(time / _ACCURATE for time in longest)])
+
+
+def max_steps_advice(system: System, excitation: Excitation, method: Exact | Regularized, t1: Scalar) -> str:
+    """A message that proposes `max_steps` where JAX traces `t1` or a time scale, from the numbers that are known."""
+    horizon = min(_known([t1]), default=100.0)
+    scales = system.time_scales(excitation, method.solver).values()
+    lengths = [of.time / of.steps.default for of in scales if of.time is not None]
+    if method.step is not None:
+        lengths = [method.step]
+    found = _known(lengths)
+    step = min((step for step in found if step < math.inf), default=0.01) / (1 if len(found) == len(lengths) else 4)
+    steps = padded_length(math.ceil(1.5 * horizon / step) + 96)
+    return f"max_steps={steps} is room for {horizon:g} s in steps of {step:.3g} s; too many cost nothing but memory"
+
+
+def _known(numbers: list[Any]) -> list[float]:
+    """The smallest value of each number whose value is known (not traced)."""
+    found = []
+    for number in numbers:
+        with suppress(NotKnown):
+            found.append(smallest(number))
+    return found
+
+
+def slowest_time(system: System, base: BaseMotion) -> float:
+    """The slowest known time scale of a system, s; 1 where none is known."""
+    scales = system.time_scales(excitation_of(base), None).values()
+    return max((float(scale.time) for scale in scales if scale.time is not None and scale.time < math.inf), default=1.0)
+
+
+# Checks of the arguments of `simulate` and `simulate_ensemble`.
+
+
+class Arguments(NamedTuple):
+    """What is simulated: a system on a base motion (a law or a realisation), by a method, up to `t1` (s)."""
+
+    system: System
+    base: BaseMotion
+    method: Exact | Regularized
+    t1: Scalar
+
+    @classmethod
+    def of_one(
+        cls, system: System, base: BaseMotion, method: Exact | Regularized, t1: Scalar, y0: InitialState | None
+    ) -> tuple["Arguments", tuple[Number, ...]]:
+        """The checked arguments of `simulate`, the base as a motion without randomness, and the initial state.
+
+        Raises:
+            ValueError: For what `simulate` does not take.
+        """
+        check_fixed(system=system, base=base)
+        require_system(system)
+        check_method(method)
+        checks.positive("t1", t1, "s")
+        start, motion = state_of(system, y0), motion_of(base)
+        if motion.is_random:
+            raise ValueError(
+                f"Argument base must be a realisation, but the random law {type(base).__name__} was given; "
+                "draw one with base.sample(key, t1)."
+            )
+        arguments = cls(system, motion, method, t1)
+        arguments.check_length()
+        return arguments._replace(base=motion.realized_until(t1)), start
+
+    def check_length(self) -> None:
+        """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
+        if checks.is_traced(self.t1):
+            return
+        loads = [(_field_of(self.system, load, "force"), load) for load in self.system.recorded_loads]
+        loads += [("normal_force", load) for load in self.system.recorded_normal_forces]
+        for name, motion in (("base", motion_of(self.base)), *loads):
+            if motion.covered_time < float(self.t1) * (1 - 1e-12):
+                raise ValueError(
+                    f"Argument {name} must last until t1 = {float(self.t1):g} s, but it ends at "
+                    f"{motion.covered_time:g} s; record more of it or choose a smaller t1."
+                )
+
+    def checked_step(self, name: str = "base") -> tuple[Excitation, Scalar]:
+        """The `Excitation` made from `base` (the argument called `name`), and the time step (s), at most `t1`.
+
+        Raises:
+            ValueError: For a base, solver or step that does not suit the system.
+        """
+        excitation = excitation_of(self.base, name)
+        self.system.check_excitation(excitation)
+        self.system.check_solver(self.method.solver)
+        step, horizon = step_for(self.system, excitation, self.method), primal_of(self.t1)
+        if checks.is_traced(step) or checks.is_traced(horizon):
+            return excitation, jnp.minimum(step, horizon)
+        return excitation, min(float(step), float(horizon))
+
+
+def _field_of(system: System, load: SegmentLaw, other: str) -> str:
+    """The name of the field of `system` that holds this `load`; `other` where it stands within another field."""
+    return next((field.name for field in fields(system) if getattr(system, field.name) is load), other)
+
+
+def check_method(method: object) -> None:
+    """Check that `method` is an `Exact` or a `Regularized`. Raises ValueError otherwise."""
+    if not isinstance(method, (Exact, Regularized)):
+        raise ValueError(
+            f"Argument method must be Exact(...) or Regularized(width), but {checks.show(method)} was given."
+        )
+
+
+def entries_of(system: System, y0: InitialState | None) -> tuple[Any, ...]:
+    """What the initial state `y0` of `system` holds for each coordinate, zeros if `y0` is None.
+
+    Ages of sticks and inner states of friction laws may be left out.
+    """
+    meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
+    moving = len(meaning) - len(system.start_of_memory)
+    given = (0.0,) * moving if y0 is None else y0
+    is_listed = isinstance(given, (tuple, list)) or checks.dimensions(given) == 1
+    is_short = is_listed and len(given) == moving  # pyright: ignore[reportArgumentType] - it has a length then
+    return system.with_memory(checks.entries("y0", given, meaning[:moving] if is_short else meaning))
+
+
+def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
+    """The initial state `y0` of `system`, checked; zeros if `y0` is None, and for what it may leave out."""
+    entries = entries_of(system, y0)
+    check_fixed(y0=entries)
+    numbers = checks.state("y0", entries, tuple(coordinate.meaning for coordinate in system.coordinates))
+    system.check_state(numbers)
+    return numbers
+
+
+def check_fixed(**arguments: object) -> None:
+    """Check that no argument holds a distribution, or an array where a number belongs. Raises ValueError otherwise."""
+    for name, value in arguments.items():
+        checks.tree(name, value)
+        for path, source, _ in varying(value, (name,)):
+            raise ValueError(
+                f"Argument {shown(path)} must be one number here, but {checks.show(source)} was given; "
+                "simulate_ensemble takes distributions, and arrays with one number for each sample."
+            )
+
+
+def working_dtype(*arrays: AnyArray, stacklevel: int = 3) -> np.dtype:
+    """The floating dtype of a simulation; in float32, warns and says how to get float64."""
+    dtype = jnp.result_type(float, *arrays)
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "stickslip_jax runs in float32: event times are good to about 2e-6 of t1. For float64 call "
+            'jax.config.update("jax_enable_x64", True) before anything else.',
+            stacklevel=stacklevel,
+        )
+    return dtype

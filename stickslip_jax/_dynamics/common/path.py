@@ -1,18 +1,30 @@
-"""Result of one trajectory, the same for every engine: the state along it, and the parts of a `Simulation`."""
+"""What the engines share about one trajectory: its result, the segments of its excitation that it passes through,
+the tracks of which sticks are counted, its extremes, and how it ends.
+"""
 
 import abc
-from typing import NamedTuple
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
+import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jaxtyping import Array
 
-from ..._events.sticks import Sticks, Totals
-from ..._excitation.segments import added
-from ..._excitation.smooth import Signal
-from ..._excitation.voltage import SourceVoltage
+from ..._events.sticks import StickRecord, Sticks, Totals, sticks_in_order
+from ..._excitation.excitation import Excitation
+from ..._excitation.motion import Signal, SourceVoltage
+from ..._excitation.segments import SegmentLaw, SegmentState, added, following_segment, is_invalid
+from ..._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
+from ..._numerics.derivatives import NotKnown, largest, without_derivatives
 from ..._systems.switched_model import Segments, State
-from ..._types import FloatArray, Scalar
+from ..._systems.system import System
+
+# Result of one trajectory, the same for every engine: the state along it, and the parts of a `Simulation`.
 
 
 class Path(eqx.Module):
@@ -59,3 +71,243 @@ class Run(NamedTuple):
     near_grazing_count: Array
     path: Path
     of_all_contacts: tuple[Sticks, Totals] | None = None
+
+
+# The parts of an excitation that consist of segments, as a trajectory passes through them.
+
+
+class SegmentLaws(eqx.Module):
+    """The laws of all parts of the excitation that consist of segments; a lane's `segment_states` have their order."""
+
+    base: tuple[SegmentLaw, ...]
+    ground: tuple[SegmentLaw, ...]
+    force: tuple[SegmentLaw, ...]
+    normal: tuple[SegmentLaw, ...]
+
+    @classmethod
+    def of(cls, system: System, excitation: Excitation) -> "SegmentLaws":
+        """The parts of excitation, force and normal forces that consist of segments."""
+        return cls(excitation.base, excitation.ground, system.recorded_loads, system.recorded_normal_forces)
+
+    @property
+    def all(self) -> tuple[SegmentLaw, ...]:
+        return self.base + self.ground + self.force + self.normal
+
+    def segments(self, segment_states: tuple[SegmentState, ...]) -> Segments:
+        """The current segments."""
+        now = tuple(segment_state.segment for segment_state in segment_states)
+        ends = np.cumsum([len(self.base), len(self.ground), len(self.force)])
+        return Segments(now[: ends[0]], now[ends[0] : ends[1]], now[ends[1] : ends[2]], now[ends[2] :])
+
+
+def following_segments(
+    segment_laws: SegmentLaws, segment_states: tuple[SegmentState, ...], t: FloatArray, ended: BoolArray
+) -> tuple[tuple[SegmentState, ...], BoolArray]:
+    """The current segments after time `t`, and whether a base velocity jumped there. `ended`: whether the step reached
+    the end of a segment.
+    """
+    following, jumped = [], jnp.zeros((), bool)
+    for law, segment_state in zip(segment_laws.all, segment_states, strict=True):
+        over = ended & (segment_state.segment.end <= t)
+        new = following_segment(law, segment_state, t.dtype)
+        following.append(jax.tree.map(lambda new, old, over=over: jnp.where(over, new, old), new, segment_state))
+        if law.jumps:  # but not from a value to the same
+            before = segment_state.segment
+            jumped = jumped | (over & (new.segment.value != before.value + before.slope * (before.end - before.begin)))
+    return tuple(following), jumped
+
+
+def to_digits(t: FloatArray, step: FloatArray) -> FloatArray:
+    """The `step` (s) by which the time `t` moves on in fact: what it is rounded by would add up, over many steps."""
+    moves = (t + step) - t
+    return jnp.where(moves > 0, moves, step)
+
+
+# The tracks of a system with several contacts: what sticks are counted of, each contact and all at once.
+
+
+T = TypeVar("T")
+
+
+def of_track(tree: T, system: System) -> T:
+    """The arrays (..., tracks) in `tree`, or of these what the `system` counts alone, if it does."""
+    return (
+        tree if system.counted_track is None else jax.tree.map(lambda of_each: of_each[..., system.counted_track], tree)
+    )
+
+
+def sticks_and_totals(
+    records: StickRecord, totals: Totals, system: System
+) -> tuple[Sticks, Totals, tuple[Sticks, Totals] | None]:
+    """The sticks and totals of one trajectory, and where every contact is counted those of all at once.
+
+    `records`: (records,) or (records, tracks). `totals`: (tracks,), if there are any.
+    """
+    (records, totals), of_all = of_track((records, totals), system), None
+    if system.track_count is not None:  # of what can stick, the last is all contacts at once
+        of_all = (sticks_in_order(jax.tree.map(lambda of_each: of_each[:, -1], records)), _only(totals, -1))
+        records, totals = jax.tree.map(lambda of_each: of_each[:, :-1], records), _only(totals, slice(-1))
+    return sticks_in_order(records), totals, of_all
+
+
+def _only(totals: Totals, part: int | slice) -> Totals:
+    return jax.tree.map(lambda of_each: of_each[part], totals)
+
+
+# The extreme of a number of the state over time, where the motion is known as a function of time inside each step.
+#
+# It is at the beginning of a step, at the end of the last, or inside a step where the slope is zero. There it is found
+# by the slope's sign at a few instants, and then by secants with a bisection now and then. The instants need no
+# derivative: an extreme at an inner instant moves, to first order, as the value there does (envelope theorem), and one
+# at the beginning of a step as the state there does, events included.
+
+
+_Step = TypeVar("_Step")
+Inside = Callable[[_Step, FloatArray], tuple[FloatArray, FloatArray]]
+"""The number and its slope at some time (s) after the beginning of a step."""
+
+# Fractions of a step between which the slope's sign is looked at: fine near the beginning, where a motion may die out.
+_INSTANTS = (0.0, 2.0**-12, 2.0**-7, 2.0**-4, 0.25, 0.5, 0.75, 1.0)
+_TRIES = 12  # the value's error is that of the instant squared
+
+
+def largest_in_steps(
+    inside: Inside[_Step], steps: _Step, starts: FloatArray, lengths: FloatArray, last: FloatArray
+) -> FloatArray:
+    """The largest value over all steps, of which `inside` gives the number, and of the `last` value.
+
+    Args:
+        inside: Of one step.
+        steps: The data of the steps, along a first axis.
+        starts: The values at the beginnings of the steps, (steps,).
+        lengths: Of the steps, s, (steps,); 0 for those that were only tried.
+        last: The value at the end of the last step.
+    """
+    fixed, where = without_derivatives((steps, lengths))
+    at = lax.stop_gradient(_instants(jax.vmap(inside), fixed, where))
+    values, _ = jax.vmap(inside)(steps, at)
+    return jnp.maximum(jnp.max(jnp.maximum(values, starts)), last)
+
+
+def _instants(inside: Inside[_Step], steps: _Step, lengths: FloatArray) -> FloatArray:
+    """The time since the beginning of each step at which an inner maximum is largest; 0 if there is none.
+
+    `inside`: of all steps at once. It stands in the program twice, for it takes long to compile.
+    """
+    h = jnp.asarray(_INSTANTS, lengths.dtype)[:, None] * lengths[None]
+    values, slopes = lax.map(lambda at: inside(steps, at), h)
+    turns = (slopes[:-1] > 0) & (slopes[1:] < 0)
+    # Of several turns the one beside the largest value.
+    beside = jnp.where(turns, jnp.maximum(values[:-1], values[1:]), -jnp.inf)
+    chosen = jnp.argmax(beside, axis=0)[None]
+    low, high = (jnp.take_along_axis(ends, chosen, 0)[0] for ends in (h[:-1], h[1:]))
+    above, below = (jnp.take_along_axis(ends, chosen, 0)[0] for ends in (slopes[:-1], slopes[1:]))
+
+    def narrow(number: Array, bracket: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
+        low, high, above, below, _ = bracket
+        fall = above - below
+        secant = low + (high - low) * jnp.where(fall > 0, above / jnp.where(fall > 0, fall, 1), 0.5)
+        at = jnp.where(number % 4 == 3, 0.5 * (low + high), secant)  # the Illinois rule, and halving
+        _, here = inside(steps, at)
+        rises = here > 0
+        # An end that stays has its slope halved, so that the other end moves next.
+        return (
+            jnp.where(rises, at, low),
+            jnp.where(rises, high, at),
+            jnp.where(rises, here, 0.5 * above),
+            jnp.where(rises, 0.5 * below, here),
+            at,
+        )
+
+    *_, found = lax.fori_loop(0, _TRIES, narrow, (low, high, above, below, 0.5 * (low + high)))
+    return jnp.where(jnp.any(turns, axis=0), found, 0)
+
+
+# A scan of fixed length that stops early, for trajectories whose number of steps is not known in advance.
+
+
+CHECK_EVERY = 32
+"""Steps between two checks whether all lanes of a batch have ended."""
+
+_Carry = TypeVar("_Carry")
+_Record = TypeVar("_Record")
+
+
+def stopping_scan(
+    step: Callable[[_Carry, IntArray], tuple[_Carry, _Record]],
+    start: _Carry,
+    number: int,
+    is_over: Callable[[_Carry, IntArray], BoolArray],
+    idle_record: Callable[[_Carry], _Record],
+) -> tuple[_Carry, _Record]:
+    """``lax.scan(step, start, arange(number))``, idle once ``is_over(carry, index)`` holds in all lanes of a batch.
+
+    `number` is rounded up to a multiple of `CHECK_EVERY`. An idle step leaves the carry unchanged and records
+    ``idle_record(carry)``.
+    """
+
+    def run(carry, first):
+        return lax.scan(step, carry, first + jnp.arange(CHECK_EVERY, dtype=jnp.int32))
+
+    def rest(carry, _):
+        record = idle_record(carry)
+        return carry, jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (CHECK_EVERY, *jnp.shape(leaf))), record)
+
+    def run_or_rest(carry, first):
+        # One condition for the whole batch: with one per lane, vmap would always compute both branches.
+        over = eqxi.unvmap_all(lax.stop_gradient(is_over(carry, first)))
+        # Reverse mode keeps only the start of these steps and computes them again: that takes less time and far less
+        # memory than keeping every intermediate value.
+        return lax.cond(over, rest, jax.checkpoint(run), carry, first)
+
+    firsts = jnp.arange(-(-number // CHECK_EVERY), dtype=jnp.int32) * CHECK_EVERY
+    carry, records = lax.scan(run_or_rest, start, firsts)
+    return carry, jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), records)
+
+
+def padded_length(number: int) -> int:
+    """`number` rounded up to ``2^k`` or ``1.5 * 2^k``, at least `CHECK_EVERY`: few lengths are compiled."""
+    size = max(CHECK_EVERY, 1 << (number - 1).bit_length())
+    return size * 3 // 4 if size * 3 // 4 >= max(number, CHECK_EVERY) else size
+
+
+# Whether a trajectory in time steps has ended, and why.
+
+
+def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
+    """The `Status` of a trajectory that has ended or is given up."""
+    finite = jnp.isfinite(lane.t + t1)
+    for value in lane.y:
+        finite = finite & _all(jnp.isfinite(value))
+    unfinished = jnp.where(is_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
+    code = jnp.where(finite, jnp.where(lane.t < t1, unfinished, Status.FINISHED), Status.NOT_FINITE)
+    for segment_state in lane.segment_states:  # one that cannot be may have made the state infinite
+        code = jnp.where(is_invalid(segment_state) & ~(lane.t >= t1), Status.BASE_INVALID, code)
+    return code.astype(jnp.int8)
+
+
+def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
+    """Whether the trajectory has ended: by the horizon, the end of the base motion, a NaN, or too many loop steps."""
+    finite = jnp.ones((), bool)
+    for value in lane.y:
+        finite = finite & _all(jnp.isfinite(value))
+    return ~(lane.t < t1) | is_spent(lane) | (lane.steps >= most_steps) | ~finite
+
+
+def is_short(status: Any) -> bool:
+    """Whether a trajectory, or one of a batch, ran out of steps; False where the status is traced."""
+    with suppress(NotKnown):
+        return largest(status == Status.OUT_OF_STEPS) > 0
+    return False
+
+
+def is_spent(lane: Any) -> BoolArray:
+    """Whether some part of the excitation has no further segment."""
+    spent = jnp.zeros((), bool)
+    for segment_state in lane.segment_states:
+        spent = spent | segment_state.spent
+    return spent
+
+
+def _all(each: BoolArray) -> BoolArray:
+    return each if each.ndim == 0 else jnp.all(each)

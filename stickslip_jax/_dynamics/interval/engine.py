@@ -1,19 +1,46 @@
-"""Lanes of the interval engine: a step is a whole base interval, drawn when it is simulated."""
+"""The interval engine: lanes in which a step is a whole interval of the base, motion over given intervals, and one
+trajectory with its states.
+"""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.custom_batching import custom_vmap
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array
 
-from ..._compiler import computed_once
-from ..._events.sticks import StickRecord, Totals, count_slips, start_totals
-from ..._excitation.piecewise_constant import PiecewiseConstantLaw
+from ..._compiler import computed_once, native_loop, native_loops_work
+from ..._events.sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, count_slips, start_totals, sticks_of
+from ..._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
+from ..._excitation.segments import Segment, marked
+from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
 from ..._systems.mass_spring import MassSpring
-from ..._types import Array, BoolArray, IntArray, Number, Scalar
-from ..common.engine import Engine, SampleTotals
+from ..._systems.switched_model import Segments, State
+from ..common.lanes import Engine, SampleTotals
+from ..common.path import Path, Run
 from .arcs import Scales
-from .crossing import Motion, cross_interval, scales_of, start_motion, status_of, sticks_at_start
-from .ties import starts_at_edge
+from .crossing import (
+    LAST_LEFT,
+    Motion,
+    cross_interval,
+    cross_live_interval,
+    is_tie,
+    largest_in_interval,
+    run_intervals,
+    scales_of,
+    start_motion,
+    starts_at_edge,
+    status_of,
+    sticks_at_start,
+)
+
+# Lanes of the interval engine: a step is a whole base interval, drawn when it is simulated.
 
 
 class _Sample(NamedTuple):
@@ -85,3 +112,335 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
 def is_over(motion: Motion, before: Motion, t1: Scalar) -> BoolArray:
     """Whether a sample reached the horizon, had no further interval since `before`, or has a NaN time."""
     return ~(motion.t < jnp.asarray(t1, motion.t.dtype)) | (motion.t <= before.t)
+
+
+# Motion over given base intervals: one trajectory, which ``jax.vmap`` turns into blocks of lanes.
+#
+# XLA runs a vmapped loop over intervals operation by operation, each over all samples, and over all slots for
+# intervals. Here a vmapped trajectory becomes blocks of lanes whose arrays stay in the cache; a block is one native
+# loop, which ends with its last lane. Such a loop has no reverse mode. So derivatives with respect to scalars
+# (parameters of the system and the initial state) are computed in forward mode along with the motion: the tangents of
+# the results are sums of stored slopes, which JAX transposes for reverse mode. Derivatives with respect to the base
+# (its durations or velocities) go through `run_intervals`.
+#
+# Three functions, `final_motion`, `ordered_sticks` and `beginnings`, so that results that are not used cost nothing.
+
+
+_LANES = 256  # of a block
+_What = Literal["final", "sticks", "beginnings"]
+_ASKED: dict[_What, tuple[str, ...]] = {"final": (), "sticks": ALL, "beginnings": (LAST_LEFT,)}  # quantities of a stick
+
+
+class Given(NamedTuple):
+    """The scales and initial state of a trajectory, and the durations (s) and velocities (m/s) of its base's intervals,
+    (intervals,). For many lanes, each leaf has the lanes as its first axis.
+    """
+
+    scales: Scales
+    y0: tuple[Array, Array]  # position (m) and velocity (m/s)
+    durations: Array
+    velocities: Array
+
+
+class _Block(NamedTuple):
+    """Loop state of a block of lanes: the number of intervals crossed, the state and sums of each lane, and what is
+    kept of each interval: `StickRecord` (intervals, lanes), `Beginnings` (lanes, intervals) or nothing.
+    """
+
+    crossed: IntArray
+    motion: Motion
+    totals: Totals
+    kept: Any
+
+
+class Beginnings(NamedTuple):
+    """The state at the beginning of each interval, and the number of intervals in which round-off decided."""
+
+    motion: Motion
+    near_grazing_count: IntArray
+
+
+def final_motion(given: Given) -> tuple[Motion, Totals]:
+    """The state at the end of one trajectory, and the sums over its sticks."""
+    return _follow("final", given)
+
+
+def ordered_sticks(given: Given) -> StickRecord:
+    """The sticks of one trajectory in order of time, in slots (intervals,), as `closed_up` returns them."""
+    return _follow("sticks", given)
+
+
+def beginnings(given: Given) -> Beginnings:
+    """The state at the beginning of each interval of one trajectory, (intervals,), and what `is_tie` finds in them."""
+    return _follow("beginnings", given)
+
+
+def _follow(what: _What, given: Given) -> Any:
+    return _fast(what, given) if native_loops_work() else _plain(what, given)
+
+
+def _plain(what: _What, given: Given) -> Any:
+    """One scan over all intervals, which every transformation of JAX supports."""
+    start = start_motion(given.scales, given.y0, _ASKED[what])
+    motion, totals, records, began, brief = run_intervals(given.scales, start, given.durations, given.velocities)
+    if what == "final":
+        return motion, totals
+    if what == "sticks":
+        return closed_up(records)
+    ties = jax.vmap(is_tie, (None, 0, 0, 0))(given.scales, began, given.durations, given.velocities)
+    return Beginnings(began, jnp.sum(ties | brief, dtype=jnp.int32))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _fast(what: _What, given: Given) -> Any:
+    return _only_lane(_lanes_of(what)(_one_lane(given)))
+
+
+@partial(_fast.defjvp, symbolic_zeros=True)
+def _fast_jvp(what: _What, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Any, Any]:
+    (given,), (direction,) = primals, tangents
+    if not (_is_zero(direction.durations) and _is_zero(direction.velocities)):
+        whole = jax.tree.map(_instantiated, given, direction, is_leaf=_is_zero)
+        return jax.jvp(partial(_plain, what), (given,), (whole,))
+    changes = _numbers_of(direction)
+    moved = tuple(not _is_zero(change) for change in changes)
+    out, slopes = _only_lane(_lanes_with_slopes(what, moved)(_one_lane(given)))
+    slopes = iter(slopes)
+
+    def tangent(value):
+        if not jnp.issubdtype(value.dtype, jnp.floating):
+            return np.zeros(value.shape, jax.dtypes.float0)
+        columns = next(slopes)
+        chosen = (change for change in changes if not _is_zero(change))
+        return sum((change * columns[k] for k, change in enumerate(chosen)), jnp.zeros_like(value))
+
+    return out, jax.tree.map(tangent, out)
+
+
+def _numbers_of(given: Given) -> list[Any]:
+    return jax.tree.leaves((given.scales, given.y0), is_leaf=_is_zero)
+
+
+def _with_numbers(given: Given, numbers: list[Any]) -> Given:
+    scales, y0 = jax.tree.unflatten(jax.tree.structure((given.scales, given.y0)), numbers)
+    return given._replace(scales=scales, y0=y0)
+
+
+def _is_zero(leaf: Any) -> bool:
+    return isinstance(leaf, SymbolicZero)
+
+
+def _instantiated(value: Array, tangent: Any) -> Array:
+    return jnp.zeros_like(value) if _is_zero(tangent) else tangent
+
+
+def _one_lane(given: Given) -> Given:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], given)
+
+
+def _only_lane(results: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf[0], results)
+
+
+@cache
+def _lanes_of(what: _What) -> Callable[[Given], Any]:
+    return _for_any_batch(partial(_run_block, what))
+
+
+@cache
+def _lanes_with_slopes(what: _What, moved: tuple[bool, ...]) -> Callable[[Given], Any]:
+    """Results, and a list of the slopes (lanes, numbers, ...) of the real ones with respect to the numbers `moved`."""
+
+    def run(given: Given) -> Any:
+        numbers = _numbers_of(given)
+        basis = jnp.eye(sum(moved), dtype=given.durations.dtype)
+
+        def along(direction):
+            entries = iter(direction)
+            change = [
+                jnp.full_like(n, next(entries)) if m else jnp.zeros_like(n) for n, m in zip(numbers, moved, strict=True)
+            ]
+            out, slopes = jax.jvp(lambda ns: _run_block(what, _with_numbers(given, ns)), (numbers,), (change,))
+            real = [leaf for leaf in jax.tree.leaves(slopes) if leaf.dtype != jax.dtypes.float0]
+            return out, real
+
+        return jax.vmap(along, out_axes=(None, 1))(basis)
+
+    return _for_any_batch(run)
+
+
+def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
+    """`run_block` for any number of lanes, block by block; under vmap the new axis becomes more lanes."""
+
+    def run(given: Given) -> Any:
+        lanes = given.durations.shape[0]
+        blocks = -(-lanes // _LANES)
+        if blocks == 1:
+            return run_block(given)
+        width = 8 * -(-lanes // (8 * max(blocks, 1)))
+
+        def add_block(number, results):
+            # The last block starts among lanes of the block before, whose results come out the same again.
+            first = jnp.minimum(number * width, lanes - width)
+            block = run_block(jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, first, width), given))
+            return jax.tree.map(lambda old, new: lax.dynamic_update_slice_in_dim(old, new, first, 0), results, block)
+
+        some = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((max(width, 1), *leaf.shape[1:]), leaf.dtype), given)
+        shapes = jax.eval_shape(run_block, some)
+        buffer = jax.tree.map(lambda leaf: jnp.zeros((lanes, *leaf.shape[1:]), leaf.dtype), shapes)
+        return lax.fori_loop(0, blocks, add_block, buffer) if lanes else buffer
+
+    mapped = custom_vmap(run)
+
+    @mapped.def_vmap
+    def _more_lanes(size, batched, given):
+        (batched,) = batched  # one entry per argument
+        if not any(jax.tree.leaves(batched)):
+            out = run(given)
+            return out, jax.tree.map(lambda _: False, out)
+        each = jax.tree.map(
+            lambda leaf, has: leaf if has else jnp.broadcast_to(leaf, (size, *leaf.shape)), given, batched
+        )
+        lanes = given.durations.shape[batched.durations]
+        out = mapped(jax.tree.map(lambda leaf: leaf.reshape(size * lanes, *leaf.shape[2:]), each))
+        parted = jax.tree.map(lambda leaf: leaf.reshape(size, lanes, *leaf.shape[1:]), out)
+        return parted, jax.tree.map(lambda _: True, out)
+
+    return mapped
+
+
+def _run_block(what: _What, given: Given) -> Any:
+    """The results of a block of lanes; all leaves have the lanes as their first axis."""
+    durations = given.durations
+    start = jax.vmap(partial(start_motion, quantities=_ASKED[what]))(given.scales, given.y0)
+    totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, start.t.shape), start_totals(durations.dtype))
+    buffer: Any = jnp.zeros_like(durations)
+    began = Beginnings(jax.tree.map(lambda _: buffer, start), totals.sticks)
+    buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": began}[what]
+    block = _Block(jnp.zeros((), jnp.int32), start, totals, buffer)
+    block = _cross_all(given.scales, durations, given.velocities, block)
+    if what == "final":
+        return block.motion, block.totals
+    if what == "sticks":
+        return _close_up(block.kept, _no_sticks(jnp.full_like(durations, jnp.nan)), block.crossed)
+    later = jnp.arange(durations.shape[1]) >= block.crossed
+    began = jax.tree.map(lambda kept, last: jnp.where(later, last[:, None], kept), block.kept.motion, block.motion)
+    return block.kept._replace(motion=began)
+
+
+def _no_sticks(times: Array) -> StickRecord:
+    return StickRecord(times, times, times, dict.fromkeys(QUANTITIES, times), jnp.full(times.shape, -1, jnp.int8))
+
+
+@native_loop
+def _cross_all(scales: Scales, durations: Array, velocities: Array, block: _Block) -> _Block:
+    """Cross interval by interval until no lane is short of the horizon."""
+
+    def cross(block):
+        number = block.crossed
+        base = _column(durations, number), _column(velocities, number)
+        motion, totals, record, brief = jax.vmap(cross_live_interval)(scales, block.motion, block.totals, *base)
+        kept = block.kept
+        if isinstance(kept, StickRecord):
+            kept = jax.tree.map(lambda old, row: lax.dynamic_update_index_in_dim(old, row, number, 0), kept, record)
+        elif isinstance(kept, Beginnings):
+            began = jax.tree.map(
+                lambda old, new: lax.dynamic_update_index_in_dim(old, new, number, 1), kept.motion, block.motion
+            )
+            ties = jax.vmap(is_tie)(scales, block.motion, *base)
+            kept = Beginnings(began, kept.near_grazing_count + (ties | brief))
+        return _Block(number + 1, motion, totals, kept)
+
+    def goes_on(block):
+        return (block.crossed < durations.shape[1]) & ~jnp.all(block.motion.t >= scales.t1)
+
+    return lax.while_loop(goes_on, cross, block)
+
+
+@computed_once  # neighbours in a column lie far apart in memory: read each once
+def _column(table: Array, number: IntArray) -> Array:
+    return lax.dynamic_index_in_dim(table, number, 1, keepdims=False)
+
+
+@native_loop
+def _close_up(records: StickRecord, buffer: StickRecord, crossed: IntArray) -> StickRecord:
+    """The sticks among the first records (intervals, lanes), put into the first slots of `buffer` (lanes, slots)."""
+
+    def put(number, carry):
+        lane, buffer, count = carry
+        is_stick = records.ending[number, lane] >= 0
+
+        def move(old, column):
+            # An interval without a stick leaves the slot empty, for the next.
+            spare = jnp.asarray(-1 if column.dtype == jnp.int8 else jnp.nan, column.dtype)
+            entry = jnp.where(is_stick, lax.dynamic_slice(column, (number, lane), (1, 1)), spare)
+            return lax.dynamic_update_slice(old, entry, (lane, count))
+
+        return lane, jax.tree.map(move, buffer, records), count + is_stick
+
+    def close_lane(lane, buffer):
+        return lax.fori_loop(jnp.int32(0), crossed, put, (lane, buffer, jnp.zeros((), jnp.int32)))[1]
+
+    return lax.fori_loop(jnp.int32(0), jnp.int32(records.ending.shape[1]), close_lane, buffer)
+
+
+# One trajectory in closed form over base intervals, and the state along it.
+
+
+class IntervalPath(Path):
+    """Path given by the states at the beginnings of the base intervals."""
+
+    system: MassSpring
+    base: VelocitySteps
+    t1: Scalar
+    beginnings: Motion
+
+    @property
+    def times(self) -> Array:
+        return self.beginnings.t
+
+    def state(self, time: FloatArray) -> State:
+        scales = scales_of(self.system, self.t1, time.dtype)
+        began, velocity = jax.tree.map(
+            lambda values: values[self._index(time)], (self.beginnings, self.base.velocities)
+        )
+        motion, *_ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
+        return motion.x, motion.v
+
+    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
+        dtype = final.dtype
+        scales = scales_of(self.system, self.t1, dtype)
+        of_interval = partial(largest_in_interval, scales, of_velocity=number == 1, sign=sign)
+        durations, velocities = (jnp.asarray(one, dtype) for one in (self.base.durations, self.base.velocities))
+        found = jnp.max(jax.vmap(of_interval)(self.beginnings, durations, velocities))
+        return jnp.maximum(found, sign * final)
+
+    @property
+    def smooth(self) -> None:
+        return None
+
+    def segments(self, time: FloatArray) -> Segments:
+        index = self._index(time)
+        begin, velocity = self.beginnings.t[index], self.base.velocities[index].astype(time.dtype)
+        here = Segment(begin, begin + self.base.durations[index].astype(time.dtype), velocity, jnp.zeros_like(velocity))
+        return Segments((here,), (), ())
+
+    def _index(self, time: FloatArray) -> Array:
+        # Of intervals with the same beginning (empty slots of no length), the last is the one with a length.
+        return jnp.clip(jnp.searchsorted(self.beginnings.t, time, side="right") - 1, 0)
+
+
+@partial(jax.jit, static_argnames="dtype")
+def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Number, ...], dtype) -> Run:
+    """One trajectory in closed form, interval by interval."""
+    scales = scales_of(system, t1, dtype)
+    # Nothing after t1 matters; cutting durations here keeps infinities out of the arithmetic.
+    durations = marked(jnp.where(base.durations >= t1, t1, base.durations), base.velocities).astype(dtype)
+    start = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
+    given = Given(scales, start, durations, base.velocities.astype(dtype))
+    final, totals = final_motion(given)
+    final_state = (final.x, final.v)
+    began = beginnings(given)
+    path = IntervalPath(system, base, t1, began.motion)
+    sticks = sticks_of(ordered_sticks(given))
+    return Run(sticks, totals, status_of(final, scales.t1), final.t, final_state, began.near_grazing_count, path)

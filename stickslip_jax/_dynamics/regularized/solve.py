@@ -1,30 +1,236 @@
-"""Regularised motion of one trajectory in adaptive steps, by diffrax."""
+"""Regularised motion of one trajectory: its settings, steps of fixed length, and adaptive steps by diffrax."""
 
+import math
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
+from jaxtyping import Array
 
-from ... import _diffrax as diffrax
-from ..._events.sticks import StickRecord
+from ..._compiler import sharing
+from ..._events.sticks import ALL, StickRecord, no_stick
 from ..._excitation.excitation import Excitation
-from ..._excitation.segment_table import SegmentTable
-from ..._numerics.over_contacts import any_of
-from ..._status import Status
-from ..._systems.switched_model import Segments
+from ..._excitation.segments import SegmentState, SegmentTable
+from ..._foundation import checks
+from ..._foundation import lazy_diffrax as diffrax
+from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar, Status
+from ..._numerics.derivatives import NotKnown, largest, smallest
+from ..._numerics.matrices import any_of
+from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
-from ..._types import Array, BoolArray, FloatArray, IntArray, Number, Scalar
-from ..common.method import Regularized
-from ..common.segments import SegmentLaws
-from .contacts_field import ContactsField
-from .controller import step_control
-from .field import Field
-from .inner_field import InnerField
-from .joined_sticks import JoiningDetector, detect_joined, start_joining
-from .stepping import Passage
-from .stick_detector import Criterion
+from ..common.method import Regularized, accurate_step, step_for
+from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
+from .field import ContactsField, Field, InnerField
+from .implicit_step import Switch
+from .sticks import Criterion, JoiningDetector, Step, StickDetector, detect_joined, hermite, start_joining
+
+# The step-size control of adaptive steps, by diffrax.
+
+
+def step_control(rtol: Any, atol: Any, longest: FloatArray, jumps: Array | None, *, is_very_stiff: bool) -> Any:
+    """Control by the tolerances, with steps of at most `longest` (s) that end at the instants `jumps` (s), if any.
+
+    The first stage of a very stiff step, computed anew from the state, would be its round-off enlarged: without jumps
+    no trajectory of a batch needs it.
+    """
+    control = diffrax.PIDController(rtol=rtol, atol=atol, dtmax=longest)
+    return control if is_very_stiff and jumps is None else _class()(control, jump_ts=jumps)
+
+
+@cache
+def _class() -> Any:
+    """The class of the control, made when diffrax is first needed."""
+    clipped: Any = diffrax.ClipStepSizeController
+
+    class EveryStageControl(clipped):
+        """A control after whose steps the solver computes the first stage of the next one anew.
+
+        By itself it takes that stage from the step before, unless there was a jump in between, in any trajectory of the
+        batch: the two differ in the last digits of implicit solvers, and each sample would depend on its neighbours.
+        """
+
+        def adapt_step_size(self, *args: Any) -> Any:
+            keeps, t0, t1, _, state, result = super().adapt_step_size(*args)
+            return keeps, t0, t1, True, state, result
+
+    return EveryStageControl
+
+
+# Steps that end where static friction takes hold of the mass or lets it go.
+#
+# Where static friction exceeds kinetic friction, a step that passes such an instant goes wrong by more than its length:
+# a mass that jumps over the narrow band of relative velocities in which static friction holds it slides on for good. So
+# the step is tried again, shortened to end at that instant. The instants carry derivatives: those of the motion after a
+# release depend on when it was.
+
+
+_SAME = 1e-6  # of the change of the needed friction in a step: so near to the limit counts as there
+_ULPS = 16
+_NEAR = 0.98  # of a step: a passage that soon is at its end
+
+
+def shortened(step: Step, band: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Whether the step must be tried again, and its new length, s.
+
+    `band`: the relative speed below which static friction can hold the mass, m/s.
+    """
+    before, after = _side(step.r0, band), _side(step.r1, band)
+    # Bounded measures of the needed friction, 1/2 at its limit.
+    holds, held = 1 / (1 + step.need0) - 0.5, 1 / (1 + step.need1) - 0.5
+    least = _SAME * jnp.abs(holds - held) + _ULPS * jnp.finfo(step.h.dtype).eps
+    released = (before == 0) & (holds > least) & (held < -least)
+    # While less than static friction is needed, no mass leaves the band.
+    strays = (before == 0) & (after != 0) & (held > -least) & (holds > least)
+
+    # Where it slid slowest; if it slid the other way, it was in the band.
+    falls, rises = -before * step.slope0, before * step.slope1
+    turns = (before != 0) & (before == after) & (falls > 0) & (rises > 0)
+    lowest_at = jnp.where(turns, step.h * falls / jnp.where(turns, falls + rises, 1), step.h)
+    lowest = jnp.where(turns, hermite(lowest_at, step.h, step.r0, step.slope0, step.r1, step.slope1), step.r1)
+    crosses = (before != 0) & ((before == -after) | turns) & (before * lowest < 0)
+
+    # Where more than static friction is needed, it only passes the band.
+    soon = jnp.abs(step.r0) / jnp.where(falls > 0, falls, 1)
+    passes = (before != 0) & (after == 0) & (held < -least) & (falls > 0) & (soon < _NEAR * step.h)
+
+    until_release = step.h * _share(released, holds, -held)
+    until_zero = lowest_at * _share(crosses, jnp.abs(step.r0), jnp.abs(lowest))
+    length = jnp.where(passes, soon, jnp.where(crosses, until_zero, step.h / 2))
+    return released | strays | crosses | passes, jnp.where(released, until_release, length)
+
+
+def _side(speed: FloatArray, band: FloatArray) -> FloatArray:
+    return jnp.where(jnp.abs(speed) > band, jnp.sign(speed), 0)
+
+
+def _share(chosen: BoolArray, one: FloatArray, other: FloatArray) -> FloatArray:
+    """``one / (one + other)``."""
+    return jnp.where(chosen, one, 0) / jnp.where(chosen, one + other, 1)
+
+
+# Regularised motion of one trajectory in steps of fixed length; the caller makes batches with ``jax.vmap``.
+#
+# A step ends early where a segment of the base motion or of the load ends, so that it never crosses a jump. Adaptive
+# steps: `solve.py`.
+
+
+_GROWTH = 8  # of a step that was shortened, at most
+_SAFETY, _LEAST_ERROR = 0.9, 1e-3
+
+
+class FixedLane(NamedTuple):
+    """Loop state of one trajectory; `has_ended` and `status_of_lane` of the switched engine accept it too.
+
+    `limit`: of the next step, s, by the error of the last one and by what static friction holds or lets go; None where
+    all steps may be as long as the given one.
+    """
+
+    t: FloatArray
+    y: State
+    steps: IntArray
+    detector: StickDetector
+    segment_states: tuple[SegmentState, ...]
+    limit: FloatArray | None
+
+
+class Passage(NamedTuple):
+    """Record of a step for the `CubicPath`: its beginning, the state there, and the rates at both ends."""
+
+    t: FloatArray
+    y: State
+    rates: State
+    end_rates: State
+
+
+def nothing_seen(numbers: State, contacts: int | None) -> tuple[StickRecord, Passage]:
+    """The records of an idle step, for a trajectory with `numbers` of its state like these and so many contacts."""
+    none = tuple(jnp.zeros_like(value) for value in numbers)
+    return no_stick(none[0].dtype, ALL, () if contacts is None else (contacts + 1,)), Passage(none[0], none, none, none)
+
+
+def start_fixed(
+    field: Field | ContactsField,
+    segment_laws: SegmentLaws,
+    criterion: Criterion,
+    segment_states: tuple[SegmentState, ...],
+    y0: tuple,
+    dtype,
+    quantities: tuple[str, ...],
+) -> FixedLane:
+    """The lane at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
+    zero, y = jnp.zeros((), dtype), field.model.start(y0, dtype)
+    forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
+    limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
+    detector = field.start_detector(criterion, forcing, y, quantities)
+    return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
+
+
+@sharing
+def advance_fixed(
+    field: Field | ContactsField,
+    segment_laws: SegmentLaws,
+    criterion: Criterion,
+    t1: FloatArray,
+    step: FloatArray,
+    most_steps: IntArray,
+    lane: FixedLane,
+) -> tuple[FixedLane, StickRecord, Passage]:
+    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `Passage`.
+
+    The step may be rejected, for its error or where static friction exceeds kinetic friction: the lane stays, and tries
+    a shorter one.
+    """
+    forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
+    live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps) & ~any_of(jnp.isnan(lane.y[0]))
+    stop = t1
+    for segment_state in lane.segment_states:
+        stop = jnp.minimum(stop, segment_state.segment.end)
+    left = jnp.where(live, stop - lane.t, 0)
+    longest = step if lane.limit is None else jnp.minimum(step, lane.limit)
+    # A little more than one step, so that no last step of a few units in the last place remains.
+    to_stop = longest * (1 + 1e-6) >= left
+    h = jnp.where(to_stop, left, to_digits(lane.t, longest))
+    band = field.band(forcing, lane.t, lane.y)
+    y, error = field.step(forcing, lane.y, h, band)
+    seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)
+    # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `NOT_FINITE`.
+    known = ~any_of(~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)))
+    y = (jnp.where(known, y[0], jnp.nan), *y[1:])
+
+    t = jnp.where(to_stop, stop, lane.t + h)
+    segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
+    after = field.contact(field.model.forcing(t, segment_laws.segments(segment_states)), t, y)
+    detector, record = field.detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1)
+    moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
+    accepted = live
+    if lane.limit is not None:
+        inaccurate, change = (jnp.zeros((), bool), _GROWTH) if error is None else _judged(error)
+        again, length = inaccurate, lax.stop_gradient(h * change)
+        if band is not None:
+            passes, until = shortened(seen, band)
+            again, length = inaccurate | passes, jnp.where(inaccurate, length, until)
+        accepted = live & ~again
+        stays = lane._replace(steps=lane.steps + 1, limit=length)
+        moved = moved._replace(limit=jnp.minimum(lax.stop_gradient(longest * change), step))
+        moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
+    moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
+    record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
+    return moved, record, Passage(lane.t, *map(field.model.numbers, (lane.y, rates, end_rates)))
+
+
+def _judged(error: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Whether a step of this `error`, over the allowed one, is too inaccurate, and how many times as long the next one
+    may be.
+    """
+    return error > 1, jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)
+
+
+# Regularised motion of one trajectory in adaptive steps, by diffrax.
+
 
 CLOSING = 2
 """Steps of no length after the last, at most: see `detect_joined`."""
@@ -234,3 +440,141 @@ def detect_in_step(
 def status_of(solution: Solution, detector: JoiningDetector) -> IntArray:
     """How a solution ended whose steps the `detector` has seen."""
     return jnp.where(any_of(jnp.isnan(detector.totals.stick_time)), jnp.int8(Status.NOT_FINITE), solution.status)
+
+
+# Defaults of a regularised simulation: thresholds and tolerances from the scales of the system.
+
+
+ADAPTIVE_STEPS, MORE = 2**14, 8
+"""Adaptive steps of a trajectory, and how many times as many where they are too few; twice."""
+_TRIES, _FEW = 2, 256  # of shortened steps
+_SLOW = 1e-3  # of the velocity that friction changes: the threshold of laws with an inner state
+
+
+def resolved(system: System, excitation: Excitation, method: Regularized, dtype) -> Regularized:
+    """`method` with every option filled in, its numbers as arrays of `dtype`.
+
+    Raises ValueError where an option is needed because the system's scales are not known.
+    """
+    if system.ages:
+        raise ValueError(
+            "Argument method must be Exact(...) for friction that grows while a stick lasts, but "
+            f"{checks.show(method)} was given: smoothed friction has no stick whose age is known."
+        )
+    inner = bool(system.inner_laws)
+    _check_width(method, inner)
+    check_contacts(system, method)
+    width = None if method.width is None else jnp.asarray(method.width, dtype)
+    speed, deceleration = system.contact_scales
+    # Static friction above kinetic friction holds a mass up to one width.
+    known = width if system.static_exceeds_kinetic and not inner else speed
+    scales = {"threshold": known, "minimum_duration": deceleration}
+    for name, known in scales.items():
+        if getattr(method, name) is None and known is None:
+            own = "; or give it the properties speed_scale and shortest_time" if hasattr(system, "speed_scale") else ""
+            raise ValueError(
+                f"Argument method must give the {name}, Regularized(..., {name}=...), because the velocities of a "
+                f"{type(system).__name__} are not known{own}."
+            )
+    threshold = method.threshold
+    if threshold is None:
+        if width is None:
+            threshold = _SLOW * jnp.asarray(speed)
+        else:
+            held = system.static_exceeds_kinetic
+            threshold = width if held else Switch(width, method.shape).creep(jnp.asarray(speed))
+    duration = method.minimum_duration
+    if duration is None:
+        assert deceleration is not None
+        # Without friction nothing sticks, however slowly the mass passes through.
+        slows = jnp.asarray(deceleration) > 0
+        never = min(checks.LARGEST, float(jnp.finfo(dtype).max))
+        duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), never)
+        duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
+    adaptive = method.step is None
+    scales = _state_scales(system, excitation, dtype)
+    atol = method.rtol * scales if method.atol is None else method.atol
+    if np.shape(atol) not in ((), scales.shape):
+        raise ValueError(
+            f"Argument atol must be one number, or one for each of the {len(scales)} states, but an array of shape "
+            f"{np.shape(atol)} was given."
+        )
+    return Regularized(
+        width,
+        method.shape,
+        step=None if adaptive else jnp.asarray(method.step, dtype),
+        solver=diffrax.Kvaerno3() if adaptive and method.solver is None else method.solver,
+        rtol=jnp.asarray(method.rtol, dtype),
+        atol=jnp.asarray(atol, dtype),
+        max_steps=method.max_steps,
+        threshold=jnp.asarray(threshold, dtype),
+        minimum_duration=jnp.asarray(duration, dtype),
+        adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,
+    )
+
+
+def _check_width(method: Regularized, inner: bool) -> None:
+    """Check the width, and the step of laws with an inner state. Raises ValueError for what does not fit."""
+    if inner and (method.width is not None or method.step is not None):
+        raise ValueError(
+            "Argument method must be Regularized() without a width and a step for friction laws with an inner state, "
+            f"which are smooth by themselves and stiff, but {checks.show(method)} was given."
+        )
+    if not inner and method.width is None:
+        raise ValueError(
+            "Argument width must be positive (in m/s), but None was given; only friction laws with an inner state, "
+            "such as LuGre, need none."
+        )
+
+
+def check_contacts(system: System, method: Regularized) -> None:
+    """Check what several contacts cannot have. Raises ValueError for it."""
+    contacts = system.contact_count
+    for name in ("threshold", "minimum_duration"):
+        shape = np.shape(getattr(method, name)) if getattr(method, name) is not None else ()
+        if shape not in ((),) + (() if contacts is None else ((contacts,),)):
+            each = "" if contacts is None else f", or one for each of the {contacts} contacts"
+            raise ValueError(f"Argument {name} must be one number{each}, but an array of shape {shape} was given.")
+    if contacts is not None and method.step is not None and system.static_exceeds_kinetic:
+        raise ValueError(
+            "Argument method must be Exact(), or Regularized(width) without a step, where static friction exceeds "
+            "kinetic friction in a list of contacts or under a normal force that varies, but a fixed step was given; "
+            "or make static friction equal to kinetic friction."
+        )
+
+
+def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
+    """The largest number of fixed steps that a trajectory takes: ``t1 / step``, and one for the end of each segment,
+    twice that where steps must be shorter.
+
+    Where JAX traces a time scale, the given step counts: a trajectory whose steps must be shorter may run out of them.
+    Raises NotKnown where `t1` or the given step is traced, ValueError for a step that is too long for the shortest
+    time scale.
+    """
+    horizon, step = largest(t1), step_for(system, excitation, method)
+    try:
+        shortest = smallest(step)
+    except NotKnown:
+        shortest = smallest(method.step)
+    known = all(of.time is not None for of in system.time_scales(excitation, None).values())
+    if known and system.has_fixed_time_scales:
+        steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
+        return _TRIES * steps + _FEW if system.static_exceeds_kinetic else steps
+    shortest = accurate_step(system, excitation, shortest)
+    steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
+    return _TRIES * steps + _FEW
+
+
+def _state_scales(system: System, excitation: Excitation, dtype) -> Array:
+    """The typical size of each state, the scale of its absolute tolerance."""
+    values = jnp.stack([jnp.asarray(scale, dtype) for scale in system.state_scales(excitation)])
+    return jnp.where(values > 0, values, 1)
+
+
+def numbers_as_arrays(tree: Any, dtype) -> Any:
+    """Plain numbers in `tree`, whole ones too, as arrays, so that other numbers need no recompilation."""
+
+    def convert(leaf):
+        return jnp.asarray(leaf, dtype) if isinstance(leaf, (int, float)) and not isinstance(leaf, bool) else leaf
+
+    return jax.tree.map(convert, tree)

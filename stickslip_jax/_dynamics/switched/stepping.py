@@ -1,44 +1,322 @@
-"""Exact switched motion of any system: time steps in which every event is located to machine precision.
-
-A system is given as a `SwitchedModel`: its motion in a slip of either direction and in a stick, and the guard, a
-function that is positive while the current mode (stick, slip forward, slip backward) lasts. Each loop step tries one
-time step:
-
-- if the guard stays positive, the time step is accepted;
-- if the guard falls through zero inside, the step is tried again with the estimated event as its end, until it ends
-  within `_LANDED` of the event; a last Newton step then lands on the event (its derivatives: `carried.py`);
-- if the guard has a minimum near zero, the step is tried again up to this minimum, to see whether it falls below;
-- a time step never crosses the end of a segment of the base motion or of the load: there the mode is found anew;
-- a time step whose error estimate is too large is tried again, shorter.
-
-Two falls in one step with two more extrema of the guard between them can be missed, because the cubic through the ends
-of a step cannot have these; so steps must be short compared to the shortest time scale (`time_scales.py` checks this).
-Instants at which a change below `NEAR_GRAZING` would create or remove an event are counted (`_close_calls`).
-"""
+"""Exact switched motion of any system: time steps in which every event is located to machine precision."""
 
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from ..._compiler import sharing
-from ..._events.stick_quantities import begin_quantities
-from ..._events.sticks import StickRecord, start_totals
+from ..._events.sticks import (
+    Remembered,
+    StickRecord,
+    StickSpan,
+    Totals,
+    begin_quantities,
+    ending_of,
+    measured,
+    start_totals,
+    with_stick,
+)
 from ..._excitation.segments import SegmentState
-from ..._numerics.over_contacts import any_of, largest_of, sum_of
-from ..._numerics.primal import without_derivatives
-from ..._numerics.roots import look_ahead
-from ..._systems.switched_model import NOISE_ULPS, State, SwitchedModel, chosen_state
-from ..._types import BoolArray, BoolScalar, FloatArray, FloatScalar, Number
-from ..common.ending import is_spent
-from ..common.segments import SegmentLaws, to_digits
-from .carried import Before, HowItEnds, carried
-from .lane import CLOCK_ULPS, NEAR_GRAZING, Lane
-from .mode import Stop, is_tie, mode_at_start, switched
+from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Number
+from ..._numerics.derivatives import OwnDerivative, without_derivatives
+from ..._numerics.matrices import any_of, largest_of, sum_of
+from ..._numerics.steps import look_ahead
+from ..._systems.switched_model import NOISE_ULPS, Question, State, SwitchedModel, chosen_state
+from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
+
+# The state of a trajectory between two steps of the switched engine, and what counts as round-off in it.
+
+
+CLOCK_ULPS = 4  # the round-off of times, in units in the last place
+NEAR_GRAZING = {8: 1e-9, 4: 1e-3}  # fraction of the guard's scale
+
+
+class Lane(NamedTuple):
+    """Loop state of one trajectory.
+
+    Of each contact (scalars, or arrays): `sign`, that of the relative velocity, 0 in a stick, and `event`. What belongs
+    to sticks is of each that can be `SwitchedModel.stuck`.
+    """
+
+    t: FloatArray
+    y: State
+    sign: FloatArray
+    target: FloatArray  # length of the next step to try
+    accurate_step: FloatArray  # the longest step that the errors of the steps so far allow
+    event: FloatArray  # time of the last event at rest
+    tries: IntArray
+    steps: IntArray  # loop steps so far
+    stick_start: FloatArray
+    start_error: FloatArray  # by how much round-off may have moved it, s
+    stick_position: FloatArray
+    remembered: Remembered  # by the quantities of each stick that are asked for
+    totals: Totals
+    at_start: BoolArray
+    near_grazing_count: IntArray
+    segment_states: tuple[SegmentState, ...]
+
+
+# Derivatives of a time step, of every order.
+#
+# A step ends at an event, at the end of a segment, or after a length that was chosen for it. Where it ends is found by
+# trial; its derivative comes from what defines it. The event time `tau` solves ``guard(tau, flow(tau)) = 0``, so that
+#
+#     d tau = -(d guard at fixed tau) / (rate of the guard)
+#     d y   =  (d flow at fixed tau) + (rates at tau) d tau
+#
+# (the implicit function theorem). Both hold for all parameters, with `tau` and `y` functions of them: differentiated
+# again, by the same rule for `tau` and `y`, they give the second derivatives, and so on.
+#
+# All are evaluated a little before the event (`Before`), where round-off cannot have ended the mode, if friction may
+# have a kink there: where the relative velocity is exactly zero, a force written with its absolute value may have the
+# slope of the other side. In the last step, however short it is, that is an error in second derivatives of `tau`.
+
+
+class HowItEnds(NamedTuple):
+    """Whether a step moves at all; if so, of which contact's mode the end ends it (`at_event`; of one at most), or
+    whether the end of a segment or the horizon does.
+    """
+
+    moves: BoolArray
+    at_event: BoolArray
+    at_stop: BoolArray
+
+
+class Before(NamedTuple):
+    """The `time` (s) before an event by which round-off cannot have ended the mode, and the `change` of state in it."""
+
+    time: FloatArray
+    change: State
+
+
+@OwnDerivative
+def carried(
+    model: SwitchedModel,
+    forcing: object,
+    y: State,
+    left: FloatArray,
+    sign: FloatArray,
+    ends: HowItEnds,
+    before: Before | None,
+    tau: FloatArray,
+    reached: State,
+) -> tuple[FloatArray, ...]:
+    """The length `tau` (s) of a step from `y` and the state `reached` in it, with their derivatives of every order.
+
+    `left`: time from the beginning of the step to the end of the segment or the horizon, s. `before`: None for friction
+    without kinks. `tau` and `reached` are
+    taken as they are; their derivatives are those of what they were found to be.
+    """
+    return tau, *reached
+
+
+@carried.def_jvp
+def _carried_jvp(primals, tangents):
+    model, forcing, y, left, sign, ends, before, tau, reached = primals
+    tau, *reached = carried(model, forcing, y, left, sign, ends, before, *lax.stop_gradient((tau, reached)))
+    by = (tangents[0], tangents[1], tangents[2])
+    inside, there = tau, tuple(reached)
+    if before is not None:
+        inside = tau - before.time
+        there = tuple(value - change for value, change in zip(reached, before.change, strict=True))
+
+    def flow(model, forcing, y):
+        moved = chosen_state(ends.moves, model.flow(forcing, y, inside, sign), y)
+        return moved, model.guard(forcing, inside, moved, sign)[0]
+
+    _, (d_reached, d_guard) = eqx.filter_jvp(flow, (model, forcing, y), by)
+    _, rate = model.guard(forcing, inside, there, sign)
+    d_left = jnp.zeros_like(tau) if tangents[3] is None else tangents[3]
+    d_event = -_or_zero(d_guard, rate) / jnp.where(ends.at_event, rate, -1)
+    at_stop = jnp.where(ends.at_stop, d_left, 0)
+    if rate.ndim:
+        d_tau = jnp.where(any_of(ends.at_event), sum_of(jnp.where(ends.at_event, d_event, 0)), at_stop)
+    else:
+        d_tau = jnp.where(ends.at_event, d_event, at_stop)
+    rates = model.rates(forcing, inside, there, sign)
+    d_reached = tuple(_or_zero(d, v) + r * d_tau for d, v, r in zip(d_reached, reached, rates, strict=True))
+    return (tau, *reached), (d_tau, *d_reached)
+
+
+def _or_zero(tangent: Any, like: Any) -> Any:
+    return jnp.zeros_like(like) if tangent is None else tangent
+
+
+# Which mode a trajectory is in after an event or at the end of a segment: stick, or slip of either direction.
+
+
+class Stop(NamedTuple):
+    """How a time step ended: on an event of the mode (`landed`), or where a segment ends or at the horizon (`at_stop`).
+
+    `landed`: of each contact, whether its mode ended there. `brief`: its slip would end where it began, but for
+    round-off. `start_error`: by how much round-off may have moved the start of a stick that begins here, s.
+    """
+
+    landed: BoolArray
+    brief: BoolArray
+    at_stop: BoolArray
+    start_error: FloatScalar
+
+
+class _Mode(NamedTuple):
+    """The state with its mode, `sign` (0 in a stick). `at_rest`: whether an event found the contact at rest.
+
+    `margin`: the size of the stick guard (0 where friction just holds) where it was decided whether the mass sticks,
+    infinity elsewhere.
+    """
+
+    y: State
+    sign: FloatArray
+    at_rest: BoolArray
+    margin: FloatArray
+
+
+def switched(
+    model: SwitchedModel, segment_laws: SegmentLaws, lane: Lane, stop: Stop, t1: FloatArray
+) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
+    """The lane after an event or at the end of a segment, in its mode, and the record of the stick that ended, if any.
+
+    Also returned: the margin by which friction held or did not (see `_Mode`), and whether a jump of the base or the
+    horizon ended the mode.
+    """
+    ended = stop.at_stop & (lane.t < t1)
+    segment_states, jumped = following_segments(segment_laws, lane.segment_states, lane.t, ended)
+    forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
+    may_jump = any(law.jumps for law in segment_laws.all)
+    mode = _mode_after(model, forcing, lane, stop, ended, jumped, may_jump=may_jump)
+    at_horizon = stop.at_stop & ~(lane.t < t1)
+    following, record = _with_mode(model, lane, mode, ended & jumped, at_horizon, stop.start_error)
+    return following._replace(segment_states=segment_states), record, mode.margin, at_horizon | jumped
+
+
+def _mode_after(
+    model: SwitchedModel,
+    forcing: object,
+    lane: Lane,
+    stop: Stop,
+    ended: BoolArray,
+    jumped: BoolArray,
+    *,
+    may_jump: bool,
+) -> _Mode:
+    """The mode from here on. `ended`: whether a segment ended here; `jumped`: whether the base velocity jumped."""
+    was_stick = lane.sign == 0
+    resting = model.at_rest(forcing, lane.y)
+    sign, landed, changed = model.after(forcing, lane.y, lane.sign, stop.landed, ended)
+    # The end of a segment. A slip goes on unless the base jumps; everything else is decided as at a start.
+    resolve = (ended & (was_stick | jumped)) | changed
+    # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
+    goes_on = was_stick & ~jumped
+    asked, stays = landed | (resolve & (resting | goes_on)), jnp.zeros_like(was_stick)
+    slips = model.slip_sign(forcing, lane.y)
+    if model.coupled:
+        # What slips from here on acts on the others at once.
+        sign = jnp.where(resolve & ~(resting | goes_on), slips, sign)
+        # Where one mode changes, the friction that other sticks need changes too.
+        stays = was_stick & any_of(landed | changed) & ~landed
+        asked, goes_on = asked | stays, goes_on | stays
+    released = landed & was_stick
+    holds, release_sign, guard, guard_rate = model.decided(
+        forcing, lane.y, Question(sign, asked, released, goes_on & ~released)
+    )
+    # At the limit, friction that need not grow holds: else the mass would slip to and fro with no motion.
+    not_below = is_not_below(guard, guard_rate, lane.t)
+    # (A cart passes zero velocity at full speed of its motor too, where the guard and its rate have poles.)
+    holds = holds | (resting & not_below & is_not_below(-guard, guard_rate, lane.t) & (guard_rate >= 0))
+    # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
+    # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
+    turned = jnp.where(was_stick | (resting & ~stop.brief), release_sign, -sign)
+    sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), sign)
+    held_or_released = jnp.where(holds | (not_below & goes_on), 0, release_sign)
+    resolved = jnp.where(resting | goes_on, held_or_released, slips)
+    sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
+    # A mass that sticks has the base's velocity to the last bit.
+    rests = (resolve & (resting | goes_on)) | (landed & (sign == 0))
+    y = model.at_base_velocity(forcing, lane.y, rests)
+    at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
+    decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
+    margin = jnp.where(decided, jnp.abs(guard), jnp.inf)
+    if may_jump:
+        # Right after a jump, a velocity that is zero but for round-off may be on either side of it, or at rest.
+        nearly = NEAR_GRAZING[lane.t.dtype.itemsize] / (NOISE_ULPS * float(jnp.finfo(lane.t.dtype).eps))
+        near_rest = ended & jumped & ~was_stick & holds & model.at_rest(forcing, lane.y, nearly)
+        margin = jnp.where(near_rest, 0, margin)
+    return _Mode(y, sign, at_rest, margin)
+
+
+def _with_mode(
+    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray, start_error: FloatScalar
+) -> tuple[Lane, StickRecord]:
+    """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any."""
+    was_stick, sticks, position = model.stuck(lane.sign), model.stuck(mode.sign), model.stick_position(mode.y)
+    over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + lane.start_error)
+    now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
+    stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)
+    quantities, remembered = measured(lane.remembered, over, stick)
+    ending = ending_of(over, ~at_horizon & ~jumped, at_horizon)
+    record = StickRecord(stick.start, stick.end, stick.position, quantities, ending)
+    begins = ~was_stick & sticks
+    # A stick that starts on the edge of the band, or on the end of a segment, ends at once: of no length, it is none.
+    no_stick = was_stick & ~sticks & ~over
+    undecided = any_of(no_stick & (lane.t > lane.stick_start))
+    following = lane._replace(
+        y=mode.y,
+        sign=mode.sign,
+        totals=with_stick(lane.totals, over, at_horizon, lane.t - lane.stick_start),
+        event=jnp.where(mode.at_rest, lax.stop_gradient(lane.t), lane.event),
+        at_start=lane.at_start & ~no_stick,
+        near_grazing_count=lane.near_grazing_count + undecided,
+        stick_start=jnp.where(begins, lane.t, lane.stick_start),
+        start_error=jnp.where(begins, lax.stop_gradient(start_error), lane.start_error),
+        stick_position=jnp.where(begins, position, lane.stick_position),
+        remembered=remembered,
+    )
+    return following, record
+
+
+def mode_at_start(model: SwitchedModel, forcing: object, y: State) -> tuple[State, FloatArray, FloatArray]:
+    """The state, the sign of the mode and the margin (see `_Mode`) of a trajectory that begins in the state `y`."""
+    resting = model.at_rest(forcing, y)
+    slips = model.slip_sign(forcing, y)
+    never = jnp.zeros_like(resting)
+    holds, release_sign, guard, _ = model.decided(forcing, y, Question(slips, resting, never, never))
+    sign = jnp.where(resting, jnp.where(holds, 0, release_sign), slips)
+    return model.at_base_velocity(forcing, y, resting), sign, jnp.where(resting, jnp.abs(guard), jnp.inf)
+
+
+def is_tie(margin: FloatArray) -> BoolArray:
+    """Whether the last digits decide if friction holds: `margin` is the size of the guard of a stick."""
+    return margin < 2 * NEAR_GRAZING[margin.dtype.itemsize]
+
+
+def is_not_below(guard: FloatArray, guard_rate: FloatArray, t: FloatArray) -> BoolArray:
+    """Whether the guard of a stick is not below zero, but for its own round-off and that of the time."""
+    return guard >= -jnp.finfo(t.dtype).eps * (2 * NOISE_ULPS + CLOCK_ULPS * t * jnp.abs(guard_rate))
+
+
+# Exact switched motion of any system: time steps in which every event is located to machine precision.
+#
+# A system is given as a `SwitchedModel`: its motion in a slip of either direction and in a stick, and the guard, a
+# function that is positive while the current mode (stick, slip forward, slip backward) lasts. Each loop step tries one
+# time step:
+#
+# - if the guard stays positive, the time step is accepted;
+# - if the guard falls through zero inside, the step is tried again with the estimated event as its end, until it ends
+#   within `_LANDED` of the event; a last Newton step then lands on the event (its derivatives: `stepping.py`);
+# - if the guard has a minimum near zero, the step is tried again up to this minimum, to see whether it falls below;
+# - a time step never crosses the end of a segment of the base motion or of the load: there the mode is found anew;
+# - a time step whose error estimate is too large is tried again, shorter.
+#
+# Two falls in one step with two more extrema of the guard between them can be missed, because the cubic through the
+# ends of a step cannot have these; so steps must be short compared to the shortest time scale (`method.py` checks
+# this). Instants at which a change below `NEAR_GRAZING` would create or remove an event are counted (`_close_calls`).
+
 
 _LANDED = {8: 1e-8, 4: 3e-4}  # fraction of a step; the Newton step that follows squares it
 _ERROR = {8: 1e-9, 4: 1e-5}  # relative, of a step without a closed form; the estimate of its solver is far too high

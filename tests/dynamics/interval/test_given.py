@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.interval import given as given_intervals
+from stickslip_jax._dynamics.interval import engine as given_intervals
 from stickslip_jax._dynamics.interval.crossing import scales_of, start_motion
-from stickslip_jax._dynamics.interval.given import Given, _plain, beginnings, final_motion, ordered_sticks
+from stickslip_jax._dynamics.interval.engine import Given, _plain, beginnings, final_motion, ordered_sticks
 
 LAW = ss.PoissonSwitching(speed=0.6, rate=1.0)
 T1 = 12.0

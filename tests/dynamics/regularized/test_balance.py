@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip_jax._dynamics.common.method import SHAPES
-from stickslip_jax._dynamics.regularized.contacts_balance import ForceLaw, balanced_forces
-from stickslip_jax._dynamics.regularized.switch import Switch
+from stickslip_jax._dynamics.regularized.implicit_step import ForceLaw, Switch, balanced_forces
 
 SETUPS = 400
 

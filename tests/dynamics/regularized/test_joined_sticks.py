@@ -8,9 +8,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.regularized.joined_sticks import AtContact, detect_joined, start_joining
-from stickslip_jax._dynamics.regularized.stick_detector import Criterion, NormalForces, Step
-from stickslip_jax._events.stick_quantities import ALL
+from stickslip_jax._dynamics.regularized.sticks import (
+    AtContact,
+    Criterion,
+    NormalForces,
+    Step,
+    detect_joined,
+    start_joining,
+)
+from stickslip_jax._events.sticks import ALL
 
 THRESHOLD, BEND, SHORTEST, T1, STEPS = 0.01, 0.004, 0.1, 60.0, 6000
 

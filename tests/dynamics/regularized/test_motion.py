@@ -29,9 +29,7 @@ from support.regularized import (
 )
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.regularized.implicit_step import _balance
-from stickslip_jax._dynamics.regularized.static_balance import balance_with_static
-from stickslip_jax._dynamics.regularized.switch import Switch
+from stickslip_jax._dynamics.regularized.implicit_step import Switch, _balance, balance_with_static
 
 # Each shape and each law once; `test_coefficient` looks at all of them together.
 PAIRS = [("tanh", "coulomb"), ("linear", "static"), ("arctan", "weakening"), ("rational", "stribeck")]

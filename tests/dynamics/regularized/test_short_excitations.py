@@ -14,7 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.common.time_scales import longest_step, step_for
+from stickslip_jax._dynamics.common.method import longest_step, step_for
 from stickslip_jax._excitation.excitation import excitation_of
 
 T1, OMEGA2, MU, NORMAL = 20.0, 4.0, 0.3, 1.2

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from reference.event_driven import simulate_mass_spring
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.common.validation import Arguments
+from stickslip_jax._dynamics.common.method import Arguments
 from stickslip_jax._dynamics.engine_choice import engine_for
-from stickslip_jax._systems.built_in import is_built_in
+from stickslip_jax._systems.system import is_built_in
 
 T1 = 30.0
 STEPS = ss.Exact(step=0.3, max_steps=512)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.switched.run import run_trajectory, state_at
+from stickslip_jax._dynamics.switched.engine import run_trajectory, state_at
 from stickslip_jax._excitation.excitation import excitation_of
 
 T0 = 7.3

@@ -1,0 +1,713 @@
+"""Detection of sticks in regularised dynamics: in fixed steps by a threshold of the relative velocity, in adaptive
+steps by the path that is slipped.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..._events.sticks import (
+    Remembered,
+    StickRecord,
+    StickSpan,
+    Totals,
+    begin_quantities,
+    ending_of,
+    measured,
+    start_totals,
+    with_stick,
+)
+from ..._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray, Scalar
+from ..._numerics.derivatives import OwnDerivative
+from ..._numerics.steps import look_ahead
+from ..._systems.contacts import ContactsModel
+from ..._systems.memory_models import InnerStates
+from ..._systems.switched_model import State
+
+# Detection of sticks in fixed steps: the relative velocity stays below a threshold for long enough.
+
+
+_AT_LIMIT = 1e-5  # of the largest friction
+
+
+class Criterion(NamedTuple):
+    """Criterion of a stick: ``|v_rel| <= threshold`` (m/s) for at least `minimum_duration` (s).
+
+    Of several contacts one number each, or arrays (contacts,).
+    """
+
+    threshold: AnyArray | Scalar
+    minimum_duration: AnyArray | Scalar
+
+
+class StickDetector(NamedTuple):
+    """State of the detector after the steps so far.
+
+    - `inside`: whether the relative velocity is below the threshold, since `start` (s) at `position` (m).
+    - `crossed`: when it passed through zero in the last step without ending inside, s, infinity if it did not;
+      `crossed_at`: the position there. `remembered`: by the quantities of each stick that are asked for.
+    """
+
+    inside: BoolArray
+    start: FloatArray
+    position: FloatArray
+    crossed: FloatArray
+    crossed_at: FloatArray
+    remembered: Remembered
+    totals: Totals
+    at_start: BoolArray
+
+
+class NormalForces(NamedTuple):
+    """The normal forces of several contacts at both ends of a step, N, and their slopes there, (contacts,) each."""
+
+    n0: FloatArray
+    slope0: FloatArray
+    n1: FloatArray
+    slope1: FloatArray
+
+
+class Step(NamedTuple):
+    """One step from `t` to ``t + h`` as the detector reads it.
+
+    `r0`, `slope0`, `r1`, `slope1`: relative velocity and its slope at both ends (before a jump of the base); `x0`,
+    `v0`, `x1`, `v1`: position and velocity; `need0`, `need1`: friction that holds the mass, over the largest friction.
+    Of several contacts they are arrays: the positions of each and of all at once, everything else of each, with the
+    normal forces.
+    """
+
+    t: FloatArray
+    h: FloatArray
+    r0: FloatArray
+    slope0: FloatArray
+    r1: FloatArray
+    slope1: FloatArray
+    x0: FloatArray
+    v0: FloatArray
+    x1: FloatArray
+    v1: FloatArray
+    need0: FloatArray
+    need1: FloatArray
+    normal: NormalForces | None = None
+
+
+def start_detector(
+    criterion: Criterion, speed: FloatArray, position: FloatArray, quantities: tuple[str, ...]
+) -> StickDetector:
+    """The detector at the beginning of a trajectory with relative velocity `speed` and `position`.
+
+    `quantities` of each stick: those that are asked for.
+    """
+    dtype = speed.dtype
+    inside, zero, never = jnp.abs(speed) <= criterion.threshold, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
+    remembered = begin_quantities(position, quantities)
+    return StickDetector(inside, zero, position, never, position, remembered, start_totals(dtype), jnp.zeros((), bool))
+
+
+def detect(
+    criterion: Criterion,
+    detector: StickDetector,
+    step: Step,
+    *,
+    jumped: BoolArray,
+    after: FloatArray,
+    last: BoolArray,
+) -> tuple[StickDetector, StickRecord]:
+    """Update the detector by one step; returns it and the record of the stick that ended in the step, if any.
+
+    The step may end in a jump of the base (`jumped`), to the relative velocity `after`, or be the `last`. It
+    need not resolve the width: the relative velocity is taken to fall linearly to zero inside the step in which a stick
+    begins, and to leave zero inside the step in which the needed friction exceeds the largest.
+    """
+    threshold = jnp.asarray(criterion.threshold, step.t.dtype)
+    inside = jnp.abs(step.r1) <= threshold
+    enters, leaves = ~detector.inside & inside, detector.inside & ~inside
+    entry, leave = passages(threshold, step)
+    at = position_in(step, entry)
+    start = jnp.where(enters, step.t + entry, detector.start)
+    position = jnp.where(enters, at, detector.position)
+    # A long step in which the mass comes to rest may end a little beyond rest; the next step corrects this.
+    late = enters & jnp.isfinite(detector.crossed)
+    start, position = jnp.where(late, detector.crossed, start), jnp.where(late, detector.crossed_at, position)
+    passes = ~detector.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
+    crossed, crossed_at = jnp.where(passes, step.t + entry, jnp.inf), jnp.where(passes, at, step.x1)
+    time = TimeInside(inside, leaves, start, position, leave, crossed, crossed_at)
+    goes_on = jnp.where(jumped, jnp.abs(after) <= threshold, inside)
+    end = AtEnd(jumped, goes_on, last, leaves)
+    return recorded(criterion.minimum_duration, detector, step, time, end)
+
+
+class TimeInside(NamedTuple):
+    """How a step changes the time in which the relative velocity is below the threshold.
+
+    - `inside`: whether it is at the end of the step, since `start` (s) at `position`. `leaves`: whether that time ends
+      in the step, `leave` (s) after the step began.
+    - `crossed`, `crossed_at`: see `StickDetector`.
+    """
+
+    inside: BoolArray
+    leaves: BoolArray
+    start: FloatArray
+    position: FloatArray
+    leave: FloatArray
+    crossed: FloatArray
+    crossed_at: FloatArray
+
+
+class AtEnd(NamedTuple):
+    """What happens at the very end of a step.
+
+    - `over`: whether the time below the threshold ends there in any case. `goes_on`: whether one goes on or begins
+      there. `last`: whether it is the horizon. `released`: whether a stick that ended was released.
+    """
+
+    over: BoolArray
+    goes_on: BoolArray
+    last: BoolArray
+    released: BoolArray
+
+
+def recorded(
+    minimum_duration: AnyArray | Scalar, detector: StickDetector, step: Step, time: TimeInside, at_end: AtEnd
+) -> tuple[StickDetector, StickRecord]:
+    """The `detector` after a step, and the record of the stick that ended in the step, if any."""
+    inside, leaves, start, position, leave, crossed, crossed_at = time
+    now = step.t + step.h
+    cut = at_end.last & inside
+    ends = leaves | cut | (at_end.over & inside)
+    end = jnp.where(leaves, step.t + leave, now)
+    counts = ends & (end - start >= minimum_duration) & (end > start)
+    left_at = jnp.where(leaves, position_in(step, leave), step.x1)
+    quantities, remembered = measured(detector.remembered, counts, StickSpan(start, end, position, left_at))
+    record = StickRecord(start, end, position, quantities, ending_of(counts, at_end.released, cut))
+    detector = StickDetector(
+        inside=at_end.goes_on,
+        start=jnp.where(at_end.over, now, start),
+        position=jnp.where(at_end.over, step.x1, position),
+        crossed=crossed,
+        crossed_at=crossed_at,
+        remembered=remembered,
+        totals=with_stick(detector.totals, counts, cut, end - start),
+        at_start=detector.at_start | (counts & (start <= 0)),
+    )
+    return detector, record
+
+
+def passages(threshold: FloatArray, step: Step) -> tuple[FloatArray, FloatArray]:
+    """When ``|v_rel|`` falls to the `threshold` in a step and when it rises to it, s after the step began.
+
+    Each is meaningless where it does not.
+    """
+    return _straight_entry(threshold, step), _late_exit(threshold, step, crossing(threshold, step, entering=False))
+
+
+def crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArray:
+    """When ``|v_rel|`` passes the threshold, s after the step began; meaningless where it does not."""
+    sign = _sign(step.r0 if entering else step.r1)
+    # Positive before the crossing and negative after it.
+    turn = sign if entering else -sign
+    shift = threshold if entering else -threshold
+    s0, s1 = turn * step.r0 - shift, turn * step.r1 - shift
+    return fall_in(step.h, s0, turn * step.slope0, s1, turn * step.slope1)
+
+
+def fall_in(h: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
+    """When the cubic with these values and slopes at 0 and `h` falls through zero; meaningless where it does not."""
+    d0, d1 = d0 * h, d1 * h
+    falls = (s0 > 0) & (s1 < 0)
+    s0, s1 = jnp.where(falls, s0, 1), jnp.where(falls, s1, -1)
+    u = look_ahead(s0, d0, s1, d1, jnp.zeros_like(s0)).where
+    # One more Newton step.
+    cubic = s0, d0, s1, d1
+    value, slope = _of_cubic(u, *cubic), _slope_of_cubic(u, *cubic)
+    usable = falls & (slope < 0)
+    u = lax.stop_gradient(jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1))
+    return h * _root(cubic, usable, u)[0]
+
+
+@OwnDerivative
+def _root(cubic: tuple[FloatArray, ...], usable: BoolArray, u: FloatArray) -> tuple[FloatArray, ...]:
+    """The root `u` of a cubic on [0, 1], with its derivatives of every order; without any where not `usable`."""
+    return (u,)
+
+
+@_root.def_jvp
+def _root_jvp(primals, tangents):
+    cubic, usable, u = primals
+    (u,) = _root(cubic, usable, lax.stop_gradient(u))
+    _, change = eqx.filter_jvp(lambda *cubic: _of_cubic(u, *cubic), cubic, tangents[0])
+    usable = usable & (u > 0) & (u < 1)
+    return (u,), (jnp.where(usable, -change / jnp.where(usable, _slope_of_cubic(u, *cubic), -1), 0),)
+
+
+def _of_cubic(u: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
+    return hermite(u, jnp.ones_like(u), s0, d0, s1, d1)
+
+
+def _slope_of_cubic(u: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
+    return 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
+
+
+def _straight_entry(threshold: FloatArray, step: Step) -> FloatArray:
+    """When ``|v_rel|`` falls to the threshold, by its slope at the beginning, or by the chord if it rises there."""
+    size, rise = jnp.abs(step.r0), _sign(step.r0) * step.slope0
+    above = jnp.maximum(size - threshold, 0)
+    total = jnp.maximum(size - _sign(step.r0) * step.r1, threshold)
+    where = jnp.where(rise < 0, above / jnp.where(rise < 0, -rise, 1), step.h * above / total)
+    return jnp.clip(where, 0, step.h)
+
+
+def _late_exit(threshold: FloatArray, step: Step, resolved: FloatArray) -> FloatArray:
+    """When ``|v_rel|`` rises to the threshold if the mass is released in this step; else the time `resolved`.
+
+    After the release, where the needed friction equals the largest, the excess force grows linearly with time and the
+    relative velocity with its square.
+    """
+    here = (step.need0 < jnp.minimum(step.need1, 1)) & (step.need1 > 1 - _AT_LIMIT)  # a step may end at the release
+    gain = jnp.where(here, step.need1 - step.need0, 1)
+    released = step.h * jnp.clip((1 - step.need0) / gain, 0, 1)
+    rest, rise = step.h - released, _sign(step.r1) * step.slope1
+    usable = here & (rise > 0) & (rest > 0)
+    while_creeping = jnp.sqrt(jnp.where(usable, 2 * threshold * rest / jnp.where(usable, rise, 1), 1))
+    return jnp.where(here, released + jnp.where(usable, jnp.minimum(while_creeping, rest), 0), resolved)
+
+
+def _sign(value: FloatArray) -> FloatArray:
+    return jnp.where(value < 0, -1.0, 1.0).astype(value.dtype)
+
+
+def position_in(step: Step, tau: FloatArray) -> FloatArray:
+    """The position inside the step, by the cubic through its ends."""
+    return hermite(tau, step.h, step.x0, step.v0, step.x1, step.v1)
+
+
+def hermite(
+    tau: FloatArray, h: FloatArray, x0: FloatArray, v0: FloatArray, x1: FloatArray, v1: FloatArray
+) -> FloatArray:
+    """The cubic with these values and slopes at 0 and `h`, evaluated at `tau`; `x0` for a step of no length."""
+    u = jnp.where(h > 0, tau / jnp.where(h > 0, h, 1), 0)
+    bend = (1 - u) * (1 - u)
+    values = x0 * bend * (1 + 2 * u) + x1 * u * u * (3 - 2 * u)
+    return values + h * (v0 * u * bend - v1 * u * u * (1 - u))
+
+
+# What the stick detector sees of several contacts: slopes, normal forces, which are closed.
+
+
+Model = ContactsModel | InnerStates
+
+
+def with_slope(what: Any, forcing: object, tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
+    """A function of forcing, time and state and its slope, where the state changes with `rates`."""
+    return jax.jvp(lambda tau, y: what(forcing, tau, y), (tau, y), (jnp.ones_like(tau), rates))
+
+
+def normal_forces(
+    model: Model, forcing: object, h: FloatArray, before: State, rates: State, after: State, end_rates: State
+) -> NormalForces | None:
+    """The normal forces and their slopes at both ends of a step, 1 where they do not vary; None if none varies."""
+    if not model.varying:
+        return None
+    where, contacts = np.array(model.varying), model.contacts
+
+    def at(tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
+        value, slope = with_slope(model.varying_normal_forces, forcing, tau, y, rates)
+        ones = jnp.ones(contacts, value.dtype)
+        return ones.at[where].set(value), (0 * ones).at[where].set(slope)
+
+    return NormalForces(*at(jnp.zeros_like(h), before, rates), *at(h, after, end_rates))
+
+
+def velocities_and_closed(model: Model, forcing: object, tau: FloatArray, y: State) -> tuple[FloatArray, BoolArray]:
+    """The relative velocities, and whether the contacts are closed."""
+    velocity = model.relative_velocity(forcing, tau, y)
+    closed = jnp.ones(velocity.shape, bool)
+    if model.varying:
+        closed = closed.at[np.array(model.varying)].set(model.varying_normal_forces(forcing, tau, y) > 0)
+    return velocity, closed
+
+
+# Detection of sticks of several contacts in fixed steps, and of the times in which all closed ones stick.
+#
+# Each contact sticks while it is closed and its relative velocity is below the threshold. All at once stick while every
+# closed contact does, and one is closed. The arrays of a detector and of positions have an entry for each contact and a
+# last one for all at once; everything else, one for each contact.
+
+
+_ULPS = 64  # of the relative velocities: a smaller change is round-off, and no jump
+
+
+def start_contacts(
+    criterion: Criterion, velocity: FloatArray, closed: BoolArray, position: FloatArray, quantities: tuple[str, ...]
+) -> StickDetector:
+    """The detector at the beginning of a trajectory."""
+    inside = _with_all((jnp.abs(velocity) <= criterion.threshold) & closed, closed)
+    zero, never = jnp.zeros_like(position), jnp.full_like(position, jnp.inf)
+    totals, remembered = start_totals(position.dtype, inside.shape), begin_quantities(position, quantities)
+    return StickDetector(inside, zero, position, never, position, remembered, totals, jnp.zeros_like(inside))
+
+
+def detect_contacts(
+    criterion: Criterion,
+    detector: StickDetector,
+    step: Step,
+    *,
+    jumped: BoolArray,
+    after: tuple[FloatArray, BoolArray],
+    last: BoolArray,
+) -> tuple[StickDetector, StickRecord]:
+    """Update the detector by one step; see `stick_detector.detect`.
+
+    `after`: the relative velocities where the step ends, after a jump there, and whether contacts are closed.
+    """
+    threshold = jnp.asarray(criterion.threshold, step.t.dtype)
+    time, closed = _time_inside(threshold, detector, step, jumped)
+    velocity, closed_after = after
+    turned = turned_by_jump(threshold, step, velocity, jumped)
+    over = turned | (closed_after != closed)
+    goes_on = jnp.where(over, (jnp.abs(velocity) <= threshold) & closed_after, time.inside[:-1])
+    goes_on = _with_all(goes_on, closed_after)
+    all_over = jnp.any(turned & time.inside[:-1]) | (goes_on[-1] != time.inside[-1])
+    over = jnp.append(over, all_over)
+    least = jnp.broadcast_to(jnp.asarray(criterion.minimum_duration, step.r1.dtype), step.r1.shape)
+    at_end = AtEnd(over, goes_on, last, time.leaves | (over & ~jumped))
+    return recorded(jnp.append(least, jnp.max(least)), detector, step, time, at_end)
+
+
+def turned_by_jump(threshold: FloatArray, step: Step, velocity: FloatArray, jumped: BoolArray) -> BoolArray:
+    """Whether the relative velocity jumps to `velocity` where the step ends: between two masses a base does nothing."""
+    size = jnp.maximum(jnp.maximum(jnp.abs(velocity), jnp.abs(step.r1)), threshold)
+    return jumped & (jnp.abs(velocity - step.r1) > _ULPS * jnp.finfo(size.dtype).eps * size)
+
+
+def _with_all(inside: BoolArray, closed: BoolArray) -> BoolArray:
+    """With a last entry for all at once."""
+    return jnp.append(inside, jnp.all(inside | ~closed) & jnp.any(inside))
+
+
+def _time_inside(
+    threshold: FloatArray, detector: StickDetector, step: Step, jumped: BoolArray
+) -> tuple[TimeInside, BoolArray]:
+    """How the step changes the times below the threshold, and which contacts are closed at its end."""
+    was = detector.inside[:-1]
+    closed_before, closed, opening, closing = closed_in(step.normal, step.h, was)
+    slow = (jnp.abs(step.r1) <= threshold) & closed
+    enters, leaves = ~was & slow, was & ~slow
+    entry, leave = passages(threshold, step)
+    falls = jnp.abs(step.r0) > threshold
+    entry = jnp.maximum(jnp.where(falls, entry, 0), jnp.where(closed_before, 0, closing))
+    leave = jnp.where(closed, leave, jnp.where(jnp.abs(step.r1) > threshold, jnp.minimum(leave, opening), opening))
+    start = jnp.where(enters, step.t + entry, detector.start[:-1])
+    # A long step in which a contact comes to rest may end a little beyond rest; the next step corrects this.
+    start = jnp.where(enters & jnp.isfinite(detector.crossed[:-1]), detector.crossed[:-1], start)
+    passes = ~was & ~slow & (step.r0 * step.r1 < 0) & ~jumped & closed_before & closed
+    crossed = jnp.where(passes, step.t + entry, jnp.inf)
+
+    inside = _with_all(slow, closed)
+    # All at once begin with the last that comes to rest, or with the opening of the last that slips; they end with the
+    # first that leaves or closes while it slips, or with the last that opens.
+    opens, closes = closed_before & ~closed, ~closed_before & closed
+    begun = jnp.max(jnp.where(slow, start, jnp.where(opens & ~was, step.t + opening, -jnp.inf)))
+    slips = closed & ~slow & (was | closes)
+    ended = jnp.min(jnp.where(slips, jnp.where(was, leave, closing), jnp.inf))
+    ended = jnp.where(jnp.any(slips), ended, jnp.max(jnp.where(leaves, leave, 0)))
+    all_enter, all_leave = ~detector.inside[-1] & inside[-1], detector.inside[-1] & ~inside[-1]
+    start = jnp.append(start, jnp.where(all_enter, begun, detector.start[-1]))
+    enters = jnp.append(enters, all_enter)
+    crossed = jnp.append(crossed, jnp.max(jnp.where(jnp.isfinite(crossed), crossed, -jnp.inf)))
+    crossed = jnp.where(jnp.isfinite(crossed), crossed, jnp.inf)
+
+    at = position_in(step, jnp.clip(start - step.t, 0, step.h))
+    position = jnp.where(enters, jnp.where(start < step.t, detector.crossed_at, at), detector.position)
+    crossed_at = jnp.where(
+        crossed < jnp.inf, position_in(step, jnp.where(crossed < jnp.inf, crossed - step.t, 0)), step.x1
+    )
+    leaves, leave = jnp.append(leaves, all_leave), jnp.append(leave, ended)
+    return TimeInside(inside, leaves, start, position, leave, crossed, crossed_at), closed
+
+
+def closed_in(
+    normal: NormalForces | None, h: FloatArray, like: BoolArray
+) -> tuple[BoolArray, BoolArray, FloatArray, FloatArray]:
+    """Which contacts are closed at the two ends of a step, and when they open and close in it, s after it began.
+
+    The instants are meaningless where they do not.
+    """
+    if normal is None:
+        always, none = jnp.ones_like(like), jnp.zeros(like.shape, h.dtype)
+        return always, always, none, none
+    n0, d0, n1, d1 = normal
+    return n0 > 0, n1 > 0, fall_in(h, n0, d0, n1, d1), fall_in(h, -n0, -d0, -n1, -d1)
+
+
+# Detection of sticks in adaptive steps, which resolve the relative velocity.
+#
+# A contact is slow while it is closed and its relative velocity is below the threshold, and where this passes zero.
+# Between two such times it slips. Where it slips by less than bristles bend from one limit to the other (`elastic_slip`
+# of a friction law), it rang after it was caught, or its bristles bent over: it was stuck all the time. So the end of a
+# stick is known only when the contact has slipped that far. All closed contacts at once stick while each of them does.
+
+
+class AtContact(NamedTuple):
+    """What is asked about each contact at one instant: its relative velocity, whether it is closed, and how far it can
+    slip while bristles only bend.
+    """
+
+    velocity: FloatArray
+    closed: BoolArray
+    elastic_slip: FloatArray
+
+
+class Left(NamedTuple):
+    """A slow time that a contact has left: a stick, unless the contact comes back before it has slipped far enough.
+
+    - `ending`: how it ends, an `Ending` code; -1 where there is none. `slipped`: how far the contact has slipped since
+      then; infinity if it is over in any case. `of_all`: where all at once are recorded to be at its end, m.
+    """
+
+    span: StickSpan
+    ending: IntArray
+    slipped: FloatArray
+    of_all: FloatArray
+
+    def may_go_on(self, elastic_slip: FloatArray) -> BoolArray:
+        """Whether the contact may still be stuck."""
+        return (self.ending >= 0) & (self.slipped < elastic_slip)
+
+
+class AllAtOnce(NamedTuple):
+    """Whether all closed contacts stick, since `start` (s) at `position` (m).
+
+    `ended`: the time before in which they did, and how it ended, -1 where there is none: a contact that has left may
+    turn out to have ended it sooner.
+    """
+
+    stick: BoolArray
+    start: FloatArray
+    position: FloatArray
+    ended: tuple[StickSpan, IntArray]
+
+
+class JoiningDetector(NamedTuple):
+    """State of the detector after the steps so far.
+
+    - `slow`: whether each contact is, since `start` (s) at `position` (m), those of the slow time it was joined to.
+    - `all_at_once`: None with one contact. `remembered`, `totals`, `at_start`: of each track, as in a `StickDetector`.
+    """
+
+    slow: BoolArray
+    start: FloatArray
+    position: FloatArray
+    left: Left
+    all_at_once: AllAtOnce | None
+    remembered: Remembered
+    totals: Totals
+    at_start: BoolArray
+
+
+def start_joining(
+    criterion: Criterion, seen: AtContact, tracks: FloatArray, quantities: tuple[str, ...]
+) -> JoiningDetector:
+    """The detector at the beginning of a trajectory; `tracks`: positions, of several contacts (contacts + 1,)."""
+    slow, position = (jnp.abs(seen.velocity) <= criterion.threshold) & seen.closed, _own(tracks)
+    zero = jnp.zeros_like(position)
+    none = Left(StickSpan(zero, zero, position, position), jnp.full_like(slow, -1, jnp.int8), zero + jnp.inf, zero)
+    all_at_once = None
+    if tracks.ndim:
+        start, of_all = jnp.zeros_like(tracks[-1]), tracks[-1]
+        nothing = StickSpan(start, start, of_all, of_all), jnp.full((), -1, jnp.int8)
+        all_at_once = AllAtOnce(_all_of(slow, seen.closed), start, of_all, nothing)
+    remembered, totals = begin_quantities(tracks, quantities), start_totals(tracks.dtype, tracks.shape)
+    return JoiningDetector(slow, zero, position, none, all_at_once, remembered, totals, jnp.zeros(tracks.shape, bool))
+
+
+def detect_joined(
+    criterion: Criterion, detector: JoiningDetector, step: Step, *, jumped: BoolArray, after: AtContact, last: BoolArray
+) -> tuple[JoiningDetector, StickRecord]:
+    """Update the detector by one step; returns it and the record of the stick that is known to have ended, if any.
+
+    A stick is recorded at the latest in the step after its end, so that one of no length must follow the `last`.
+    The step may end in a jump of the base (`jumped`), `after` which the contacts are so.
+    """
+    threshold, now = jnp.asarray(criterion.threshold, step.t.dtype), step.t + step.h
+    was, left, bend = detector.slow, detector.left, after.elastic_slip
+    closed_before, closed, opening, closing = closed_in(step.normal, step.h, was)
+    fast_before, fast = jnp.abs(step.r0) > threshold, jnp.abs(step.r1) > threshold
+    entry, leave = (crossing(threshold, step, entering=entering) for entering in (True, False))
+    entry = jnp.maximum(jnp.where(fast_before, entry, 0), jnp.where(closed_before, 0, closing))
+    leave = jnp.where(closed, leave, jnp.where(fast, jnp.minimum(leave, opening), opening))
+    sign = jnp.where(step.r0 < 0, -1.0, 1.0).astype(entry.dtype)
+    zero = fall_in(step.h, sign * step.r0, sign * step.slope0, sign * step.r1, sign * step.slope1)
+    slow = ~fast & closed
+    passes = ~was & ~slow & (step.r0 * step.r1 < 0) & closed_before & closed
+    comes, goes = (~was & slow) | passes, (was & ~slow) | passes
+    entry, leave = jnp.where(passes, zero, entry), jnp.where(passes, zero, leave)
+
+    # What has slipped too far is over, whether or not the contact comes back.
+    slipped = left.slipped + jnp.where(was, 0, _slip(step, jnp.zeros_like(entry), jnp.where(comes, entry, step.h)))
+    ends = (left.ending >= 0) & (slipped >= bend)
+    joins = comes & (left.ending >= 0) & ~ends
+    start = jnp.where(joins, left.span.start, jnp.where(comes, step.t + entry, detector.start))
+    position = jnp.where(joins, left.span.position, jnp.where(comes, _at(step, entry)[0], detector.position))
+    left_at, all_left_at = _at(step, leave)
+    released = StickSpan(start, step.t + leave, position, left_at)
+    # A contact that opens is not held by bristles.
+    further = jnp.where(closed, _slip(step, leave, step.h), jnp.inf)
+    waiting = left._replace(ending=jnp.where(ends | comes, jnp.int8(-1), left.ending), slipped=slipped)
+    following = _chosen(
+        goes, Left(released, jnp.full_like(left.ending, Ending.RELEASED), further, all_left_at), waiting
+    )
+
+    # Jumps and the end of the time end what may go on there.
+    over = jumped if step.x0.ndim == 0 else turned_by_jump(threshold, step, after.velocity, jumped)
+    over = over | (after.closed != closed) | last
+    holds = slow | following.may_go_on(bend)
+    cut = StickSpan(jnp.where(slow, start, following.span.start), jnp.broadcast_to(now, start.shape),
+                    jnp.where(slow, position, following.span.position), _own(step.x1))  # fmt: skip
+    how = jnp.where(last, Ending.HORIZON, jnp.where(jumped, Ending.BASE_SWITCHED, Ending.RELEASED)).astype(jnp.int8)
+    cut = Left(
+        cut,
+        jnp.broadcast_to(how, start.shape),
+        jnp.full_like(start, jnp.inf),
+        jnp.broadcast_to(_of_all(step.x1), start.shape),
+    )
+    following = _chosen(holds & over, cut, following)
+    slow = jnp.where(over, (jnp.abs(after.velocity) <= threshold) & after.closed & ~last, slow)
+    start, position = jnp.where(over, now, start), jnp.where(over, _own(step.x1), position)
+
+    spans, endings = left.span, jnp.where(ends, left.ending, jnp.int8(-1))
+    least, all_at_once = jnp.asarray(criterion.minimum_duration, start.dtype), None
+    if detector.all_at_once is not None:
+        at_end = jnp.where(over, after.closed, closed)
+        changed = jnp.where(closed_before == closed, now, step.t + jnp.where(closed, closing, opening))
+        contacts = _Contacts(
+            ended=_joined(left._replace(ending=jnp.where(closed_before, endings, jnp.int8(-1))), following),
+            is_over=jnp.append(
+                ends & closed_before & left.may_go_on(bend),
+                (following.ending >= 0) & ~following.may_go_on(bend) & at_end,
+            ),
+            start=jnp.where(slow, start, following.span.start),
+            holds=slow | following.may_go_on(bend),
+            closed=at_end,
+            opened=jnp.where(closed_before & ~at_end, changed, -jnp.inf),
+            closes=jnp.where(~closed_before & at_end, changed, jnp.inf),
+            may_end=jnp.where(following.may_go_on(bend), following.span.end, jnp.inf),
+        )
+        all_at_once, of_all, how_all = _all_at_once(detector.all_at_once, step, contacts)
+        spans, endings = jax.tree.map(jnp.append, spans, of_all), jnp.append(endings, how_all)
+        least = jnp.append(jnp.broadcast_to(least, start.shape), jnp.max(least))
+    duration = spans.end - spans.start
+    counts = (endings >= 0) & (duration >= least) & (duration > 0)
+    quantities, remembered = measured(detector.remembered, counts, spans)
+    record = StickRecord(spans.start, spans.end, spans.position, quantities, jnp.where(counts, endings, jnp.int8(-1)))
+    totals = with_stick(detector.totals, counts, endings == Ending.HORIZON, duration)
+    at_start = detector.at_start | (counts & (spans.start <= 0))
+    return JoiningDetector(slow, start, position, following, all_at_once, remembered, totals, at_start), record
+
+
+class _Contacts(NamedTuple):
+    """What a step knows of each contact, for all at once.
+
+    - `ended`: what it left in the step and before, (2 contacts,), and of this what `is_over` for good.
+    - `start`: of what `holds` it at the end of the step, s. `closed`: whether it is, at the end.
+    - `opened`, `closes`: when it does in the step, s; -infinity and infinity where it does not. `may_end`: when it
+      left, if it may still be stuck; else infinity.
+    """
+
+    ended: Left
+    is_over: BoolArray
+    start: FloatArray
+    holds: BoolArray
+    closed: BoolArray
+    opened: FloatArray
+    closes: FloatArray
+    may_end: FloatArray
+
+
+def _all_at_once(before: AllAtOnce, step: Step, of: _Contacts) -> tuple[AllAtOnce, StickSpan, IntArray]:
+    """All at once after a step, the time in which they stuck until then, and how it ended, -1 if it did not.
+
+    They begin with the last that comes to rest, or with the opening of the last that slips; they end with the first
+    that leaves or closes while it slips, or with the last that opens. One that left before may be known to slip later.
+    """
+
+    def cut(span: StickSpan, ending: IntArray) -> tuple[StickSpan, IntArray]:
+        ends = jnp.where(of.is_over, of.ended.span.end, jnp.inf)
+        first = jnp.argmin(ends)
+        sooner = ends[first] < span.end
+        end, left_at = (
+            jnp.where(sooner, new[first], old) for new, old in ((ends, span.end), (of.ended.of_all, span.left_at))
+        )
+        ending = jnp.where(sooner & (ending >= 0), of.ended.ending[first], ending)
+        return StickSpan(span.start, end, span.position, left_at), ending
+
+    stick, now = _all_of(of.holds, of.closed), step.t + step.h
+    slips = jnp.min(jnp.where(of.holds, jnp.inf, of.closes))
+    left_at = _at(step, jnp.where(jnp.isfinite(slips), slips - step.t, 0))[1]
+    span, how = cut(StickSpan(before.start, slips, before.position, left_at), jnp.int8(Ending.RELEASED))
+    opened = jnp.max(of.opened)
+    opened = jnp.where(jnp.isfinite(opened), opened, now)
+    by_opening = StickSpan(before.start, opened, before.position, _at(step, opened - step.t)[1])
+    span = jax.tree.map(lambda new, old: jnp.where(~stick & ~jnp.isfinite(span.end), new, old), by_opening, span)
+    ends = before.stick & jnp.isfinite(span.end)
+    known, known_how = cut(*before.ended)
+    replaced = ends & (known_how >= 0)
+    ended, how = jax.tree.map(lambda new, old: jnp.where(ends, new, old), (span, how), (known, known_how))
+    is_known = (how >= 0) & ~jnp.any(of.may_end < ended.end)
+    recorded, recorded_how = jax.tree.map(
+        lambda old, new: jnp.where(replaced, old, new), (known, known_how), (ended, jnp.where(is_known, how, -1))
+    )
+    how = jnp.where(is_known & ~replaced, jnp.int8(-1), how)
+
+    begun = jnp.maximum(jnp.max(jnp.where(of.holds & of.closed, of.start, -jnp.inf)), jnp.max(of.opened))
+    begun = jnp.clip(begun, step.t, now)
+    begins = stick & (ends | ~before.stick)
+    start = jnp.where(begins, begun, before.start)
+    position = jnp.where(begins, _at(step, begun - step.t)[1], before.position)
+    return AllAtOnce(stick, start, position, (ended, how)), recorded, recorded_how
+
+
+def _all_of(holds: BoolArray, closed: BoolArray) -> BoolArray:
+    return jnp.all(holds | ~closed) & jnp.any(holds & closed)
+
+
+def _of_all(tracks: FloatArray) -> FloatArray:
+    return tracks[-1] if tracks.ndim else tracks
+
+
+def _own(tracks: FloatArray) -> FloatArray:
+    """Of the positions of all tracks, those of the contacts."""
+    return tracks[:-1] if tracks.ndim else tracks
+
+
+def _at(step: Step, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where the contacts, and all at once, are in a step `tau` (s) after it began; each has its own `tau`."""
+    ends = step.x0, step.v0, step.x1, step.v1
+    if step.x0.ndim == 0:
+        return (at := hermite(tau, step.h, *ends)), at
+    return hermite(tau, step.h, *(x[:-1] for x in ends)), hermite(tau, step.h, *(x[-1] for x in ends))
+
+
+def _slip(step: Step, first: FloatArray, last: FloatArray) -> FloatArray:
+    """How far the contacts slip between two instants of a step, by the cubic of the relative velocity."""
+    h = jnp.where(step.h > 0, step.h, 1)
+
+    def until(tau: FloatArray) -> FloatArray:
+        u = tau / h
+        early, late = u * u * u * (u - 2) / 2 + u, u * u * u * (2 - u) / 2
+        slopes = step.slope0 * u * u * (6 - 8 * u + 3 * u * u) + step.slope1 * u * u * u * (3 * u - 4)
+        return h * (step.r0 * early + step.r1 * late + h * slopes / 12)
+
+    return lax.stop_gradient(jnp.abs(until(last) - until(first)))
+
+
+def _chosen(which: BoolArray, one: Left, other: Left) -> Left:
+    return jax.tree.map(lambda a, b: jnp.where(which, a, b), one, other)
+
+
+def _joined(one: Left, other: Left) -> Left:
+    return jax.tree.map(jnp.append, one, other)

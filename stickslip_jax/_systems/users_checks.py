@@ -1,0 +1,508 @@
+"""Checks of a user's `SwitchedSystem`, as far as it can be checked before it is simulated."""
+
+import contextlib
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Array
+
+from .._excitation.recorded import ForceSteps
+from .._foundation import checks
+from .._foundation.types import AnyArray, Number
+from .dynamic_friction import DynamicFriction
+from .structure import MOST_CONTACTS, is_singular
+from .switched_model import Segments
+from .system import System
+from .users_models import UsersBase
+
+# Checks of a user's `SwitchedSystem`, as far as it can be checked before it is simulated.
+
+
+_SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force; the rates at them show whether they are affine
+_ONE_CONTACT = (
+    "declare the number of dry-friction contacts, contacts = 2, or smooth the force of another one, "
+    "F jax.numpy.tanh(v / width) with a small width."
+)
+_NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
+AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
+
+
+def check_fields(system: Any) -> None:
+    """Check the fields and properties of `system`. Raises ValueError for what does not fit."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(system):
+        if not isinstance(leaf, (int, float, np.ndarray, np.generic, jax.Array)):
+            field = jax.tree_util.keystr(path).lstrip(".")
+            raise ValueError(
+                f"Argument {field} of a {type(system).__name__} must be a number or an array, but {checks.show(leaf)} "
+                f"was given; declare a field of another kind as {field}: ... = equinox.field(static=True)."
+            )
+    for field in dataclasses.fields(system):
+        if callable(getattr(System, field.name, None)):
+            raise ValueError(
+                f"Argument {field.name} of a {type(system).__name__} must have another name, because {field.name} is "
+                "what the package asks of every system; rename the field."
+            )
+    if system.has_normal_forces and system.contacts is None:
+        raise ValueError(
+            f"Argument normal_forces of a {type(system).__name__} must come with the number of its contacts, but "
+            "contacts is None, and nobody would ask for it: declare contacts = 1, or more."
+        )
+    names = system.state_names
+    if not isinstance(names, tuple) or len(names) < 2 or not all(isinstance(name, str) for name in names):
+        raise ValueError(
+            f"Argument state_names of a {type(system).__name__} must be a tuple of two names or more, but "
+            f"{checks.show(names)} was given."
+        )
+    kind = type(system).__name__
+    with checks.traceable(f"The property static_ratio of {kind}"):
+        ratio = system.static_ratio
+    if system.contacts is None:
+        checks.numeric("static_ratio", ratio)
+    elif np.shape(ratio) not in ((), (checks.whole_number("contacts", system.contacts, maximum=MOST_CONTACTS),)):
+        raise checks.refused("static_ratio", f"be one number or an array ({system.contacts},)", ratio)
+    if not checks.is_traced(ratio) and np.min(np.asarray(ratio)) < 1:
+        raise ValueError(
+            f"Argument static_ratio must be at least 1, but {ratio} was given: a stick holds at least as "
+            "well as a slip."
+        )
+    if system.ages:
+        _check_ages(system)
+    _check_inner_laws(system)
+    for name in ("shortest_time", "speed_scale"):
+        with checks.traceable(f"The property {name} of {kind}"):
+            value = getattr(system, name)
+        if value is not None:
+            checks.positive(name, value)
+
+
+def _check_inner_laws(system: Any) -> None:
+    """Check the `inner_laws` of a system, if it has some."""
+    kind, laws, number = type(system).__name__, system.inner_laws, system.contacts or 1
+    if not isinstance(laws, tuple) or not all(isinstance(law, DynamicFriction) for law in laws):
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must be a tuple of friction laws with an inner state, such as LuGre, but "
+            f"{checks.show(laws)} was given; other laws are written in rates."
+        )
+    if laws and len(laws) != number:
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must hold a law for each of its contacts, {number}, but {len(laws)} were "
+            "given."
+        )
+    ratio = system.static_ratio
+    if laws and (system.ages or (not checks.is_traced(ratio) and np.max(np.asarray(ratio)) > 1)):
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must come without static_ratio and static_ratio_after, those of exact "
+            "sticks, but both were given; keep one of them."
+        )
+    if laws and system.coordinates[len(system.state_names) :] != system.inner_states:
+        raise ValueError(
+            f"Argument coordinates of a {kind} must end with the inner states of its laws: add *self.inner_states."
+        )
+
+
+def _check_ages(system: Any) -> None:
+    """Check `static_ratio_after` and the coordinates of a system whose friction grows with the ages of sticks."""
+    kind, shape = type(system).__name__, () if system.contacts is None else (system.contacts,)
+    if system.coordinates[len(system.state_names) :] != system.ages:
+        raise ValueError(
+            f"Argument coordinates of a {kind} must end with the ages of its sticks, because it has a "
+            "static_ratio_after: add *self.ages."
+        )
+    with checks.traceable(f"The method static_ratio_after of {kind}"):
+        jax.make_jaxpr(system.static_ratio_after)(jnp.zeros(shape))
+    now, later = (system.static_ratio_after(jnp.full(shape, age)) for age in (0.0, 1.0))
+    if checks.is_traced(now) or checks.is_traced(later):
+        return
+    now, later = np.asarray(now), np.asarray(later)
+    if not np.all(np.isfinite(later) & (later >= now) & (now >= 1)):
+        raise ValueError(
+            f"Argument static_ratio_after of a {kind} must return finite numbers, at least 1, that do not fall with "
+            f"the age, but {checks.show(now)} was returned for the age 0 s, and {checks.show(later)} for 1 s."
+        )
+
+
+def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
+    """Check the methods of `system` in the state `y0` at time 0, with the base at rest. Raises ValueError for what they
+    must not return.
+    """
+    kind, zero = type(system).__name__, jnp.zeros(())
+    y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
+    is_new = _TRIED.is_new(system, y)
+    if is_new:
+        _check_methods(system, y, base)
+    if any(checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y))):
+        return
+    near = Near.of(y)
+    # Of another system like one that was tried, only the numbers are looked at, by a compiled function.
+    rates, gradient, found = (_numbers if is_new else _compiled_numbers)(system, y, base, near.columns)
+    if any(map(checks.is_traced, (rates, gradient, found))):  # its class encloses a number that JAX traces
+        return
+    near.check(kind, np.asarray(found))
+    _check_affine(kind, np.asarray(rates, float), np.asarray(gradient, float))
+    _TRIED.add(system, y)
+
+
+class _Tried:
+    """Systems whose methods were tried: their classes, and what can be told of their fields without the numbers."""
+
+    def __init__(self, most: int):
+        self._kinds: dict[Any, None] = {}
+        self._most = most
+
+    def is_new(self, system: Any, y: tuple[Array, ...]) -> bool:
+        """Whether no system like it was tried."""
+        try:
+            return self._kind(system, y) not in self._kinds
+        except TypeError:  # a static field cannot be hashed
+            return True
+
+    def add(self, system: Any, y: tuple[Array, ...]) -> None:
+        """Remember it; the oldest is forgotten."""
+        with contextlib.suppress(TypeError):
+            self._kinds[self._kind(system, y)] = None
+            if len(self._kinds) > self._most:
+                self._kinds.pop(next(iter(self._kinds)), None)  # another thread may have been first
+
+    @staticmethod
+    def _kind(system: Any, y: tuple[Array, ...]) -> tuple[Any, ...]:
+        leaves, structure = jax.tree.flatten((system, y))
+        return structure, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+
+
+_TRIED = _Tried(256)
+
+
+def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
+    """Check what the methods of a system with one contact take and return."""
+    kind, zero = type(system).__name__, jnp.zeros(())
+    check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
+    try:
+        with checks.traceable(f"The method rates of {kind}"):
+            rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in _SHARES]
+            jax.make_jaxpr(type(system).rates)(_as_traced(system), zero, y, base, zero)
+    except (IndexError, TypeError) as error:
+        if not _takes_two(system, zero, y, base):
+            raise
+        raise ValueError(
+            f"Argument rates of a {kind} must take one number as friction, but it takes several; {_ONE_CONTACT}"
+        ) from error
+    except ValueError as error:  # rates unpacks the state into another number of variables
+        if isinstance(error.__cause__, (TypeError, jax.errors.JAXTypeError)):
+            raise
+        raise ValueError(
+            f"Argument rates of a {kind} must accept a state of {len(y)} numbers, but: {error}."
+        ) from error
+    check_rates(kind, rates[0], len(y))
+    check_traceable(system, ("relative_velocity",), zero, y, base)
+    velocity = system.relative_velocity(zero, y, base)
+    if isinstance(velocity, (tuple, list)) or np.size(velocity) > 1:
+        number = len(velocity) if isinstance(velocity, (tuple, list)) else np.size(velocity)
+        raise ValueError(
+            f"Argument relative_velocity of a {kind} must return one number, but {number} were given; {_ONE_CONTACT}"
+        )
+    if not _is_scalar(velocity):
+        raise ValueError(
+            f"Argument relative_velocity of a {kind} must return a scalar, but {checks.show(velocity)} was given."
+        )
+    check_belt(system, y, base)
+
+
+def check_traceable(system: Any, names: tuple[str, ...], *args: Any) -> None:
+    """Check that JAX can trace the numbers of `system` in these properties, or methods that take `args`.
+
+    Raises ValueError, also for what its known numbers alone do not allow.
+    """
+    kind = type(system).__name__
+    for name in names:
+        with checks.traceable(f"The {'method' if args else 'property'} {name} of {kind}"):
+            jax.make_jaxpr(partial(_asked, name))(_as_traced(system), *args)
+
+
+def _asked(name: str, system: Any, *args: Any) -> Any:
+    return getattr(system, name)(*args) if args else getattr(system, name)
+
+
+def _as_traced(system: Any) -> Any:
+    """`system` as engines hold it: its numbers are arrays that JAX traces."""
+    return jax.tree.map(jnp.asarray, system)
+
+
+def check_belt(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
+    """Check that the relative velocity does not jump with a `ForceSteps`: sticks would not see it."""
+
+    def is_steps(value):
+        return isinstance(value, ForceSteps)
+
+    leaves, tree = jax.tree.flatten(system, is_leaf=is_steps)
+    steps = [leaf for leaf in leaves if is_steps(leaf)]
+
+    def velocity(steps):
+        own = iter(steps)
+        known = jax.tree.unflatten(tree, [next(own) if is_steps(leaf) else leaf for leaf in leaves])
+        return known.relative_velocity(jnp.zeros(()), y, base)
+
+    if steps and _uses(velocity, steps):
+        raise ValueError(
+            f"Argument relative_velocity of a {type(system).__name__} must not use a ForceSteps, which is a force that "
+            "jumps; a base that jumps is the argument base, a VelocitySteps."
+        )
+
+
+def _uses(function: Callable[[Any], Any], argument: Any) -> bool:
+    """Whether `function` looks at its argument."""
+    jaxpr = jax.make_jaxpr(function)(argument).jaxpr
+    used = [*jaxpr.outvars, *(atom for equation in jaxpr.eqns for atom in equation.invars)]
+    return any(atom is given for atom in used for given in jaxpr.invars)
+
+
+def _numbers(
+    system: Any, y: tuple[Array, ...], base: UsersBase, columns: tuple[AnyArray, ...]
+) -> tuple[Array, Array, Array]:
+    """The rates (4, states) at `_SHARES`, the gradient of the relative velocity, and the rates (places, states) near
+    `columns`.
+    """
+    zero = jnp.zeros(())
+    rates = [jnp.stack([jnp.asarray(rate, float) for rate in system.rates(zero, y, base, jnp.asarray(share))])
+             for share in _SHARES]  # fmt: skip
+    gradient = jax.grad(lambda y: jnp.asarray(system.relative_velocity(zero, y, base), float))(y)
+    return jnp.stack(rates), jnp.stack(gradient), rates_near(system, columns, base, jnp.ones(()))
+
+
+_compiled_numbers = jax.jit(_numbers)
+
+
+def rates_near(system: Any, columns: tuple[AnyArray, ...], base: UsersBase, friction: Array) -> Array:
+    """The rates (places, states) in the states whose numbers are the `columns` of a `Near`."""
+
+    def rates(*state):
+        return jnp.stack([jnp.asarray(rate, float) for rate in system.rates(jnp.zeros(()), state, base, friction)])
+
+    return jax.vmap(rates)(*columns)
+
+
+def check_ground(system: Any) -> None:
+    """Check that the rates of `system` use the acceleration of the ground, which excites it. Else raises ValueError."""
+    kind, zero = type(system).__name__, jnp.zeros(())
+    friction = zero if system.contacts is None else jnp.zeros(system.contacts)
+
+    def rates(ground):
+        return system.rates(zero, (zero,) * len(system.state_names), UsersBase(zero, zero, ground), friction)
+
+    with checks.traceable(f"The method rates of {kind}"):
+        is_used = _uses(rates, zero)
+    if not is_used:
+        raise ValueError(
+            f"Argument base of a {kind} must be a base velocity, but a ground acceleration was given, and rates does "
+            "not use base.ground; subtract it from the rate of each velocity relative to the ground."
+        )
+
+
+def check_rates(kind: str, rates: object, size: int) -> None:
+    if not isinstance(rates, (tuple, list)) or len(rates) != size:
+        shown = f"{len(rates)}" if isinstance(rates, (tuple, list)) else checks.show(rates)
+        raise ValueError(
+            f"Argument rates of a {kind} must return a tuple of {size} numbers, one for each of state_names, but "
+            f"{shown} was given."
+        )
+    for number, rate in enumerate(rates):
+        if not _is_scalar(rate):
+            raise ValueError(
+                f"Argument rates of a {kind} must return scalars, but number {number} of shape {np.shape(rate)} was "
+                "given."
+            )
+
+
+def _takes_two(system: Any, t: Array, y: tuple[Array, ...], base: UsersBase) -> bool:
+    """Whether the rates of `system` can be asked for with two numbers as friction."""
+    try:
+        system.rates(t, y, base, jnp.zeros(2))
+    except Exception:  # of a user's code
+        return False
+    return True
+
+
+class Near:
+    """States close to those where a number of the state passes zero, its initial value, another number, or the value
+    with which a contact does not slide.
+
+    There the sign of a velocity changes that somebody writes for a contact: nothing must jump there.
+    """
+
+    def __init__(self, places: list[tuple[int, float]], columns: tuple[AnyArray, ...]):
+        self.places, self.columns = places, columns
+
+    @classmethod
+    def of(cls, y: tuple[Array, ...], velocities: npt.ArrayLike = (), gradients: npt.ArrayLike = ()) -> "Near":
+        """Those of the initial state `y`: four at each place, two on either side.
+
+        `velocities`, `gradients`: of the contacts (contacts,), and their derivatives by the state (contacts, states).
+        """
+        values = [float(value) for value in y]
+        centres = [{0.0, *values} for _ in y]
+        for velocity, gradient in zip(np.asarray(velocities), np.asarray(gradients), strict=True):
+            for i in np.flatnonzero(gradient):
+                centres[i].add(float(values[i] - velocity / gradient[i]))
+        places = [(i, centre) for i, found in enumerate(centres) for centre in sorted(found) if np.isfinite(centre)]
+        step = float(np.sqrt(np.finfo(y[0].dtype).eps)) * max(1.0, *map(abs, values))
+        near = np.array(values) * np.ones((len(places), 4, 1))
+        for row, (i, centre) in zip(near, places, strict=True):
+            row[:, i] = centre + step * np.array([-1.0, 1.0, -_NEARER, _NEARER])
+        return cls(places, tuple(near.reshape(-1, len(y)).T.astype(y[0].dtype)))
+
+    def check(self, kind: str, found: np.ndarray, name: str = "rates", hint: str = _ONE_CONTACT) -> None:
+        """Check the numbers (places, numbers) `found` there by the method `name`: that they do not jump."""
+        rates = found.reshape(len(self.places), 4, -1)
+        far, close = np.abs(rates[:, 1] - rates[:, 0]), np.abs(rates[:, 3] - rates[:, 2])
+        most = np.max(np.abs(rates), axis=(0, 1), where=np.isfinite(rates), initial=0.0)
+        jumps = (close > _JUMP * far) & (close > AFFINE * most)
+        if not np.any(jumps):
+            return
+        place, number = (int(index) for index in np.argwhere(jumps)[0])
+        state, centre = self.places[place]
+        raise ValueError(
+            f"Argument {name} of a {kind} must be smooth functions of the state, but {name.replace('_', ' ')[:-1]} "
+            f"number {number} jumps from {rates[place, 2, number]:.6g} to {rates[place, 3, number]:.6g} where number "
+            f"{state} of the state passes {centre:g}; {hint}"
+        )
+
+
+def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:
+    """Check that `rates`, (4, states) at `_SHARES`, are affine in them, and that friction opposes the sliding."""
+    if not np.all(np.isfinite(rates)):
+        return  # the status of the simulation reports it
+    bend = np.max(np.abs([rates[1] + rates[2] - 2 * rates[0], rates[0] + rates[1] - 2 * rates[3]]), axis=0)
+    wrong = np.flatnonzero(bend > AFFINE * np.max(np.abs(rates - rates[0]), axis=0, initial=0))
+    wrong = [number for number in wrong if bend[number] > 1e-5 * np.max(np.abs(rates[:, number]))]
+    if wrong:
+        values = ", ".join(f"{rate:.6g} at {share:g}" for share, rate in zip(_SHARES, rates[:, wrong[0]], strict=True))
+        raise ValueError(
+            f"Argument rates of a {kind} must be affine in friction, a + b friction, but rate number {wrong[0]} is "
+            f"{values}; multiply the kinetic friction force by friction, and nothing else."
+        )
+    effects = gradient * (rates[1] - rates[2]) / 2
+    if np.sum(effects) > AFFINE * np.sum(np.abs(effects)):
+        raise ValueError(
+            f"Argument rates of a {kind} must let positive friction act against a positive relative velocity, but "
+            f"friction = 1 raises the rate of the relative velocity by {np.sum(effects):.6g} against friction = 0; "
+            "turn its sign round."
+        )
+
+
+def _is_scalar(value: object) -> bool:
+    return isinstance(value, (int, float, np.generic, np.ndarray, jax.Array)) and np.ndim(value) == 0
+
+
+# Checks of a user's system with several contacts, as far as it can be checked before it is simulated.
+
+
+_BY_DIRECTION = (
+    "where friction differs with the direction of sliding, leave the normal force as it is and give the contact a "
+    "Directional friction law, or smooth the step, jax.numpy.tanh(v / width)."
+)
+_NOTHING = Segments((), (), ())
+
+
+def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
+    """Check the methods of `system`, a `SwitchedSystem`, in the state `y0` at time 0, with the base at rest.
+
+    Raises ValueError for what they must not return, and for contacts whose motion is not unique.
+    """
+    kind, zero = type(system).__name__, jnp.zeros(())
+    assert system.contacts is not None
+    contacts = system.contacts
+    y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
+    with checks.traceable(f"The method relative_velocity of {kind}"):
+        velocities = system.relative_velocity(zero, y, base)
+    _check_number(kind, "relative_velocity", velocities, contacts)
+    check_traceable(system, ("relative_velocity",), zero, y, base)
+    check_belt(system, y, base)
+    normal_forces: Any = ()
+    if system.has_normal_forces:
+        with checks.traceable(f"The method normal_forces of {kind}"):
+            normal_forces = system.normal_forces(zero, y, base)
+        _check_number(kind, "normal_forces", normal_forces, contacts)
+        check_traceable(system, ("normal_forces",), zero, y, base)
+    check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
+
+    def rates(friction: np.ndarray) -> tuple:
+        return system.rates(zero, y, base, jnp.asarray(friction))
+
+    units = np.eye(contacts)
+    with checks.traceable(f"The method rates of {kind}"):
+        found = [rates(friction) for friction in (0 * units[0], np.ones(contacts), *units, *-units)]
+    check_rates(kind, found[0], len(y))
+    check_traceable(system, ("rates",), zero, y, base, jnp.zeros(contacts))
+    model: Any = system.model_without_ages(None, None)
+    gain = model.instant(model.forcing(zero, _NOTHING), zero, y).gain
+    # Also numbers that a class encloses, which only what the methods return can show.
+    if any(checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y, normal_forces, found, gain))):
+        return
+    near = Near.of(y, *_velocities(system, y, base))
+    near.check(kind, np.asarray(rates_near(system, near.columns, base, jnp.ones(contacts))))
+    if system.has_normal_forces:
+        forces = jax.vmap(lambda *state: jnp.stack([*map(jnp.asarray, system.normal_forces(zero, state, base))]))
+        near.check(kind, np.asarray(forces(*near.columns)), "normal_forces", _BY_DIRECTION)
+    _check_affine_contacts(kind, np.array([[float(rate) for rate in row] for row in found]), contacts)
+    _check_unique(kind, np.asarray(gain))
+
+
+def _velocities(system: Any, y: tuple[Array, ...], base: UsersBase) -> tuple[Array, Array]:
+    """The relative velocities of the contacts (contacts,), and their derivatives by the state (contacts, states)."""
+
+    def of(state: Array) -> Array:
+        velocities = system.relative_velocity(jnp.zeros(()), tuple(state), base)
+        return jnp.stack([jnp.asarray(velocity, float) for velocity in velocities])
+
+    state = jnp.stack(y)
+    return of(state), jax.jacfwd(of)(state)
+
+
+def _check_number(kind: str, name: str, values: Any, contacts: int) -> None:
+    shapes = [np.shape(value) for value in values] if isinstance(values, (tuple, list)) else [()] * np.size(values)
+    if len(shapes) != contacts or any(shapes):
+        raise ValueError(
+            f"Argument {name} of a {kind} must return {contacts} numbers, one for each of its contacts, but "
+            f"{checks.show(values)} was given."
+        )
+
+
+def _check_affine_contacts(kind: str, rates: np.ndarray, contacts: int) -> None:
+    """`rates`: without friction, with friction 1 in all contacts, in each alone, and with friction -1 in each alone."""
+    if not np.all(np.isfinite(rates)):
+        return  # the status of the simulation reports it
+    idle, together, effects = rates[0], rates[1] - rates[0], rates[2 : 2 + contacts] - rates[0]
+    backward = idle - rates[2 + contacts :]
+    size = np.sum(np.abs(effects), axis=0)
+    wrong = np.maximum(np.abs(together - np.sum(effects, axis=0)), np.max(np.abs(effects - backward), axis=0))
+    wrong = np.flatnonzero(wrong > AFFINE * size + 1e-5 * np.max(np.abs(rates), axis=0) * (size == 0))
+    if len(wrong):
+        raise ValueError(
+            f"Argument rates of a {kind} must be affine in friction, a + b_0 friction[0] + b_1 friction[1] + ..., but "
+            f"rate number {wrong[0]} is not; multiply each kinetic friction force by its friction, and nothing else."
+        )
+
+
+def _check_unique(kind: str, gain: np.ndarray) -> None:
+    if not np.all(np.isfinite(gain)):
+        return
+    for number, own in enumerate(np.diag(gain)):
+        if own <= 0:
+            raise ValueError(
+                f"Argument rates of a {kind} must let positive friction act against a positive relative velocity, but "
+                f"friction[{number}] = 1 changes the rate of relative velocity number {number} by {-own:.6g}; turn its "
+                "sign round, or leave out a contact that moves nothing."
+            )
+    eigenvalues = np.linalg.eigvalsh((gain + gain.T) / 2)
+    if is_singular(eigenvalues):
+        raise ValueError(
+            f"Argument rates of a {kind} must have one motion only, but the effects of the friction forces on the "
+            "relative velocities are no positive definite matrix (smallest eigenvalue "
+            f"{eigenvalues[0]:.4g}): a contact is implied by others, or friction changes its own normal force too "
+            "much; join or leave out such contacts."
+        )

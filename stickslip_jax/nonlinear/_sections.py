@@ -1,0 +1,534 @@
+"""Sections of motions: states once a period, bifurcation diagrams that show them, and states at events."""
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+
+from .._dynamics.common.method import EXACT, Exact
+from .._dynamics.common.path import Run
+from .._dynamics.switched.engine import Beginnings, StepPath, state_in_step
+from .._excitation.excitation import BaseMotion
+from .._foundation import checks
+from .._foundation.extras import Entries
+from .._foundation.fields import Checked, Quantity
+from .._foundation.processes import require_memory
+from .._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
+from .._systems.switched_model import SwitchedModel
+from .._systems.system import System
+from ._cases import Cases, Cycle, Over, cases_of, checked_numbers
+from ._following import (
+    CYCLE,
+    Folder,
+    Seen,
+    dataset_of,
+    follow,
+    follow_along,
+    in_blocks,
+    kept_in,
+    on_grid,
+    outcome_of,
+    states_of,
+    warn_of_missing,
+    warn_of_unfinished,
+    warn_of_unsettled,
+)
+from ._settling import RECURS, UNSETTLED, checked_periods, recurrence, settled
+
+if TYPE_CHECKING:
+    import xarray
+
+
+# States once a period of the drive: stroboscopic sections, and the bifurcation diagrams that they make.
+
+
+CONTACT = "contact"
+
+
+def stroboscopic_section(
+    system: System,
+    base: BaseMotion,
+    *,
+    y0: Any = None,
+    over: Over | None = None,
+    transient: int = 200,
+    kept: int = 100,
+    longest_transient: int | None = None,
+    period: Scalar | None = None,
+    tolerance: float = RECURS,
+    method: Exact = EXACT,
+    progress: bool | None = None,
+    folder: Folder | None = None,
+) -> "xarray.Dataset":
+    """States once a period of what drives the system, after a transient: for many starts and parameters at once.
+
+    Args:
+        system: As in `simulate`, with any number of contacts.
+        base: As in `simulate`; a motion that repeats itself.
+        y0: The initial state, as in `simulate`; or many of them, an array (starts, coordinates).
+        over: Values of parameters by name, as for `Sweep`: every combination is followed from every start.
+        transient: Number of periods before the first that is kept, at least; 0 for motions as they begin.
+        kept: Number of periods kept.
+        longest_transient: Number of periods before the first that is kept, at most; by default 16 times `transient`.
+            Motions that have not settled go on, twice as long each time.
+        period: s; by default that after which all motions that drive the system repeat themselves together. A multiple
+            of it may be given, and must be where none is known (a record, which then begins anew after it; a system of
+            your own whose rates depend on time). Where nothing changes with time, any time after which to look.
+        tolerance: Relative, within which a state counts as the same for the variable ``recurrence``.
+        method: `Exact`.
+        progress: As in `simulate_ensemble`.
+        folder: Where what is done is kept, block after block; the same call goes on from there after an interrupt, or
+            takes all from there, quickly. Without it nothing is kept.
+
+    Returns:
+        The numbers of the state at the end of each period kept, with dimensions of the parameters, "start" if there are
+        several, and "cycle", the number of the period; likewise ``stick_time`` (s) in each period, ``stick_count``, the
+        sticks that began in it, and ``longest_stick``, that ended in it or goes on (s, from its beginning), of each
+        contact of a list. Of each case ``recurrence``, the number of periods after which the motion repeats itself, at
+        most half of those kept (0: none is found; -1: the motion has not settled, its differences still fall or grow,
+        and no stable orbit is near), ``more_periods``, for which it went on beyond `transient` until it had settled
+        (add them to "cycle"), ``status`` and ``near_grazing_count``. Angles are between 0 and
+        their period. A variable that is called as a parameter is has an underscore after its name. Warns
+        (RuntimeWarning) of cases that were not followed to the end, and hold NaN from there on, and of those that have
+        not settled. Fewer than eight periods kept are compared, but whether they settle is not seen.
+
+    Raises:
+        ValueError: For arguments that do not fit; for a base that is random or has no period.
+        SweepError: For a folder that holds something else or cannot be written.
+        ImportError: Without the extra ``study``.
+
+    >>> system = ss.MassSpring(
+    ...     mass=1.0, stiffness=1.0, normal_force=1.0, friction=ss.Coulomb(mu=0.3)
+    ... )
+    >>> base = ss.Harmonic(amplitude=1.0, angular_frequency=0.4)
+    >>> section = ss.nonlinear.stroboscopic_section(system, base, over={"mu": [0.1, 0.6]})
+    >>> section.recurrence.values
+    array([1, 1])
+    """
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
+    checks.positive("tolerance", tolerance)
+    cases = cases_of(system, base, y0, over, period, method)
+    what = {"function": "stroboscopic_section", "transient": transient, "kept": kept}
+    with kept_in(folder, cases, what) as stored:
+        seen = follow(cases, transient, kept, progress, stored)
+        found = settled(cases, seen, lasted, float(tolerance), progress, stored, stacklevel=3)
+    warn_of_unfinished(found[0].status, stacklevel=3)
+    return section_of(cases, *found, transient)
+
+
+def section_of(cases: Cases, seen: Seen, found: np.ndarray, more: np.ndarray, transient: int) -> "xarray.Dataset":
+    """The data set of what was seen, of the recurrences `found` and the periods `more` of each case, (cases,)."""
+    numbers = np.arange(transient + 1, transient + np.shape(seen.states)[1] + 1)
+    coordinates: Entries = {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})}
+    states = np.asarray(seen.states)
+    return dataset_of(
+        cases,
+        {
+            **states_of(cases, states, (CYCLE,), "at the end of the period"),
+            **sticks_in(cases, seen),
+            "recurrence": on_grid(cases, found, "number of periods after which the motion repeats itself"),
+            "more_periods": on_grid(cases, more, "number of periods for which it went on until it had settled"),
+            "period": on_grid(cases, cases.cycle.duration, "period", "s"),
+            **outcome_of(cases, np.asarray(seen.status), np.asarray(seen.near_grazing_count)),
+        },
+        coordinates,
+    )
+
+
+def sticks_in(cases: Cases, seen: Seen) -> Entries:
+    """Variables of the sticks in each period."""
+    more = (CYCLE,) if np.ndim(seen.sticks.time) == 2 else (CYCLE, CONTACT)
+    return {
+        "stick_time": on_grid(cases, seen.sticks.time, "time in sticks in the period", "s", more),
+        "stick_count": on_grid(cases, seen.sticks.begun, "number of sticks that begin in the period", "1", more),
+        "longest_stick": on_grid(cases, seen.sticks.longest, "longest stick of the period", "s", more),
+    }
+
+
+# Bifurcation diagrams: what motions settle on, over the values of parameters.
+
+
+Follow = Literal["start", "up", "down", "both"]
+DIRECTION = "direction"
+
+
+def bifurcation_diagram(
+    system: System,
+    base: BaseMotion,
+    over: Over,
+    *,
+    follow_attractor: Follow = "start",
+    y0: Any = None,
+    transient: int = 200,
+    kept: int = 100,
+    longest_transient: int | None = None,
+    period: Scalar | None = None,
+    tolerance: float = RECURS,
+    method: Exact = EXACT,
+    progress: bool | None = None,
+    folder: Folder | None = None,
+) -> "xarray.Dataset":
+    """States once a period over the values of parameters, from the same starts or following the attractor.
+
+    Args:
+        system: As in `stroboscopic_section`.
+        base: As in `stroboscopic_section`.
+        over: As in `stroboscopic_section`.
+        follow_attractor: "start": each value from `y0`. "up" or "down": each value of the first parameter, in the order
+            in which they are given or backwards, from where the motion of the one before ended; "both", with a further
+            dimension "direction": where two attractors are, a hysteresis shows.
+        y0: As in `stroboscopic_section`.
+        transient: As in `stroboscopic_section`.
+        kept: As in `stroboscopic_section`.
+        longest_transient: As in `stroboscopic_section`; where an attractor is followed, the next value begins from
+            where a motion was before it went on.
+        period: As in `stroboscopic_section`.
+        tolerance: As in `stroboscopic_section`.
+        method: `Exact`.
+        progress: As in `simulate_ensemble`.
+        folder: As in `stroboscopic_section`.
+
+    Returns:
+        As `stroboscopic_section`. Warns likewise; where an attractor is followed, a motion that was not followed to the
+        end is begun anew from `y0` at the next value.
+
+    Raises:
+        ValueError: For arguments that do not fit; for a base that is random or has no period.
+        SweepError: For a folder that holds something else or cannot be written.
+        ImportError: Without the extra ``study``.
+    """
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
+    checks.positive("tolerance", tolerance)
+    checks.chosen("follow_attractor", follow_attractor, get_args(Follow))
+    cases = cases_of(system, base, y0, over, period, method)
+    what = {"function": "bifurcation_diagram", "transient": transient, "kept": kept}
+    with kept_in(folder, cases, what) as stored:
+        if follow_attractor == "start":
+            seen = {"start": follow(cases, transient, kept, progress, stored)}
+        else:
+            directions = ("up", "down") if follow_attractor == "both" else (follow_attractor,)
+            seen = {
+                one: follow_along(cases, transient, kept, progress, stored, descending=one == "down")
+                for one in directions
+            }
+        every = [settled(cases, one, lasted, float(tolerance), progress, stored, stacklevel=3) for one in seen.values()]
+    for one in every:
+        warn_of_unfinished(one[0].status, stacklevel=3)
+    found = [section_of(cases, *one, transient) for one in every]
+    if len(found) == 1:
+        return found[0]
+    import xarray as xr  # noqa: PLC0415 - an extra, which was there to make the parts
+
+    directions = xr.DataArray(list(seen), dims=DIRECTION, name=DIRECTION, attrs={"long_name": "direction"})
+    return xr.concat(found, directions, combine_attrs="override")
+
+
+# States at events: where a stick or a slip begins, or a coordinate passes a value.
+
+
+EVENT = "event"
+ModeEvent = Literal["stick_start", "stick_end", "slip_forward", "slip_backward"]
+_SLOTS = 16  # for passages of a coordinate in one period; more are made where there are more
+_NEWTON = 24
+_NEAR = 1e-4  # of a step: Newton's steps then square it
+_MOST_PERIODS = 20  # for each event asked for
+
+
+class Crossing(Checked):
+    """A coordinate that passes a value.
+
+    Args:
+        coordinate: Its name, such as "position".
+        value: In its unit; of an angle, in any turn.
+        direction: 1 where it becomes larger, -1 where it becomes smaller, 0 for both.
+
+    Raises:
+        ValueError: For a value that is not finite, and for another direction.
+    """
+
+    coordinate: str = eqx.field(static=True)
+    value: Annotated[Scalar, Quantity("", "in the unit of the coordinate")] = 0.0
+    direction: int = eqx.field(static=True, default=1)
+
+    def check_relations(self) -> None:
+        checks.text("coordinate", self.coordinate)
+        if self.direction not in (-1, 0, 1):
+            raise checks.refused("direction", "be 1, -1 or 0", self.direction)
+
+
+class _Buffer(NamedTuple):
+    """Events of one case: the `number` of all, and the times and states (events, ...) of those kept."""
+
+    number: IntArray
+    times: FloatArray
+    states: FloatArray
+
+
+class _Carry(NamedTuple):
+    y: FloatArray
+    sign: FloatArray  # at the end of the last period; NaN before the first
+    status: IntArray
+    near_grazing_count: IntArray
+    most_passages: IntArray  # in one period, of a coordinate through the value
+    buffer: _Buffer
+
+
+class _Found(NamedTuple):
+    buffer: _Buffer
+    status: Array
+    near_grazing_count: Array
+    most_passages: Array
+
+
+_FOUND = _Found(_Buffer(0, 0, 0), 0, 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
+
+
+def event_section(
+    system: System,
+    base: BaseMotion,
+    of: ModeEvent | Crossing,
+    *,
+    contact: int = 0,
+    y0: Any = None,
+    over: Over | None = None,
+    transient: int = 200,
+    kept: int = 100,
+    period: Scalar | None = None,
+    method: Exact = EXACT,
+    progress: bool | None = None,
+    folder: Folder | None = None,
+) -> "xarray.Dataset":
+    """States at events of one kind, after a transient: for many starts and parameters at once.
+
+    Args:
+        system: As in `stroboscopic_section`.
+        base: As in `stroboscopic_section`; also one that nothing changes.
+        of: "stick_start" or "stick_end"; "slip_forward" or "slip_backward", where a slip with positive or negative
+            relative velocity begins, out of a stick or of a slip the other way; or a `Crossing` of a coordinate.
+        contact: Whose sticks and slips, from 0, for a system with several.
+        y0: As in `stroboscopic_section`.
+        over: As in `stroboscopic_section`.
+        transient: Number of events before the first that is kept.
+        kept: Number of events kept.
+        period: As in `stroboscopic_section`; where nothing drives the system, none is needed.
+        method: `Exact`.
+        progress: As in `simulate_ensemble`.
+        folder: As in `stroboscopic_section`.
+
+    Returns:
+        ``time`` (s) and the numbers of the state at each event, with dimensions of the parameters, "start" if there are
+        several, and "event", its number; NaN for events that were not found within twenty periods for each that is
+        asked for. Of each case ``recurrence``, the number of events after which state and phase of the period recur
+        (0: none is found; -1: they still come nearer to those of an orbit, or leave it: the motion has not settled),
+        ``event_count``, how many of these and of those before were found, ``status`` and ``near_grazing_count``. Warns
+        (RuntimeWarning) of cases that have not settled, of those with too few events, and of those not followed to the
+        end. A coordinate that passes the value and comes back within one time step is missed.
+
+    Raises:
+        ValueError: For arguments that do not fit; for a base that is random or has no period.
+        SweepError: For a folder that holds something else or cannot be written.
+        ImportError: Without the extra ``study``.
+    """
+    transient, kept = checked_numbers(transient, kept, (2**31 - 1) // _MOST_PERIODS)
+    cases = cases_of(system, base, y0, over, period, method, for_events=True)
+    numbers = cases.starts.shape[1] + 1
+    require_memory("kept", 8.0 * cases.number * kept * numbers, "the times and states of so many events")
+    event = _checked_event(cases.system, of, contact)
+    most = _MOST_PERIODS * (transient + kept)
+
+    def run(cycle: Cycle, starts: Array) -> _Found:
+        counts, slots = [jnp.asarray(number, jnp.int32) for number in (transient, most)], _SLOTS
+        while True:
+            found = _find(cycle, starts, *counts, kept=kept, event=event, slots=slots)
+            if (needed := int(jnp.max(found.most_passages))) <= slots:
+                return found
+            slots = 2 * needed
+
+    what = {"function": "event_section", "of": str(of), "contact": contact, "transient": transient, "kept": kept}
+    with kept_in(folder, cases, what) as stored:
+        found = in_blocks(cases, run, _FOUND, progress, stored)
+    warn_of_unfinished(found.status, stacklevel=3)
+    missing = (found.buffer.number < transient + kept) & (found.status == int(Status.FINISHED))
+    warn_of_missing(int(np.sum(missing)), len(missing), most, stacklevel=3)
+    # A case goes on while others of its block do: what it then finds does not count.
+    number = np.minimum(found.buffer.number, transient + kept)
+    recurs = _recurrence(cases, np.asarray(found.buffer.times), np.asarray(found.buffer.states))
+    if transient:
+        warn_of_unsettled(recurs == UNSETTLED, transient + kept, "A larger transient lets", stacklevel=3, what="events")
+    return _labeled(cases, found._replace(buffer=found.buffer._replace(number=number)), recurs, transient)
+
+
+class _Event(NamedTuple):
+    """What is looked for: a mode of a contact that begins or ends, or a coordinate, by number, that passes a value."""
+
+    mode: ModeEvent | None
+    contact: int
+    coordinate: int
+    value: float
+    direction: int
+    turn: float | None  # the coordinate's period
+
+
+def _checked_event(system: System, of: object, contact: object) -> _Event:
+    names = [coordinate.name for coordinate in system.coordinates]
+    if isinstance(of, Crossing):
+        checks.chosen("of.coordinate", of.coordinate, names)
+        number = names.index(of.coordinate)
+        return _Event(None, 0, number, float(of.value), of.direction, system.coordinates[number].period)
+    options = get_args(ModeEvent)
+    if not isinstance(of, str) or of not in options:
+        raise ValueError(
+            f"Argument of must be {checks.one_of(map(repr, options))}, or a Crossing(coordinate, value), but "
+            f"{checks.show(of)} was given."
+        )
+    number = checks.whole_number("contact", contact, minimum=0, maximum=(system.contact_count or 1) - 1)
+    return _Event(of, number, 0, 0.0, 0, None)  # pyright: ignore[reportArgumentType] - one of the options
+
+
+@eqx.filter_jit
+def _find(
+    cycle: Cycle, starts: Array, transient: IntArray, most: IntArray, *, kept: int, event: _Event, slots: int
+) -> _Found:
+    cases, size = starts.shape
+    none = jnp.zeros(cases, jnp.int32)
+    times = jnp.full((cases, kept), jnp.nan, starts.dtype)
+    buffer = _Buffer(none, times, jnp.full((cases, kept, size), jnp.nan, starts.dtype))
+    begun = _Carry(starts, jnp.full(cases, jnp.nan, starts.dtype), none, none, none, buffer)
+
+    def goes_on(state: tuple[IntArray, _Carry]) -> BoolArray:
+        number, carry = state
+        enough = (carry.buffer.number >= transient + kept) | (carry.status != int(Status.FINISHED))
+        return (number < most) & ~jnp.all(enough)
+
+    def one_period(state: tuple[IntArray, _Carry]) -> tuple[IntArray, _Carry]:
+        number, carry = state
+
+        def one(cycle: Cycle, carry: _Carry) -> _Carry:
+            return _over_period(cycle, carry, number, transient, event, slots)
+
+        return number + 1, eqx.filter_vmap(one)(cycle, carry)
+
+    _, carry = lax.while_loop(goes_on, one_period, (jnp.zeros((), jnp.int32), begun))
+    return _Found(carry.buffer, carry.status, carry.near_grazing_count, carry.most_passages)
+
+
+def _over_period(
+    cycle: Cycle, carry: _Carry, number: IntArray, transient: IntArray, event: _Event, slots: int
+) -> _Carry:
+    run = cycle.by_steps(carry.y)
+    path = run.path
+    assert isinstance(path, StepPath)
+    begun = path.beginnings
+    sign = begun.sign if begun.sign.ndim == 1 else begun.sign[:, event.contact]
+    passages = jnp.zeros((), jnp.int32)
+    if event.mode is not None:
+        before = jnp.append(jnp.where(jnp.isnan(carry.sign), sign[0], carry.sign), sign[:-1])
+        happens, times = _begins(event.mode, before, sign), begun.t
+        states = jnp.stack(jax.vmap(lambda y: jnp.stack(path_model(path).numbers(y)))(begun.y))
+    else:
+        happens, times, states, passages = _passages(path, run, event, slots)
+    started = number * cycle.duration
+    rank = carry.buffer.number + jnp.cumsum(happens, dtype=jnp.int32) - 1 - transient
+    place = jnp.where(happens & (rank >= 0), rank, carry.buffer.times.shape[0])
+    finished = carry.status == int(Status.FINISHED)
+    buffer = _Buffer(
+        carry.buffer.number + jnp.where(finished, jnp.sum(happens, dtype=jnp.int32), 0),
+        carry.buffer.times.at[place].set(started + times, mode="drop"),
+        carry.buffer.states.at[place].set(states, mode="drop"),
+    )
+    return _Carry(
+        jnp.where(finished, jnp.stack(run.final_state), jnp.nan),
+        sign[-1],
+        jnp.where(finished, run.status, carry.status),
+        carry.near_grazing_count + run.near_grazing_count.astype(jnp.int32),
+        jnp.maximum(carry.most_passages, passages),
+        buffer,
+    )
+
+
+def path_model(path: StepPath) -> SwitchedModel:
+    """The model of a path."""
+    return path.system.switched_model(path.excitation.signal, path.solver)
+
+
+def _begins(mode: ModeEvent, before: FloatArray, sign: FloatArray) -> BoolArray:
+    """At the begin of which steps the event is, by the sign of the relative velocity before and from there on."""
+    if mode == "stick_start":
+        return (before != 0) & (sign == 0)
+    if mode == "stick_end":
+        return (before == 0) & (sign != 0)
+    wanted = 1 if mode == "slip_forward" else -1
+    return (before != wanted) & (sign == wanted)
+
+
+def _passages(
+    path: StepPath, run: Run, event: _Event, slots: int
+) -> tuple[BoolArray, FloatArray, FloatArray, IntArray]:
+    """Whether, when and in what state a coordinate passes the value, in slots, and how often it does."""
+    model, begun = path_model(path), path.beginnings
+    values = _beyond(jax.vmap(lambda y: model.numbers(y)[event.coordinate])(begun.y), event)
+    after = jnp.append(values[1:], _beyond(run.final_state[event.coordinate], event))
+    up, down = (values < 0) & (after >= 0), (values > 0) & (after <= 0)
+    if event.turn is not None:  # half a turn away from the value it changes its sign too
+        near = jnp.abs(after - values) < event.turn / 2
+        up, down = up & near, down & near
+    passes = up if event.direction > 0 else down if event.direction < 0 else up | down
+    (steps,) = jnp.nonzero(passes, size=slots, fill_value=-1)
+    lengths = jnp.append(begun.t[1:], run.time_reached) - begun.t
+
+    def locate(step: IntArray) -> tuple[FloatArray, FloatArray]:
+        here: Beginnings = jax.tree.map(lambda column: column[step], begun)
+        rises = after[step] > values[step]
+
+        def closer(_: IntArray, state: tuple[FloatArray, FloatArray, FloatArray]):
+            low, high, h = state
+            y = state_in_step(model, here, h)
+            rates = model.rates(model.forcing(here.t, here.segments), h, y, here.sign)
+            value = _beyond(model.numbers(y)[event.coordinate], event)
+            rate = model.numbers(rates)[event.coordinate]
+            is_before = (value < 0) == rises
+            low, high = jnp.where(is_before, h, low), jnp.where(is_before, high, h)
+            newton = h - value / jnp.where(rate == 0, 1, rate)
+            # Beyond what is known by a hair: it has converged, but for round-off.
+            inside = (newton >= low - near) & (newton <= high + near) & (rate != 0)
+            return low, high, jnp.where(inside, jnp.clip(newton, low, high), (low + high) / 2)
+
+        zero, near = jnp.zeros_like(lengths[step]), _NEAR * lengths[step]
+        _, _, h = lax.fori_loop(0, _NEWTON, closer, (zero, lengths[step], lengths[step] / 2))
+        return here.t + h, jnp.stack(model.numbers(state_in_step(model, here, h)))
+
+    times, states = jax.vmap(locate)(steps)
+    return steps >= 0, times, states, jnp.sum(passes, dtype=jnp.int32)
+
+
+def _beyond(numbers: FloatArray, event: _Event) -> FloatArray:
+    """How far a coordinate is beyond the value; of an angle, by at most half a turn."""
+    beyond = numbers - event.value
+    return beyond if event.turn is None else beyond - event.turn * jnp.round(beyond / event.turn)
+
+
+def _recurrence(cases: Cases, times: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """After how many events the state recurs, and where motions drive the system its phase, (cases,)."""
+    turns = tuple(coordinate.period for coordinate in cases.system.coordinates)
+    if cases.driven:
+        phase = times / np.reshape(np.asarray(cases.cycle.duration), (-1, 1))
+        states, turns = np.concatenate([states, phase[..., None]], axis=-1), (*turns, 1.0)
+    return recurrence(states, np.max(np.abs(states), axis=1), RECURS, turns)
+
+
+def _labeled(cases: Cases, found: _Found, recurs: np.ndarray, transient: int) -> "xarray.Dataset":
+    times = np.asarray(found.buffer.times)
+    numbers = np.arange(transient + 1, transient + times.shape[1] + 1)
+    coordinates: Entries = {EVENT: (EVENT, numbers, {"long_name": "number of the event"})}
+    variables: Entries = {
+        "time": on_grid(cases, times, "time of the event", "s", (EVENT,)),
+        **states_of(cases, np.asarray(found.buffer.states), (EVENT,), "at the event"),
+        "recurrence": on_grid(cases, recurs, "number of events after which the motion repeats itself"),
+        "event_count": on_grid(cases, found.buffer.number, "number of events found"),
+        **outcome_of(cases, np.asarray(found.status), np.asarray(found.near_grazing_count)),
+    }
+    return dataset_of(cases, variables, coordinates)
