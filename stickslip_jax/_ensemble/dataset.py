@@ -156,7 +156,7 @@ def _without_cluster() -> Iterator[None]:
         yield
 
 
-# An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (`dataset.py`).
+# An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (see below).
 
 
 Variables: TypeAlias = dict[str, Any]

@@ -170,7 +170,7 @@ def _cleared(matrix: FloatArray) -> FloatArray:
     return lax.fori_loop(0, len(matrix), clear, matrix)
 
 
-# Orthogonal bases by Gram and Schmidt, without LAPACK, which batches of many cannot call (`matrices.py`).
+# Orthogonal bases by Gram and Schmidt, without LAPACK, which batches of many cannot call.
 
 
 def orthogonal_factors(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -172,7 +172,7 @@ def recording(engine: IntervalEngine | SwitchedEngine, fixed_start: bool) -> Int
 # Counts of sticks whose derivative is that of the expected count, accumulated during the simulation.
 #
 # To that derivative each stick and near miss adds an event part for every boundary that it is close to
-# (`boundaries.py`, `boundaries.py`). Where the gaps between switches are exponential, the time left at an arrival is
+# (`boundaries.py`). Where the gaps between switches are exponential, the time left at an arrival is
 # exponential too (memorylessness): its density at 0 is the rate, for every stick. So the distance to the switch needs
 # no kernel.
 

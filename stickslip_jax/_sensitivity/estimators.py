@@ -267,7 +267,7 @@ def _values(
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
-# Native loops and wide vectors only where all compiled functions are the package's own (see `_dynamics/engine_choice.py`).
+# Native loops and wide vectors only where all compiled functions are the package's own (see `engine_choice.py`).
 count_chunk = {
     True: CompiledNatively(_count, _COUNT_STATIC, compiler_options=WIDE_VECTORS),
     False: jax.jit(_count, static_argnames=_COUNT_STATIC),

@@ -403,7 +403,7 @@ def wrapped_path(path: Path) -> Path:
 # Statistics of recorded stick sequences whose derivatives are those of their expectations.
 #
 # The derivative of a realisation's functional with the number of sticks held fixed is the pathwise part. The event part
-# comes from the signed distances to the boundaries (`boundaries.py`), weighted by kernels (`boundaries.py`): the
+# comes from the signed distances to the boundaries (`boundaries.py`), weighted by kernels: the
 # functional's jump at each is its change when a stick of zero length is inserted there, or when a slip of zero length
 # splits a stick in two. The duration of a stick from t = 0 is a further distance.
 

@@ -295,7 +295,7 @@ def _turned(direction: FloatPair, angle: FloatScalar) -> FloatPair:
 
 # A cart on a rail with dry friction, driven by a DC motor through a scotch yoke (Lima and Sampaio 2022, eqs 1, 2, 5).
 #
-# State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). How it slips and sticks: `motor_cart.py`.
+# State: angle ``alpha`` (rad), ``alpha'`` (rad/s), current ``c`` (A). How it slips and sticks: above.
 
 
 USUAL_MU = 0.2

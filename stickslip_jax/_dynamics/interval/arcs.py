@@ -179,7 +179,7 @@ def half_turn(w2: FloatArray) -> FloatArray:
 
 # Closed forms of the motion while the base velocity stays constant.
 #
-# Times in s, positions in m, velocities in m/s; nothing is divided by the stiffness, which may be zero (`arcs.py`).
+# Times in s, positions in m, velocities in m/s; nothing is divided by the stiffness, which may be zero (see above).
 # ``alpha = mu n / m`` is the deceleration by friction, ``w2 = omega^2 = k / m``. The formulas are for a base that moves
 # forward, at the speed ``q = |base velocity| >= 0``; for a backward one the state is mirrored (`carry_across`).
 #
@@ -191,8 +191,8 @@ def half_turn(w2: FloatArray) -> FloatArray:
 #   ``R^2 = A^2 + w2 v^2``;
 # - the arc meets the base velocity at distance ``H = sqrt(R^2 - w2 q^2)`` from the centre, where
 #   ``w2 x = side (alpha - H)``;
-# - the mass sticks there if ``H <= 2 alpha``; otherwise it crosses to the other side, and meets the base velocity next at
-#   distance ``H - 2 alpha`` from the other centre, and so on.
+# - the mass sticks there if ``H <= 2 alpha``; otherwise it crosses to the other side, and meets the base velocity next
+#   at distance ``H - 2 alpha`` from the other centre, and so on.
 #
 # Without a spring ``H = alpha``: every meeting is a stick, which lasts as long as the base velocity.
 

@@ -28,8 +28,6 @@ from .sticks import (
 )
 
 # A system with one contact under its excitation, its friction regularised, as the engines ask it.
-#
-# With several contacts: `field.py`.
 
 
 _TIME_ULPS = 4  # the round-off of the time, in units in the last place
@@ -125,8 +123,6 @@ class Field(NamedTuple):
 
 
 # A system with several contacts under its excitation, its friction regularised, as the engines ask it.
-#
-# With one contact: `field.py`.
 
 
 _MOST_NEEDED = 1e6  # times the largest friction

@@ -65,7 +65,7 @@ class Switch(eqx.Module):
         if static is None:
             return kinetic * self(ratio)
         part, beyond = jnp.clip(ratio, -1, 1), jnp.maximum(jnp.abs(ratio) - 1, 0)
-        # Concave on the rise, so that a step can find the balance of forces from below (`implicit_step.py`).
+        # Concave on the rise, so that a step can find the balance of forces from below (`balance_with_static`).
         if self.shape == "linear":
             # A corner: from a smooth summit a mass would part as slowly as ``width^(2/3)``.
             held, left = static * part, jnp.exp(-beyond)
@@ -321,7 +321,7 @@ def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness
     """The signed friction coefficient ``mu(sigma)`` at the root of ``sigma + stiffness mu(sigma) = speed``.
 
     Newton's method from below, on the magnitude: mu is concave up to its largest value, so that no iterate
-    overshoots. With ``mu_static > mu``: `implicit_step.py`. The derivatives are those of the implicit function
+    overshoots. With ``mu_static > mu``: `balance_with_static`. The derivatives are those of the implicit function
     (`balance_root`).
     """
     sign = jnp.where(speed < 0, -1.0, 1.0)
@@ -507,9 +507,9 @@ def _newton_matrix(slope: FloatArray, stiffness: FloatArray) -> FloatArray:
 
 # One step of fixed length of regularised dynamics with several contacts, stable for any width.
 #
-# The method and its estimated error are those of `implicit_step.py`. In each stage everything but the friction is
+# The method and its estimated error are those of `implicit_step`. In each stage everything but the friction is
 # linearised at a predicted state; one equation for each contact remains, and all are solved together
-# (`implicit_step.py`).
+# (`balanced_forces`).
 
 
 class FrictionAt(ForceLaw):

@@ -114,8 +114,7 @@ def _share(chosen: BoolArray, one: FloatArray, other: FloatArray) -> FloatArray:
 
 # Regularised motion of one trajectory in steps of fixed length; the caller makes batches with ``jax.vmap``.
 #
-# A step ends early where a segment of the base motion or of the load ends, so that it never crosses a jump. Adaptive
-# steps: `solve.py`.
+# A step ends early where a segment of the base motion or of the load ends, so that it never crosses a jump.
 
 
 _GROWTH = 8  # of a step that was shortened, at most

@@ -308,7 +308,7 @@ def is_not_below(guard: FloatArray, guard_rate: FloatArray, t: FloatArray) -> Bo
 #
 # - if the guard stays positive, the time step is accepted;
 # - if the guard falls through zero inside, the step is tried again with the estimated event as its end, until it ends
-#   within `_LANDED` of the event; a last Newton step then lands on the event (its derivatives: `stepping.py`);
+#   within `_LANDED` of the event; a last Newton step then lands on the event (its derivatives: see above);
 # - if the guard has a minimum near zero, the step is tried again up to this minimum, to see whether it falls below;
 # - a time step never crosses the end of a segment of the base motion or of the load: there the mode is found anew;
 # - a time step whose error estimate is too large is tried again, shorter.
