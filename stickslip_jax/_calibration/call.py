@@ -21,12 +21,12 @@ from .._statistics.distribution import wrapped
 from .._statistics.estimate import Estimate, correlated_estimates
 from .._statistics.independence import HypothesisTest
 from .._systems.system import System, unit_at
-from .._uncertainty.numbers import Parameter, Path, parameters_of, with_numbers
+from .._uncertainty.numbers import NumberPath, Parameter, parameters_of, with_numbers
 from .information import SHARE, Bounds, all_bounds, explanations, information_of, other_units
 from .parameters import Transform, covariance_of, transform_of
-from .problem import Sensor, Setting
+from .problem import EstimatedNumbers, Sensor
 from .record import Observer, Record, Windows, asked, whiteness
-from .search import Found, Search, as_one, chi_squared, fitted
+from .search import FoundFit, Search, as_one, chi_squared, fitted
 
 # The result of a calibration.
 
@@ -136,7 +136,7 @@ def result_of(
     record: Record,
     arguments: Arguments,
     parameters: tuple[Parameter, ...],
-    found: Found,
+    found: FoundFit,
     start: np.ndarray | None,
     given_up: float | None,
 ) -> Calibration:
@@ -163,7 +163,7 @@ def result_of(
     )
     is_told = np.concatenate([is_told, np.diag(joint.covariance)[number:] < _VAGUE**2])
     covariance, by_blocks = (covariance_of(slope, matrix, is_told) for matrix in (joint.covariance, joint.by_blocks))
-    setting = Setting(arguments.system, arguments.base, sensors=problem.model.setting.sensors)
+    setting = EstimatedNumbers(arguments.system, arguments.base, sensors=problem.model.setting.sensors)
     states = np.asarray(problem.model.state_origin) + fit.point.s
     coordinates = arguments.system.coordinates
     names = [parameter.name for parameter in parameters] + [one.name for one in coordinates] * with_start
@@ -292,7 +292,7 @@ def _about_colour(channels: list[str], wrong: list[str]) -> list[str]:
     ]
 
 
-def _unit(setting: Setting, record: Record, parameter: Parameter) -> str:
+def _unit(setting: EstimatedNumbers, record: Record, parameter: Parameter) -> str:
     """The unit of a number of the system, the base, or a channel's sensor."""
     kind, *_, last = parameter.path
     if kind == "sensors" and last == "offset":
@@ -385,8 +385,8 @@ def calibrate(
     given_up = None
     if windows is None and found.problem.windows.begins.shape[0] > 1:
         whole = as_one(search, found)
-        given_up = None if isinstance(whole, Found) else whole
-        found = whole if isinstance(whole, Found) else found
+        given_up = None if isinstance(whole, FoundFit) else whole
+        found = whole if isinstance(whole, FoundFit) else found
     done = result_of(search.record, search.arguments, search.parameters, found, search.y0, given_up)
     for remark in done.remarks:
         warnings.warn(remark, RuntimeWarning, stacklevel=2)
@@ -418,22 +418,24 @@ def _checked(
     return Search(record, arguments, parameters, transform, None if y0 is None else start, setting)
 
 
-def _setting_and_parameters(arguments: Arguments, record: Record, wrt: object) -> tuple[Setting, tuple[Parameter, ...]]:
+def _setting_and_parameters(
+    arguments: Arguments, record: Record, wrt: object
+) -> tuple[EstimatedNumbers, tuple[Parameter, ...]]:
     """Where the numbers stand, and those named by `wrt`: of system and base, and offsets and delays."""
-    own: dict[str, Path] = {"clock.delay": ("clock", "delay")}
+    own: dict[str, NumberPath] = {"clock.delay": ("clock", "delay")}
     for i, channel in enumerate(record.channels):
         own |= {f"{channel.name}.{kind}": ("sensors", i, kind) for kind in ("delay", "offset")}
     where = {"system": arguments.system, "base": arguments.base}
     names = (wrt,) if isinstance(wrt, str) else wrt
     if not isinstance(names, (tuple, list)) or not any(name in own for name in names if isinstance(name, str)):
-        return Setting(arguments.system, arguments.base), parameters_of(where, wrt)
+        return EstimatedNumbers(arguments.system, arguments.base), parameters_of(where, wrt)
     others = tuple(name for name in names if name not in own)
     if len(set(names)) < len(names):
         raise checks.refused("wrt", "be a parameter's name or several different ones", wrt)
     known = {one.name: one for one in parameters_of(where, others)} if others else {}
     parameters = tuple(known.get(name) or Parameter(name, own[name], 0.0) for name in names)
     sensors = tuple(Sensor() for _ in record.channels)
-    return Setting(arguments.system, arguments.base, sensors=sensors), parameters
+    return EstimatedNumbers(arguments.system, arguments.base, sensors=sensors), parameters
 
 
 def _with_sensors(

@@ -11,7 +11,7 @@ from scipy import linalg, optimize, stats
 from .._dynamics.common.method import Arguments
 from .._simulation.call import simulate
 from .record import Record, Windows
-from .search import LOOSE, Fit, Free, Point, Problem, Seen, chi_squared
+from .search import LOOSE, Fit, FitProblem, Free, Point, Seen, chi_squared
 
 # What a record says about each number: covariances, and numbers that it does not tell.
 
@@ -115,7 +115,7 @@ class Bounds(NamedTuple):
 
 
 def all_bounds(
-    problem: Problem, sigma: np.ndarray, fit: Fit, free: Free, told: Information, freedom: float
+    problem: FitProblem, sigma: np.ndarray, fit: Fit, free: Free, told: Information, freedom: float
 ) -> tuple[dict[int, Bounds], np.ndarray]:
     """The bounds by the record of the numbers, by place, that it does not tell, each by itself, of those near a bound
     that they may have, and of those around which chi-squared is no parabola; and which numbers the record tells,
@@ -149,7 +149,7 @@ def all_bounds(
 
 
 def _is_bent(
-    problem: Problem, sigma: np.ndarray, fit: Fit, free: Free, which: int, error: float, change: np.ndarray
+    problem: FitProblem, sigma: np.ndarray, fit: Fit, free: Free, which: int, error: float, change: np.ndarray
 ) -> bool:
     """Whether the root of what chi-squared grows by is another one than the standard `error` of a number promises.
 
@@ -172,7 +172,7 @@ def _is_bent(
 
 
 def _bounds_of(
-    problem: Problem, sigma: np.ndarray, at: Point, free: Free, which: int, error: float, limit: float
+    problem: FitProblem, sigma: np.ndarray, at: Point, free: Free, which: int, error: float, limit: float
 ) -> Bounds:
     """How far the number `which`, or how much it is above the one it is counted from, can go down and up until the
     record contradicts it, all others fitted again.

@@ -15,7 +15,7 @@ from .._foundation import checks
 from .._foundation.types import AnyArray, DType
 from .._systems.friction import FrictionCurve
 from .._systems.system import checked_system
-from .._uncertainty.inputs import Model, SampledLaw
+from .._uncertainty.inputs import SampledLaw, StochasticModel
 from .._uncertainty.numbers import Parameter, check_numbers, number_at, parameters_of, quantity_at, with_numbers
 
 # Numbers with bounds as functions of the coordinates in which they are searched.
@@ -164,7 +164,7 @@ class Models:
     `parameters`: (experiments, parameters); their paths and their values as given. `transform`: their coordinates.
     """
 
-    models: tuple[Model, ...]
+    models: tuple[StochasticModel, ...]
     parameters: tuple[tuple[Parameter, ...], ...]
     transform: Transform
 
@@ -191,7 +191,7 @@ class Models:
         """The derivatives of the parameters by the coordinates."""
         return self.transform.slopes(values)
 
-    def at(self, values: _Vector) -> list[Model]:
+    def at(self, values: _Vector) -> list[StochasticModel]:
         """The models with these values. Raises ValueError for values that a constructor refuses."""
         found = []
         for model, parameters in zip(self.models, self.parameters, strict=True):
@@ -201,14 +201,14 @@ class Models:
         return found
 
 
-def checked_model(system: object, law: Any, y0: Any) -> Model:
+def checked_model(system: object, law: Any, y0: Any) -> StochasticModel:
     """What is simulated, by kind: its numbers may be random. Raises ValueError for what is no system, law or start."""
     known = law_of(law)
     if not isinstance(known, SampledLaw):
         motion_of(known, "law")
     if y0 is not None and checks.dimensions(y0) not in (1, 2):
         raise checks.refused("y0", "be a tuple with the initial value of each coordinate", y0)
-    return Model(checked_system(system), known, y0)
+    return StochasticModel(checked_system(system), known, y0)
 
 
 def _for_each(name: str, given: object, experiments: int) -> list[Any]:

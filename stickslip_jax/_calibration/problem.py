@@ -18,7 +18,7 @@ from .._simulation.call import simulate
 from .._simulation.result import Simulation
 from .._systems.friction import FrictionLaw
 from .._systems.system import System
-from .._uncertainty.numbers import Path, with_numbers
+from .._uncertainty.numbers import NumberPath, with_numbers
 from .parameters import Transform
 from .record import Observer, Windows
 
@@ -32,7 +32,7 @@ class Sensor(eqx.Module):
     offset: Annotated[Scalar, Quantity()] = 0.0
 
 
-class Setting(NamedTuple):
+class EstimatedNumbers(NamedTuple):
     """Where the numbers to be estimated stand. `clock`: a delay of the whole record; `sensors`: of the channels, or
     none if all are as they should be.
     """
@@ -43,7 +43,7 @@ class Setting(NamedTuple):
     sensors: tuple[Sensor, ...] = ()
 
 
-def static_holds(setting: Setting) -> BoolArray:
+def static_holds(setting: EstimatedNumbers) -> BoolArray:
     """Whether in no friction law static friction is below kinetic friction."""
     holds = jnp.ones((), bool)
     for law in modules_in(setting):
@@ -53,27 +53,29 @@ def static_holds(setting: Setting) -> BoolArray:
     return holds
 
 
-class Model(eqx.Module):
+class FittedMotion(eqx.Module):
     """The motion as a function of the numbers to be estimated (`paths`, by their `transform`) and of states at starts.
 
     States are searched as differences from `state_origin` (windows, coordinates); contacts that are `resting` at a
     start (windows, modes) have no relative velocity there, whatever the state.
     """
 
-    setting: Setting
+    setting: EstimatedNumbers
     state_origin: Array
     resting: Array | None
     method: Exact | Regularized
     transform: Transform
-    paths: tuple[Path, ...] = eqx.field(static=True)
+    paths: tuple[NumberPath, ...] = eqx.field(static=True)
     observers: tuple[Observer, ...] = eqx.field(static=True)
     steps: int = eqx.field(static=True)
 
-    def setting_at(self, numbers: FloatArray) -> Setting:
+    def setting_at(self, numbers: FloatArray) -> EstimatedNumbers:
         """System, base and sensors with other numbers, (parameters,)."""
         return with_numbers(self.setting, self.paths, numbers)
 
-    def motion(self, setting: Setting, y: FloatArray, resting: BoolArray | None, window: Windows) -> Simulation:
+    def motion(
+        self, setting: EstimatedNumbers, y: FloatArray, resting: BoolArray | None, window: Windows
+    ) -> Simulation:
         """The motion in a window from the state `y` (coordinates,)."""
         begin, end = jnp.asarray(window.begins), jnp.asarray(window.ends)
         system, base, *_ = setting
@@ -101,10 +103,10 @@ class Model(eqx.Module):
             seen = jnp.stack([observe(one, late - sensor.delay) + sensor.offset for observe, sensor in shown])
         else:
             seen = jnp.stack([observe(one, times) for observe in self.observers])
-        return jnp.where(static_holds(Setting(one.system, one.base)), seen, jnp.nan)
+        return jnp.where(static_holds(EstimatedNumbers(one.system, one.base)), seen, jnp.nan)
 
 
-def with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def with_slopes(model: FittedMotion, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What is seen of the motions in all windows, (windows, channels, times), and its derivatives by `x` and the own
     state of each window, (windows, channels, times, parameters + coordinates).
 
@@ -124,7 +126,7 @@ def with_slopes(model: Model, windows: Windows, x: FloatArray, s: FloatArray) ->
 
 
 @eqx.filter_custom_jvp
-def predicted(model: Model, windows: Windows, x: FloatArray, s: FloatArray) -> FloatArray:
+def predicted(model: FittedMotion, windows: Windows, x: FloatArray, s: FloatArray) -> FloatArray:
     """What is seen of the motions in all windows, (windows, channels, times), with derivatives of first order by x, s.
 
     They are all computed at once, by `with_slopes`; reverse mode multiplies by them. Where a motion does not reach its
@@ -145,7 +147,7 @@ def _(primals: Any, tangents: Any) -> tuple[FloatArray, FloatArray]:
 
 
 @eqx.filter_jit
-def slip_speeds(setting: Setting, solver: Any, times: FloatArray, states: FloatArray) -> FloatArray:
+def slip_speeds(setting: EstimatedNumbers, solver: Any, times: FloatArray, states: FloatArray) -> FloatArray:
     """The sizes of the relative velocities of contacts in `states` (times, coordinates) at `times` (s), (times, modes)
     or (times,); infinite for modes that are no contacts.
     """

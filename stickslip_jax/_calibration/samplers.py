@@ -32,7 +32,7 @@ from .._systems.system import System
 from .._uncertainty.design import table
 from .._uncertainty.numbers import matching, numbers_in, parameters_of, quantity_at
 from .parameters import checked_model, identity
-from .problem import Model, Setting, predicted, static_holds
+from .problem import EstimatedNumbers, FittedMotion, predicted, static_holds
 from .record import Observer, Windows, asked
 
 # `log_likelihood`: how likely a record of motion is, as a function for samplers of posteriors.
@@ -65,7 +65,7 @@ class LogLikelihood(eqx.Module):
     channels: tuple[str, ...] = eqx.field(static=True)
     first_guess: Array
     noise: Array
-    _model: Model
+    _model: FittedMotion
     _windows: Windows
     _start: Array
     _abouts: tuple[Quantity, ...] = eqx.field(static=True)
@@ -218,13 +218,13 @@ def log_likelihood(
     """
     require_threads_of_jax()
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
-    setting, method = Setting(arguments.system, arguments.base), arguments.method
+    setting, method = EstimatedNumbers(arguments.system, arguments.base), arguments.method
     state = tuple(start.tolist())
     parameters = parameters_of({"system": setting.system, "base": setting.base, "y0": state}, wrt)
     dtype = working_dtype()
     windows = record.cut(np.zeros(1, int), 0.0)
     of_setting = [parameter for parameter in parameters if parameter.path[0] != "y0"]
-    model = Model(
+    model = FittedMotion(
         setting=as_arrays(setting, dtype), state_origin=jnp.zeros((1, len(state)), dtype), resting=None, method=method,
         transform=identity(len(of_setting), dtype), paths=tuple(parameter.path for parameter in of_setting),
         observers=tuple(channel.observe for channel in record.channels), steps=_steps(arguments),

@@ -15,7 +15,7 @@ from .._foundation.types import AnyArray, FloatArray
 from .._numerics.derivatives import as_arrays
 from .._uncertainty.numbers import Parameter, with_numbers
 from .parameters import Transform
-from .problem import Model, Setting, slip_speeds, with_slopes
+from .problem import EstimatedNumbers, FittedMotion, slip_speeds, with_slopes
 from .record import Record, Windows, start_guess
 
 # The search for the numbers that explain a record best: nonlinear least squares, by scipy.
@@ -68,10 +68,10 @@ class Fit(NamedTuple):
     converged: bool
 
 
-class Problem(NamedTuple):
+class FitProblem(NamedTuple):
     """A model and the windows of a record."""
 
-    model: Model
+    model: FittedMotion
     windows: Windows
 
     def seen(self, point: Point) -> Seen:
@@ -162,7 +162,7 @@ def _point(vector: np.ndarray, start: Point, free: Free) -> Point:
 
 
 @eqx.filter_jit
-def _with_slopes(model: Model, windows: Windows, x: AnyArray, s: AnyArray) -> tuple[FloatArray, FloatArray]:
+def _with_slopes(model: FittedMotion, windows: Windows, x: AnyArray, s: AnyArray) -> tuple[FloatArray, FloatArray]:
     return with_slopes(model, windows, jnp.asarray(x), jnp.asarray(s))
 
 
@@ -188,7 +188,7 @@ class Cuts(NamedTuple):
     resting: np.ndarray | None
 
 
-def cuts_of(record: Record, setting: Setting, solver: Any, number: int) -> Cuts:
+def cuts_of(record: Record, setting: EstimatedNumbers, solver: Any, number: int) -> Cuts:
     """About `number` windows of equal duration; each but the first begins where the slowest contact is fastest, of some
     measurements nearby.
     """
@@ -229,7 +229,7 @@ class Search(NamedTuple):
     parameters: tuple[Parameter, ...]
     transform: Transform
     y0: np.ndarray | None
-    setting: Setting
+    setting: EstimatedNumbers
 
     def cuts(self, number: int) -> Cuts:
         """Where `number` windows begin, and the states there by the measurements."""
@@ -246,13 +246,13 @@ class Search(NamedTuple):
         """Whether one motion over the whole record begins at its first measurement; at t = 0 otherwise."""
         return self.y0 is None and isinstance(self.arguments.method, Exact)
 
-    def problem(self, cuts: Cuts, numbers: np.ndarray, more: int = 1) -> Problem:
+    def problem(self, cuts: Cuts, numbers: np.ndarray, more: int = 1) -> FitProblem:
         """The problem in windows, with steps for the parameters at `numbers`, or `more` times as many."""
         method = self.arguments.method
         is_from_zero = len(cuts.firsts) == 1 and not self.begins_where_measured
         windows = self.record.cut(cuts.firsts, 0.0 if is_from_zero else None)
         dtype = jnp.result_type(float)
-        model = Model(
+        model = FittedMotion(
             as_arrays(self.setting, dtype),
             jnp.asarray(cuts.states, dtype),
             None if cuts.resting is None else jnp.asarray(cuts.resting),
@@ -264,7 +264,7 @@ class Search(NamedTuple):
             if isinstance(method, Regularized)
             else more * self._steps(np.asarray(windows.ends - windows.begins), numbers),
         )
-        return Problem(model, jax.tree.map(jnp.asarray, windows))
+        return FitProblem(model, jax.tree.map(jnp.asarray, windows))
 
     def _steps(self, durations: np.ndarray, numbers: np.ndarray) -> int:
         """Loop steps for the longest window, with the parameters at `numbers`."""
@@ -278,7 +278,7 @@ class Search(NamedTuple):
         share = min(1.0, 2 * float(np.max(durations)) / float(arguments.t1))
         return padded_length(int(share * steps_for(system, excitation, arguments.t1, step)) + 32)
 
-    def needs_more(self, problem: Problem, fit: Fit) -> bool:
+    def needs_more(self, problem: FitProblem, fit: Fit) -> bool:
         """Whether the motion where a search ended may need more steps than it had."""
         if isinstance(problem.model.method, Regularized):
             return False
@@ -287,16 +287,16 @@ class Search(NamedTuple):
         return self._steps(np.asarray(windows.ends - windows.begins), numbers) > problem.model.steps
 
 
-class Found(NamedTuple):
+class FoundFit(NamedTuple):
     """A fit, its problem, what was searched, and the noise of each channel, (channels,)."""
 
-    problem: Problem
+    problem: FitProblem
     fit: Fit
     free: Free
     sigma: np.ndarray
 
 
-def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None = None) -> Found:
+def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None = None) -> FoundFit:
     """The fit in windows from `x`, with the noise that is not known estimated, or with `sigma`."""
     free = Free(np.ones(len(x), bool), len(cuts.firsts) > 1 or search.y0 is None)
     more = 1
@@ -322,19 +322,19 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
 
 
 def _with_noise(
-    problem: Problem,
+    problem: FitProblem,
     record: Record,
     start: Point,
     free: Free,
     sigma: np.ndarray | None,
     about: np.ndarray | None = None,
-) -> Found:
+) -> FoundFit:
     """The fit with the noise `sigma`, or with the standard deviation of what is not known of it estimated too, in turn.
 
     `about`: where to begin with that.
     """
     if sigma is not None:
-        return Found(problem, problem.search(sigma, start, free), free, sigma)
+        return FoundFit(problem, problem.search(sigma, start, free), free, sigma)
     known = np.isfinite(record.noise)
     spread = np.nanstd(record.values, axis=1)
     least = 1e-10 * np.nanmax(np.abs(record.values), axis=1) + np.finfo(float).tiny
@@ -350,10 +350,10 @@ def _with_noise(
             break
         # Of a single channel too: what holds numbers near their first guesses weighs more the larger the noise.
         fit = problem.search(sigma, fit.point, free)
-    return Found(problem, fit, free, sigma)
+    return FoundFit(problem, fit, free, sigma)
 
 
-def as_one(search: Search, found: Found) -> Found | float:
+def as_one(search: Search, found: FoundFit) -> FoundFit | float:
     """One motion over the whole record, from the numbers `found` in windows; if the record contradicts it, by how much
     chi-squared grew.
     """

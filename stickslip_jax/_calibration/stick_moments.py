@@ -27,7 +27,7 @@ from .._sensitivity.estimators import (
 )
 from .._sensitivity.problem import (
     Pilot,
-    Problem,
+    SensitivityProblem,
     buffer_sizes_for,
     problem_of,
     relative_bandwidth_of,
@@ -46,7 +46,7 @@ from .._sensitivity.statistic import (
 )
 from .._statistics.totals import mean_stick_count, mean_total_stick_time
 from .._systems.system import unit_at
-from .._uncertainty.inputs import Model
+from .._uncertainty.inputs import StochasticModel
 
 # Moments of stick sequences: which, what was observed of them, and how the observed ones scatter.
 
@@ -291,7 +291,7 @@ class Simulator:
         self.units: tuple[str, ...] = ()
         self.products: set[str] = set()
 
-    def __call__(self, model: Model) -> Simulated:
+    def __call__(self, model: StochasticModel) -> Simulated:
         """The moments of `model`. Raises ValueError for what `sensitivity` refuses."""
         y0: InitialState | None = model.y0
         problem, pilot = problem_of(
@@ -306,7 +306,7 @@ class Simulator:
         order = [one for kind in kinds for one in kind.statistics]
         return _simulated(accumulated, [order.index(one) for one in self.statistics], len(self.wrt), self.samples)
 
-    def _source(self, kind: Problem, pilot: Pilot, widest: float) -> Source:
+    def _source(self, kind: SensitivityProblem, pilot: Pilot, widest: float) -> Source:
         """How the moments of one kind, and their derivatives, are found."""
         if (self.estimator or cheaper(kind)) == "finite-difference":
             return differenced(kind, pilot, np.array([max(widest, _STEP)]), with_pathwise=False)
@@ -315,7 +315,7 @@ class Simulator:
         require_correctable(kind)
         return source_of(kind, pilot, widest)
 
-    def _with_room(self, problem: Problem, pilot: Pilot) -> Pilot:
+    def _with_room(self, problem: SensitivityProblem, pilot: Pilot) -> Pilot:
         """The pilot, with buffers of a size that suffices nearby too: each size is compiled anew."""
         if pilot.most is None or problem.needs_ensembles:
             return pilot

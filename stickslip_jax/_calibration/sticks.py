@@ -54,7 +54,7 @@ _EXACT = 1e-10  # relative, as round-off leaves it where derivatives are proport
 _INVOLVED = 0.1
 
 
-class Found(NamedTuple):
+class SearchEnd(NamedTuple):
     """Where a search ended: coordinates, what was found there, and whether it ended because no step gains anything."""
 
     x: _Vector
@@ -62,7 +62,7 @@ class Found(NamedTuple):
     stands: bool
 
 
-def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Found:
+def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> SearchEnd:
     """The minimum near `x` of what `at` returns, None where there is nothing.
 
     `most`: iterations. The trust region is in coordinates, that of logarithms for most parameters.
@@ -106,7 +106,7 @@ def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Fo
         x = np.asarray(found.x)
     end = part(x)
     assert end is not None
-    return Found(x, end, stands >= _STANDS)
+    return SearchEnd(x, end, stands >= _STANDS)
 
 
 def gain(part: Part | None) -> float:
@@ -135,7 +135,7 @@ class Precision(NamedTuple):
 def precision(part: Part, stands: bool = False) -> Precision:
     """The covariance of the minimum, by the sandwich: the errors of derivatives add no information.
 
-    `stands`: as in `Found`.
+    `stands`: as in `SearchEnd`.
     """
     from scipy import linalg  # noqa: PLC0415 - takes long to load
 
@@ -523,7 +523,7 @@ class _Fit:
         pairs = zip(self.observations, self.at(x) or [], strict=True)
         return [covariance_of_misfit(seen, one, one.covariance_of_one(len(seen.mean))) for seen, one in pairs]
 
-    def found(self) -> Found:
+    def found(self) -> SearchEnd:
         """The estimate. Of moments, a second search has the weights that the first one's end suggests."""
         start = np.zeros(len(self.models.names))
         first = minimised(lambda x: self.part(x, None), start, _MOST)
@@ -532,7 +532,7 @@ class _Fit:
         known = self.covariances(first.x)
         return minimised(lambda x: self.part(x, known), first.x, _MOST)
 
-    def result(self, found: Found, certain: Precision) -> StickCalibration:
+    def result(self, found: SearchEnd, certain: Precision) -> StickCalibration:
         """What the user gets."""
         values = self.models.values(found.x)
         slopes = self.models.slopes(values)
@@ -564,7 +564,7 @@ class _Fit:
             remarks=remarks_of(self.models.names, certain, test, unfinished, self.samples * len(simulated)),
         )
 
-    def _test(self, found: Found, moments: int) -> Overidentification | None:
+    def _test(self, found: SearchEnd, moments: int) -> Overidentification | None:
         if self.objective == "likelihood":
             return None
         from scipy import stats  # noqa: PLC0415 - takes long to load

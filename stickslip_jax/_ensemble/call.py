@@ -32,7 +32,7 @@ from .._simulation.call import Output, Outputs, checked_outputs
 from .._statistics.accumulator import Numbering
 from .._systems.system import System, WithContacts
 from .._uncertainty.design import Design
-from .._uncertainty.inputs import GaussianCopula, Model
+from .._uncertainty.inputs import GaussianCopula, StochasticModel
 from .data import Fields, Keep, Origin, Realization, Unknown, UnknownSystem, check_extendable, origins_of, same_object
 from .dataset import fields_of_file
 from .parts import EnsembleAccumulator, Part, prepare, progress_bar
@@ -113,7 +113,7 @@ def simulate_ensemble(
     mean stick duration (pooled): 0.2540 +- 0.0011 s
     """
     require_threads_of_jax()
-    numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
+    numbering, model = Numbering.checked(orders, count_initial_rest), StochasticModel(system, law, y0)
     wanted = checked_outputs(outputs, TAKEN)
     setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
     samples, first = setup.inputs.samples - int(first_sample), int(first_sample)
@@ -162,7 +162,7 @@ def _extended(
     check_extendable(ensemble)
     first = ensemble.first_sample + ensemble.samples
     samples = checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
-    model = Model(ensemble.system, ensemble.law, ensemble.y0)
+    model = StochasticModel(ensemble.system, ensemble.law, ensemble.y0)
     assert isinstance(ensemble.method, (Exact, Regularized))  # `check_extendable` saw to it
     options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)
     outputs = outputs_of(ensemble)
@@ -500,7 +500,7 @@ def simulate_contacts(
     stick fraction: 0.0555 +- 0.0037
     """
     require_threads_of_jax()
-    numbering, model = Numbering.checked(orders, count_initial_rest), Model(system, law, y0)
+    numbering, model = Numbering.checked(orders, count_initial_rest), StochasticModel(system, law, y0)
     wanted = checked_outputs(outputs, TAKEN)
     setup = EnsembleSetup.checked(
         model, t1, samples, first_sample, key, correlation, method, keep, numbering, of_every_contact=True

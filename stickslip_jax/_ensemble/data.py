@@ -22,7 +22,7 @@ from .._numerics.sums import Moments
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._systems.system import Coordinate, System
 from .._uncertainty.design import Design
-from .._uncertainty.inputs import GaussianCopula, Inputs, Model
+from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
 
 # Stand-ins for what an ensemble does not know: the system of measured sticks, an object of a user's own class.
 
@@ -197,7 +197,7 @@ class EnsembleData:
         """The numbers of system, law and start that differ from sample to sample, and how they are drawn."""
         samples = self.first_sample + self.samples if self.design is None else self.design
         law = self.law if isinstance(self.law, GivenMotions) else law_of(self.law)
-        return Inputs.of(Model(self.system, law, self.y0), samples, self._key, self.copula)
+        return Inputs.of(StochasticModel(self.system, law, self.y0), samples, self._key, self.copula)
 
     @property
     def _key(self) -> Array | None:

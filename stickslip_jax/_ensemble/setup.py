@@ -29,7 +29,7 @@ from .._statistics.quantities import DISTRIBUTIONS
 from .._statistics.totals import STATISTICS
 from .._systems.system import require_system
 from .._uncertainty.design import Design
-from .._uncertainty.inputs import GaussianCopula, Inputs, Model
+from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
 from .data import EnsembleData, Fields, Keep
 
 # The checked arguments of an ensemble, and the engine that simulates its samples.
@@ -60,7 +60,7 @@ class EnsembleSetup:
     @classmethod
     def checked(
         cls,
-        model: Model,
+        model: StochasticModel,
         t1: float,
         samples: int | Design,
         first_sample: int,
@@ -162,7 +162,7 @@ class EnsembleSetup:
 
 
 def _engine_of(
-    inputs: Inputs, first: Model, method: Exact | Regularized, t1: float, dtype: DType
+    inputs: Inputs, first: StochasticModel, method: Exact | Regularized, t1: float, dtype: DType
 ) -> tuple[Any, tuple[int, ...], Exact | Regularized]:
     """The engine of all samples, which of its leaves differ, and the method with every option filled in.
 

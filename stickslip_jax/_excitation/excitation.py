@@ -19,7 +19,8 @@ from .._foundation.types import AnyArray, FloatArray, FloatScalar, KeyData, Numb
 from .._numerics.derivatives import NotKnown
 from .._numerics.elementary import key_data_of, random_words
 from .._uncertainty.inputs import SampledLaw, UserLaw
-from .motion import Motion, Parts, Path, RandomSignal, Signal, SourceVoltage, UserMotion
+from .._uncertainty.numbers import NumberPath
+from .motion import Motion, Parts, RandomSignal, Signal, SourceVoltage, UserMotion
 from .piecewise_constant import Interval, PiecewiseConstantLaw, VelocitySteps
 from .segments import SegmentLaw, SegmentTable, marked
 
@@ -61,7 +62,7 @@ class WithJumps(Motion):
         base = tuple(_Reseeded(law) if law.is_random else law for law in base)
         return Parts(smooth, base + self.jumps.parts().base, has_key_per_part=True)
 
-    def path_in_excitation(self, path: Path) -> Path:
+    def path_in_excitation(self, path: NumberPath) -> NumberPath:
         part, *rest = path
         if part == "jumps":
             return "base", -1, *rest
@@ -174,7 +175,7 @@ def excitation_of(base: BaseMotion, name: str = "base") -> Excitation:
     return Excitation(*motion_of(base, name).parts())
 
 
-def path_in_excitation(base: BaseMotion, path: Path) -> Path:
+def path_in_excitation(base: BaseMotion, path: NumberPath) -> NumberPath:
     """The path in ``excitation_of(base)`` of the number that has the `path` in `base`."""
     return base.path_in_excitation(path) if isinstance(base, Motion) else ("smooth", "motion", *path)
 
@@ -282,7 +283,7 @@ def merged(base: BaseMotion, t1: Scalar) -> BaseMotion:
     return Merged(base, t1) if isinstance(base, PiecewiseConstantLaw) and not is_of_package(base) else base
 
 
-def path_in_merged(base: BaseMotion, path: Path) -> Path:
+def path_in_merged(base: BaseMotion, path: NumberPath) -> NumberPath:
     """The path in ``merged(base, t1)`` of the number that has the `path` in `base`."""
     if isinstance(base, WithJumps) and path[:1] == ("jumps",):
         return "jumps", *path_in_merged(base.jumps, path[1:])

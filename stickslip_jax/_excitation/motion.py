@@ -20,15 +20,13 @@ from .._foundation.fields import Checked, Quantity, is_of_package
 from .._foundation.methods import Module
 from .._foundation.types import AnyArray, FloatArray, KeyData, Number, Scalar
 from .._numerics.elementary import key_data_of, random_words, sincos, uniform
+from .._uncertainty.numbers import NumberPath
 
 if TYPE_CHECKING:
     from .segments import SegmentLaw
 
 
 # The base class of all that drives a system: laws, signals and realisations.
-
-
-Path = tuple[str | int, ...]
 
 
 class Parts(NamedTuple):
@@ -60,7 +58,7 @@ class Motion(Module):
         name, part = self.part_of_excitation, cast(Any, self)
         return Parts()._replace(**{name: part if name == "smooth" else (part,)})
 
-    def path_in_excitation(self, path: Path) -> Path:
+    def path_in_excitation(self, path: NumberPath) -> NumberPath:
         """The path in the `Excitation` of its parts of the number that has the `path` in it."""
         name = self.part_of_excitation
         return (name, *path) if name == "smooth" else (name, 0, *path)

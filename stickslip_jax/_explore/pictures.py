@@ -28,7 +28,7 @@ from .._simulation.result import Simulation
 from .._statistics.estimate import Estimate
 from .._statistics.totals import mean_stick_count, mean_stick_duration, stick_fraction
 from .._uncertainty.families import RandomNumber
-from .._uncertainty.inputs import Inputs, Model
+from .._uncertainty.inputs import Inputs, StochasticModel
 from ..nonlinear import bifurcation_diagram
 from ..plot import _style, histogram, phase_portrait, time_history
 from ..plot._trajectory import joined, phases_of
@@ -128,7 +128,7 @@ def slope_of(scene: Scene, name: str) -> Sensitivity:
 
 def realization(scene: Scene) -> Simulation:
     """The first realisation of the ensemble of a scene, with the sticks that are counted there."""
-    model = Model(scene.system, law_of(scene.law), scene.y0)
+    model = StochasticModel(scene.system, law_of(scene.law), scene.y0)
     inputs = Inputs.of(model, scene.samples, jax.random.key(scene.seed))
     system, law, y0 = inputs.of_sample(0, jnp.dtype(jnp.result_type(float)))
     base: Any = law

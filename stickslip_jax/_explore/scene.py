@@ -17,7 +17,7 @@ from .._systems.composed_friction import Ageing, Directional, ExponentialGrowth
 from .._systems.friction import Coulomb, FrictionLaw, Stribeck, VelocityWeakening
 from .._systems.system import System, unit_at
 from .._uncertainty.families import Weibull
-from .._uncertainty.numbers import Path, check_numbers, number_at, numbers_in, quantity_at, shown, with_numbers
+from .._uncertainty.numbers import NumberPath, check_numbers, number_at, numbers_in, quantity_at, shown, with_numbers
 from ..study._config import StudyConfig
 from ..study._reading import EXAMPLES
 
@@ -41,7 +41,7 @@ class Scene(NamedTuple):
     seed: int = 0
     method: Exact | Regularized = EXACT
 
-    def with_number(self, path: Path, value: float) -> "Scene":
+    def with_number(self, path: NumberPath, value: float) -> "Scene":
         """The scene with another number at `path`. Raises ValueError for one that a constructor refuses."""
         quantity_of(self, path).check(shown(path), value)
         changed = with_numbers(self, [path], [value])
@@ -57,7 +57,7 @@ class MovableNumber(NamedTuple):
     - `low`, `high`, `step`: of its slider.
     """
 
-    path: Path
+    path: NumberPath
     name: str
     label: str
     value: float
@@ -70,7 +70,7 @@ class MovableNumber(NamedTuple):
         return self._replace(value=value, low=min(self.low, value), high=max(self.high, value))
 
 
-def quantity_of(scene: Scene, path: Path) -> Quantity:
+def quantity_of(scene: Scene, path: NumberPath) -> Quantity:
     """Unit and bounds of the number at `path`."""
     return _DURATION if path == ("t1",) else quantity_at(scene, path)
 
@@ -95,17 +95,17 @@ def read_number(text: str) -> float:
     return value
 
 
-def _may_be_set(scene: Scene, path: Path) -> bool:
+def _may_be_set(scene: Scene, path: NumberPath) -> bool:
     """Whether a number that is not set counts as zero, as the damping of a mass does."""
     return path[-1] == "damping" and quantity_at(scene, path) != Quantity()
 
 
-def _movable(scene: Scene, path: Path) -> MovableNumber:
+def _movable(scene: Scene, path: NumberPath) -> MovableNumber:
     value = float(number_at(scene, path) or 0.0)  # no damping is none
     return MovableNumber(path, shown(path), _label(scene, path), value, *_slider(quantity_of(scene, path), value))
 
 
-def _label(scene: Scene, path: Path) -> str:
+def _label(scene: Scene, path: NumberPath) -> str:
     unit = "s" if path == ("t1",) else unit_at(scene, path)
     if path[0] == "y0":
         ends = {"low": "initial {}, lowest", "high": "initial {}, highest"}

@@ -19,7 +19,7 @@ from .estimate import Estimator, Sensitivities, Sensitivity, results_of
 from .estimators import JointAccumulator, Source, counted, differenced, recorded, run_chunks
 from .problem import (
     Pilot,
-    Problem,
+    SensitivityProblem,
     problem_of,
     relative_bandwidth_of,
     require_correctable,
@@ -38,13 +38,13 @@ from .statistic import AnyStatistic, statistic_of
 _PROPORTIONAL = 1e-9  # of the squares: what is not proportional, relative to the whole
 
 
-def warn_of_products(problem: Problem, accumulated: JointAccumulator) -> None:
+def warn_of_products(problem: SensitivityProblem, accumulated: JointAccumulator) -> None:
     """RuntimeWarning for each pair of parameters whose derivatives are proportional in every sample."""
     for sentence in products_among(problem, accumulated):
         warnings.warn(f"{sentence}; vary one of them only.", RuntimeWarning, 4)
 
 
-def products_among(problem: Problem, accumulated: JointAccumulator) -> list[str]:
+def products_among(problem: SensitivityProblem, accumulated: JointAccumulator) -> list[str]:
     """A sentence for each pair of parameters whose derivatives are proportional in every sample."""
     first, second = accumulated.halves
     moments, found = first.merge(second), []
@@ -204,7 +204,7 @@ def _asked_for(step: float | None, relative_bandwidth: float | None) -> Estimato
     return None if relative_bandwidth is None else "corrected"
 
 
-def cheaper(problem: Problem) -> Estimator:
+def cheaper(problem: SensitivityProblem) -> Estimator:
     """The estimator with the smaller error in the same time (measured: docs/sensitivity.md)."""
     if isinstance(problem.method, Regularized):
         return "finite-difference"
@@ -231,7 +231,11 @@ def require_differences(estimator: Estimator | None, method: Exact | Regularized
 
 
 def _corrected(
-    problem: Problem, kinds: list[Problem], pilot: Pilot, elasticity: bool, relative_bandwidth: float | None
+    problem: SensitivityProblem,
+    kinds: list[SensitivityProblem],
+    pilot: Pilot,
+    elasticity: bool,
+    relative_bandwidth: float | None,
 ) -> list[dict[str, Sensitivity]]:
     kinds = [kind.in_closed_form() for kind in kinds]
     for kind in kinds:
@@ -256,7 +260,7 @@ def _corrected(
     return results
 
 
-def source_of(problem: Problem, pilot: Pilot, widest: float) -> Source:
+def source_of(problem: SensitivityProblem, pilot: Pilot, widest: float) -> Source:
     """How the corrected derivatives of statistics of one kind are found."""
     if problem.is_paired:
         return differenced(problem, pilot, widest * np.array(estimate.PAIRED), with_pathwise=True)
@@ -278,7 +282,7 @@ def _warn_of_few(results: list[dict[str, Sensitivity]]) -> None:
 
 
 def _warn_of_disagreement(
-    problem: Problem, accumulated: JointAccumulator, numbers: Iterable[int], already_warned: tuple[str, ...]
+    problem: SensitivityProblem, accumulated: JointAccumulator, numbers: Iterable[int], already_warned: tuple[str, ...]
 ) -> None:
     """RuntimeWarning where windows disagree, of the statistics `numbers`; not again for those `already_warned` of."""
     found = []
@@ -301,7 +305,7 @@ def _warn_of_disagreement(
 
 
 def _by_differences(
-    problem: Problem, kinds: list[Problem], pilot: Pilot, elasticity: bool, step: float | None
+    problem: SensitivityProblem, kinds: list[SensitivityProblem], pilot: Pilot, elasticity: bool, step: float | None
 ) -> list[dict[str, Sensitivity]]:
     """Finite differences with the given `step`, or with the wider of two steps that agree."""
     widest = relative_bandwidth_of(problem, pilot)

@@ -28,7 +28,7 @@ from .counting import recording
 from .estimators import counting_engine, score_paths, wrapped_paths
 from .problem import (
     Pilot,
-    Problem,
+    SensitivityProblem,
     buffer_sizes_for,
     problem_of,
     relative_bandwidth_of,
@@ -44,7 +44,7 @@ _OUTPUT_LANES = 64
 _SPARE = 2  # times as many steps and intervals as at the parameters given
 
 
-def output_means(problem: Problem, samples: int) -> Callable[[Array], Float[Array, "2"]]:
+def output_means(problem: SensitivityProblem, samples: int) -> Callable[[Array], Float[Array, "2"]]:
     """A function of the parameters' values: the sums of the output, and of 1, over the samples that finish.
 
     NaN where a sample needs more steps, or intervals of the base, than twice as many as at the parameters given.
@@ -88,7 +88,7 @@ def output_means(problem: Problem, samples: int) -> Callable[[Array], Float[Arra
     return means
 
 
-def _method_of(problem: Problem) -> Exact | Regularized:
+def _method_of(problem: SensitivityProblem) -> Exact | Regularized:
     """The method, with a number of steps that does not depend on the parameters."""
     if problem.by_intervals or not isinstance(problem.method, Exact):
         return problem.method
@@ -96,7 +96,7 @@ def _method_of(problem: Problem) -> Exact | Regularized:
     return Exact(max_steps=_SPARE * steps_for(problem.system, excitation, problem.t1, step))
 
 
-def _realization(law: Any, problem: Problem, key: Array) -> Any:
+def _realization(law: Any, problem: SensitivityProblem, key: Array) -> Any:
     """The realisation of a law whose numbers may be traced."""
     if isinstance(law, SegmentLaw):
         assert isinstance(problem.law, SegmentLaw)
@@ -214,7 +214,7 @@ def _ratio(means: _Means, step: float | None) -> Callable[[Float[Array, " values
     return estimate
 
 
-def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
+def _counted(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
     """Means by the engines that count sticks."""
     assert isinstance(problem.statistic, OfTotals)
     # One window, the widest: comparing several is not possible inside a compiled function.
@@ -241,7 +241,7 @@ def _counted(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _Me
     return means
 
 
-def _recorded(problem: Problem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
+def _recorded(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
     """Means by recorded stick sequences."""
     engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
     buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.is_paired else 2 * buffer.candidates)

@@ -19,7 +19,7 @@ from .._statistics.estimate import (
 )
 from .._systems.system import unit_at
 from .estimators import Accumulator, DerivativeColumns, JointAccumulator
-from .problem import Problem
+from .problem import SensitivityProblem
 
 # Sensitivities and their standard errors from means over realisations (delta method).
 
@@ -311,7 +311,7 @@ def _widest(moments: Moments, columns: DerivativeColumns, in_window: _InWindow, 
 
 
 def results_of(
-    problem: Problem,
+    problem: SensitivityProblem,
     accumulated: JointAccumulator,
     widths: list[np.ndarray],
     elasticity: bool,
@@ -333,7 +333,7 @@ def results_of(
 
 
 def _single(
-    problem: Problem, number: int, accumulator: Accumulator, widths: np.ndarray, elasticity: bool,
+    problem: SensitivityProblem, number: int, accumulator: Accumulator, widths: np.ndarray, elasticity: bool,
     estimator: Estimator, without_derivative: tuple[str, ...],
 ) -> dict[str, Sensitivity]:  # fmt: skip
     """The results of one statistic."""

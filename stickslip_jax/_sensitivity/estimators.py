@@ -23,10 +23,10 @@ from .._foundation.types import AnyArray, DType, IntArray, Status
 from .._numerics.sums import Moments
 from .._statistics.accumulator import Numbering
 from .._systems.system import is_built_in
-from .._uncertainty.inputs import Model
-from .._uncertainty.numbers import Parameter, Path, check_numbers, number_at, with_numbers
+from .._uncertainty.inputs import StochasticModel
+from .._uncertainty.numbers import NumberPath, Parameter, check_numbers, number_at, with_numbers
 from .counting import IntervalCounting, Likelihood, StepCounting, recording
-from .problem import Pilot, Problem, buffer_sizes_for, lanes_and_rows, sequence_lanes
+from .problem import Pilot, SensitivityProblem, buffer_sizes_for, lanes_and_rows, sequence_lanes
 from .statistic import (
     BufferSizes,
     Features,
@@ -188,7 +188,7 @@ def run_chunks(sources: list[Source], samples: int, threads: int) -> JointAccumu
 def derivatives_of(
     function: Callable[[Array], tuple[_Value, _Other]],
     engine: Engine,
-    paths: tuple[Path, ...],
+    paths: tuple[NumberPath, ...],
     dtype: DType,
     chosen: IntArray | None = None,
 ) -> tuple[_Value, _Value, _Other]:
@@ -209,7 +209,7 @@ def derivatives_of(
     return jax.vmap(along, out_axes=(None, 0, None))(directions if chosen is None else directions[chosen])
 
 
-def units_of(engine: Engine, paths: tuple[Path, ...]) -> Float[np.ndarray, " paths"]:
+def units_of(engine: Engine, paths: tuple[NumberPath, ...]) -> Float[np.ndarray, " paths"]:
     """The units in which `derivatives_of` varies the numbers at `paths`."""
     return np.array([abs(float(number_at(engine, path))) or 1.0 for path in paths])
 
@@ -219,7 +219,7 @@ _Slopes: TypeAlias = tuple[Array, tuple[Array, ...], tuple[Array, ...]]
 
 
 def _count(
-    job: Job, chosen: AnyArray, *, paths: tuple[Path, ...], lanes: int, rows: int, dtype: DType
+    job: Job, chosen: AnyArray, *, paths: tuple[NumberPath, ...], lanes: int, rows: int, dtype: DType
 ) -> tuple[tuple[Array, Array], _Slopes, IntArray]:
     """Total stick time and number of sticks, their derivatives by the `chosen` ones of the numbers at `paths`, and
     status; (rows, lanes).
@@ -239,7 +239,7 @@ def _sequence(
     job: Job,
     bandwidths: AnyArray,
     *,
-    paths: tuple[Path, ...],
+    paths: tuple[NumberPath, ...],
     lanes: int,
     buffer: BufferSizes,
     dtype: DType,
@@ -286,7 +286,7 @@ _MOST_TRIES = 6  # with larger and larger buffers of a realisation
 _Result = TypeVar("_Result")
 
 
-def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
+def counted(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
     """Derivatives by all parameters with a counting engine, a window per bandwidth; without any, the pathwise part."""
     engine = counting_engine(problem, pilot, bandwidths)
     paths = wrapped_paths(problem)
@@ -302,7 +302,7 @@ def counted(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
 
 
 def counting_engine(
-    problem: Problem, pilot: Pilot, bandwidths: np.ndarray
+    problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray
 ) -> IntervalCounting | StepCounting | RandomEngine:
     """The engine that counts; of a problem with inputs, a `RandomEngine` over one. Without `bandwidths`, for pathwise
     derivatives only.
@@ -320,7 +320,7 @@ def counting_engine(
     return wrapped(problem.engine(), counting)
 
 
-def score_paths(engine: Engine, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+def score_paths(engine: Engine, paths: tuple[NumberPath, ...]) -> tuple[NumberPath, ...]:
     """The `paths`, but where one is that of the rate of the base's gaps, that of the rate the likelihood knows."""
     counting, outer = single_engine(engine), ("template",) if isinstance(engine, RandomEngine) else ()
     if not isinstance(counting, IntervalCounting) or counting.likelihood is None:
@@ -329,12 +329,14 @@ def score_paths(engine: Engine, paths: tuple[Path, ...]) -> tuple[Path, ...]:
     return tuple((*outer, "likelihood", "rate") if path == rate else path for path in paths)
 
 
-def wrapped_paths(problem: Problem) -> tuple[Path, ...]:
+def wrapped_paths(problem: SensitivityProblem) -> tuple[NumberPath, ...]:
     """Paths of the parameters in an engine that counts or records."""
     return tuple(map(wrapped_path, problem.paths()))
 
 
-def counter(problem: Problem, engine: Engine, paths: tuple[Path, ...]) -> Callable[[int, int], list[Rows]]:
+def counter(
+    problem: SensitivityProblem, engine: Engine, paths: tuple[NumberPath, ...]
+) -> Callable[[int, int], list[Rows]]:
     """A function of a task's first sample and number of samples, with derivatives by the numbers at `paths`."""
     lanes, rows, _ = lanes_and_rows(problem)
     units = units_of(engine, paths)[:, None]
@@ -383,7 +385,7 @@ def _counted_rows(
     return Rows(status, parts, np.stack(slopes, axis=2), pathwise, in_window)
 
 
-def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
+def recorded(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
     """Derivatives by all parameters from recorded stick sequences, with a window per bandwidth."""
     units = units_of(problem.engine(), problem.paths())[:, None, None]
     record = recorder(problem, buffer_sizes_for(problem, pilot), bandwidths)
@@ -404,7 +406,7 @@ def recorded(problem: Problem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
 _Recorded: TypeAlias = tuple[tuple[Features, ...], tuple[Features, ...], AnyArray]
 
 
-def recorder(problem: Problem, buffer: BufferSizes, bandwidths: np.ndarray) -> Callable[[int], _Recorded]:
+def recorder(problem: SensitivityProblem, buffer: BufferSizes, bandwidths: np.ndarray) -> Callable[[int], _Recorded]:
     """A function of a chunk's first sample: `Features` of each statistic, their derivatives, status."""
     engine = wrapped(problem.engine(), partial(recording, fixed_start=problem.fixed_start))
     paths, lanes = wrapped_paths(problem), sequence_lanes(problem)
@@ -479,7 +481,7 @@ _Pairs: TypeAlias = list[tuple[float, list[_ValuesOf]]]
 """The difference's half-width and the values at both ends, for all parameters and steps."""
 
 
-def differenced(problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool) -> Source:
+def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool) -> Source:
     """Derivatives by all parameters as central differences of every trajectory, ``(f(p + s) - f(p - s)) / (2 s)``.
 
     `steps`: s, relative to the parameter's size. Both ends use the same random numbers. In place of the distances
@@ -498,7 +500,7 @@ def differenced(problem: Problem, pilot: Pilot, steps: np.ndarray, with_pathwise
     return Source(rows, per_task, steps)
 
 
-def _differenced_ensembles(problem: Problem, steps: np.ndarray) -> Source:
+def _differenced_ensembles(problem: SensitivityProblem, steps: np.ndarray) -> Source:
     """As `differenced`, of whole ensembles: of regularised dynamics, of systems with a list of contacts, of outputs."""
     model = problem.model
     assert model is not None
@@ -511,7 +513,7 @@ def _differenced_ensembles(problem: Problem, steps: np.ndarray) -> Source:
     return Source(rows, lanes_and_rows(problem)[2], steps, tolerance=_TOLERANCE if problem.is_output else 0.0)
 
 
-def _ends_of(tree: _Tree, path: Path, parameter: Parameter, length: float) -> list[_Tree]:
+def _ends_of(tree: _Tree, path: NumberPath, parameter: Parameter, length: float) -> list[_Tree]:
     """An engine or model with the parameter at `path` lowered and raised by `length`.
 
     Raises ValueError if a value is not allowed.
@@ -529,7 +531,7 @@ def _ends_of(tree: _Tree, path: Path, parameter: Parameter, length: float) -> li
 
 
 def _differences(
-    problem: Problem, centre: _ValuesOf, pairs: _Pairs, pathwise_of: _Pathwise | None
+    problem: SensitivityProblem, centre: _ValuesOf, pairs: _Pairs, pathwise_of: _Pathwise | None
 ) -> Callable[[int, int], list[Rows]]:
     """The parts of each statistic and their differences."""
     parameters = len(problem.parameters)
@@ -561,7 +563,7 @@ def _differences(
 _Source: TypeAlias = tuple[Callable[[Engine, int, int], _Values], int, _Pathwise]
 
 
-def _by_totals(problem: Problem, pilot: Pilot) -> _Source:
+def _by_totals(problem: SensitivityProblem, pilot: Pilot) -> _Source:
     """What `differenced` needs, for statistics of totals."""
     lanes, rows, per_task = lanes_and_rows(problem)
     count = counter(problem, counting_engine(problem, pilot, np.zeros(0)), wrapped_paths(problem))
@@ -580,7 +582,7 @@ def _by_totals(problem: Problem, pilot: Pilot) -> _Source:
 
 
 def _of_totals(
-    problem: Problem, stick_time: np.ndarray, sticks: np.ndarray, slips: np.ndarray, status: np.ndarray
+    problem: SensitivityProblem, stick_time: np.ndarray, sticks: np.ndarray, slips: np.ndarray, status: np.ndarray
 ) -> _Values:
     parts = np.stack([one.parts_of(problem.t1, stick_time, sticks, slips) for one in problem.totals])
     return _Values(parts, status.astype(int), _for_each(parts, sticks))
@@ -599,7 +601,7 @@ def _drawn(job: Job) -> Job:
     return job._replace(engine=engine, varying=varying)
 
 
-def _by_sequences(problem: Problem, pilot: Pilot) -> _Source:
+def _by_sequences(problem: SensitivityProblem, pilot: Pilot) -> _Source:
     """What `differenced` needs, for statistics of recorded sequences."""
     lanes, units = sequence_lanes(problem), units_of(problem.engine(), problem.paths())[:, None, None]
     buffer = buffer_sizes_for(problem, pilot)._replace(candidates=0)
@@ -624,7 +626,7 @@ def _by_sequences(problem: Problem, pilot: Pilot) -> _Source:
     return values, lanes, pathwise
 
 
-def _simulated(problem: Problem, model: Model) -> _ValuesOf:
+def _simulated(problem: SensitivityProblem, model: StochasticModel) -> _ValuesOf:
     """The values of the samples of an ensemble of `model`."""
     key = jax.random.wrap_key_data(problem.key_data)
     options = (problem.samples, 0, key, None, problem.method, "sticks", _ALL)

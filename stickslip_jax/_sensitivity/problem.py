@@ -34,8 +34,8 @@ from .._foundation.processes import cores, require_threads_of_jax
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
 from .._systems.system import System, require_system
-from .._uncertainty.inputs import Inputs, Model
-from .._uncertainty.numbers import Parameter, Path, number_at, parameters_of, with_numbers
+from .._uncertainty.inputs import Inputs, StochasticModel
+from .._uncertainty.numbers import NumberPath, Parameter, number_at, parameters_of, with_numbers
 from .boundaries import relative_excess
 from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, RandomInputs, StickStatistic, statistics_of
 
@@ -55,7 +55,7 @@ class Pilot(NamedTuple):
     fewest: BufferSizes = BufferSizes(0, 0, 0)
 
 
-class Problem(NamedTuple):
+class SensitivityProblem(NamedTuple):
     """The statistics of the system's motion under the law, the parameters to vary, and how to simulate.
 
     What it says of its statistics holds if they are of one kind (`kinds`).
@@ -76,7 +76,7 @@ class Problem(NamedTuple):
     chunk: int | None
     dtype: DType
     random: RandomInputs | None = None
-    model: Model | None = None
+    model: StochasticModel | None = None
 
     @property
     def statistic(self) -> StickStatistic:
@@ -84,11 +84,11 @@ class Problem(NamedTuple):
         (statistic,) = self.statistics
         return statistic
 
-    def only(self, statistic: StickStatistic) -> "Problem":
+    def only(self, statistic: StickStatistic) -> "SensitivityProblem":
         """The problem of one statistic."""
         return self._replace(statistics=(statistic,))
 
-    def kinds(self) -> list["Problem"]:
+    def kinds(self) -> list["SensitivityProblem"]:
         """The problems of the statistics that one loop finds together."""
         found: dict[tuple[bool, ...], list[StickStatistic]] = {}
         for statistic in self.statistics:
@@ -106,7 +106,7 @@ class Problem(NamedTuple):
         """Whether the closed forms over whole base intervals hold."""
         return isinstance(engine_for(Arguments(self.system, self.law, self.method, self.t1)), ByIntervals)
 
-    def in_closed_form(self) -> "Problem":
+    def in_closed_form(self) -> "SensitivityProblem":
         """The same problem without a solver, where closed forms exist.
 
         They show which arcs cannot graze: those after a stick that a reversal of the base cut short.
@@ -116,11 +116,11 @@ class Problem(NamedTuple):
             return self
         return closed._with_random(self.random.inputs) if self.random is not None else closed
 
-    def _with_random(self, inputs: Inputs) -> "Problem":
+    def _with_random(self, inputs: Inputs) -> "SensitivityProblem":
         paths = tuple(parameter.path for parameter in self.parameters)
         return self._replace(random=RandomInputs.of(inputs, self.method, self.t1, self.dtype, paths))
 
-    def with_inputs(self, inputs: Inputs) -> "Problem":
+    def with_inputs(self, inputs: Inputs) -> "SensitivityProblem":
         """The same problem with numbers that differ from sample to sample, if there are any."""
         return self._with_random(inputs) if inputs.entries or inputs.has_sampled_law else self
 
@@ -197,14 +197,14 @@ class Problem(NamedTuple):
         assert isinstance(engine, Engine)
         return engine
 
-    def paths(self) -> tuple[Path, ...]:
+    def paths(self) -> tuple[NumberPath, ...]:
         """Paths of the parameters in the engine."""
         random, paths = self.random, tuple(parameter.path for parameter in self.parameters)
         if random is None:
             return tuple(map(self._path, paths))
         return tuple(random.path(path, self._path(path)) for path in paths)
 
-    def _path(self, path: Path) -> Path:
+    def _path(self, path: NumberPath) -> NumberPath:
         if path[0] != "law":
             return path
         inner = path_in_merged(self.law, path[1:])
@@ -213,7 +213,7 @@ class Problem(NamedTuple):
         return ("excitation", *path_in_excitation(merged(self.law, self.t1), inner))
 
 
-def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
+def buffer_sizes_for(problem: SensitivityProblem, pilot: Pilot) -> BufferSizes:
     """Buffer sizes that suffice for nearly every realisation; callers enlarge them when they do not."""
     assert pilot.most is not None
     if problem.by_intervals:
@@ -227,19 +227,19 @@ def buffer_sizes_for(problem: Problem, pilot: Pilot) -> BufferSizes:
     return BufferSizes(*map(max, (-(-intervals // BLOCK), slots, 2 * slots), pilot.fewest))
 
 
-def lanes_and_rows(problem: Problem) -> tuple[int, int, int]:
+def lanes_and_rows(problem: SensitivityProblem) -> tuple[int, int, int]:
     """Lanes, rows and largest number of samples of a task that finds totals, as in `_ensemble/call.py`."""
     lanes, rows = 256, 32
     fair = -(-_share(problem) // lanes) * lanes
     return lanes, rows, min(fair, lanes * rows)
 
 
-def sequence_lanes(problem: Problem) -> int:
+def sequence_lanes(problem: SensitivityProblem) -> int:
     """The number of lanes of a chunk that records sticks."""
     return min(512, max(64, 1 << (_share(problem) - 1).bit_length()))
 
 
-def _share(problem: Problem) -> int:
+def _share(problem: SensitivityProblem) -> int:
     share = -(-problem.samples // problem.threads)
     return share if problem.chunk is None else min(share, problem.chunk)
 
@@ -265,7 +265,7 @@ def problem_of(
     method: Exact | Regularized = EXACT,
     threads: int | None = None,
     chunk: int | None = None,
-) -> tuple[Problem, Pilot]:
+) -> tuple[SensitivityProblem, Pilot]:
     """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
     require_threads_of_jax()
     statistics = statistics_of(statistic)
@@ -273,7 +273,7 @@ def problem_of(
     size = None if chunk is None else checks.whole_number("chunk", chunk)
     check_method(method)
     number = checks.whole_number("samples", samples, minimum=2, maximum=2**31)
-    inputs = Inputs.of(Model(system, law_of(law), y0), number, key)
+    inputs = Inputs.of(StochasticModel(system, law_of(law), y0), number, key)
     dtype = jnp.result_type(float)
     inputs.check(dtype)
     first = inputs.of_sample(0, dtype)
@@ -287,7 +287,7 @@ def problem_of(
     parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
     base = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
     base = GivenSteps(base) if isinstance(base, VelocitySteps) else base
-    problem = Problem(
+    problem = SensitivityProblem(
         statistics, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
         dtype,
     )  # fmt: skip
@@ -295,7 +295,7 @@ def problem_of(
     return problem if smoothed else problem.with_inputs(inputs), pilot
 
 
-def require_precision(problem: Problem) -> None:
+def require_precision(problem: SensitivityProblem) -> None:
     """Raise ValueError where float32 resolves neither near misses nor the derivatives of slips that begin slowly."""
     if problem.dtype.itemsize < 8 and not (problem.by_intervals or problem.has_sudden_switches):
         raise ValueError(
@@ -306,7 +306,7 @@ def require_precision(problem: Problem) -> None:
         )
 
 
-def require_correctable(problem: Problem) -> None:
+def require_correctable(problem: SensitivityProblem) -> None:
     """Raise ValueError where the corrected method does not know what differs from sample to sample."""
     if not problem.can_be_corrected:
         raise ValueError(
@@ -318,7 +318,7 @@ def require_correctable(problem: Problem) -> None:
         )
 
 
-def relative_bandwidth_of(problem: Problem, pilot: Pilot) -> float:
+def relative_bandwidth_of(problem: SensitivityProblem, pilot: Pilot) -> float:
     """Default relative bandwidth of the kernels: ``0.005 (sticks / 10^6)^(-1/5)``, at most 0.05.
 
     As in density estimation: with a bias of second order, the mean squared error is least for widths that shrink as the
@@ -363,7 +363,7 @@ _Function: TypeAlias = Callable[[IntervalEngine, Scales, Float[Array, " lanes"]]
 """Of an engine, its scales, and the first base velocity of each lane: numbers of each lane, (lanes, ...)."""
 
 
-def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
+def warn_if_grazing(problem: SensitivityProblem) -> tuple[str, ...]:
     """Names of the parameters by which no derivative exists because the first arc grazes; warns (RuntimeWarning)."""
     if not (problem.by_intervals and problem.fixed_start):
         return ()
@@ -380,7 +380,7 @@ def warn_if_grazing(problem: Problem) -> tuple[str, ...]:
     return tuple(moved)
 
 
-def warn_at_special_speeds(problem: Problem, already_warned: tuple[str, ...]) -> None:
+def warn_at_special_speeds(problem: SensitivityProblem, already_warned: tuple[str, ...]) -> None:
     """RuntimeWarning where the base speed over ``a omega``, w, is one of `_SPECIAL`, and a parameter changes it.
 
     There the circle on which the mass leaves a stick passes through special points of the phase plane, or the mass,
@@ -428,7 +428,7 @@ def _velocities(engine: IntervalEngine, key_data: tuple[Array, Array], dtype: DT
     return jax.vmap(of)(*key_data)
 
 
-def _zeros(problem: Problem, function: _Function) -> tuple[Bool[np.ndarray, "..."], list[str]]:
+def _zeros(problem: SensitivityProblem, function: _Function) -> tuple[Bool[np.ndarray, "..."], list[str]]:
     """Where a function of the engine is exactly 0, and the names of the parameters that change it there."""
     # Only where all samples are the same system; what differs in their starts does not matter here.
     problem = problem._replace(
@@ -445,13 +445,13 @@ def _zeros(problem: Problem, function: _Function) -> tuple[Bool[np.ndarray, "...
     return zero, moved
 
 
-def _speed_differs(problem: Problem) -> bool:
+def _speed_differs(problem: SensitivityProblem) -> bool:
     """Whether ``speed / (a omega)`` differs from sample to sample."""
     entries = () if problem.random is None else problem.random.inputs.entries
     return any(entry.path[0] == "system" or entry.path == ("law", "speed") for entry in entries)
 
 
-def _is_shared(problem: Problem, parameter: Parameter) -> bool:
+def _is_shared(problem: SensitivityProblem, parameter: Parameter) -> bool:
     """Whether the parameter is a number of all samples, not one of a distribution."""
     entries = () if problem.random is None else problem.random.inputs.entries
     return not any(parameter.path[: len(entry.path)] == entry.path for entry in entries)
@@ -459,7 +459,7 @@ def _is_shared(problem: Problem, parameter: Parameter) -> bool:
 
 @partial(jax.jit, static_argnames=("function", "paths", "dtype"))
 def _with_slopes(
-    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, paths: tuple[Path, ...], dtype: DType
+    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, paths: tuple[NumberPath, ...], dtype: DType
 ) -> tuple[Array, Array]:
     """Values of the function, and its derivatives by the parameters along a last axis."""
 

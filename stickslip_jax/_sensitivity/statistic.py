@@ -23,7 +23,7 @@ from .._simulation.call import Output
 from .._statistics.totals import DIFFERENTIABLE, Linear, StatisticOfTotals
 from .._uncertainty.families import RandomNumber
 from .._uncertainty.inputs import Inputs
-from .._uncertainty.numbers import Path
+from .._uncertainty.numbers import NumberPath
 from .boundaries import BoundaryDistances, BoundarySums, SignedDistance, vanishes_from_start
 
 # The statistics that `sensitivity` differentiates: ratios of two means over realisations.
@@ -330,7 +330,7 @@ class RandomInputs(NamedTuple):
 
     @classmethod
     def of(
-        cls, inputs: Inputs, method: Exact | Regularized, t1: float, dtype: DType, paths: tuple[Path, ...]
+        cls, inputs: Inputs, method: Exact | Regularized, t1: float, dtype: DType, paths: tuple[NumberPath, ...]
     ) -> "RandomInputs":
         """The engine of all samples of `inputs`; distributions with parameters at `paths` are its sources."""
         template, leaf_numbers, _, origins = engines_of_all(inputs, method, t1, dtype)
@@ -351,7 +351,7 @@ class RandomInputs(NamedTuple):
                  for source, origin in zip(self.engine.sources, self.origins, strict=True))  # fmt: skip
         return tuple(column if uniform is None else uniform for column, uniform in zip(varying, drawn, strict=True))
 
-    def path(self, path: Path, in_engine: Path) -> Path:
+    def path(self, path: NumberPath, in_engine: NumberPath) -> NumberPath:
         """The path in `engine` of the number at `path` of the model, which a `single_engine` has at `in_engine`."""
         for place, origin in enumerate(self.origins):
             entry = None if origin is None else self.inputs.entries[origin]
@@ -393,7 +393,7 @@ def constants_of(engine: Engine, sample: PyTree) -> PyTree:
     return engine.constants(sample) if isinstance(engine, RandomEngine) else sample
 
 
-def wrapped_path(path: Path) -> Path:
+def wrapped_path(path: NumberPath) -> NumberPath:
     """The path of a number whose engine has become the field `engine` of another, by `wrapped`."""
     if path[0] == "sources":
         return path

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.common.path import Path
+from .._dynamics.common.path import MotionPath
 from .._dynamics.regularized.implicit_step import Switch
 from .._dynamics.switched.engine import Beginnings, StepPath, follow_steps, state_in_step
 from .._events.sticks import NUMBERS, FlatSticks, Slips, Sticks, Totals, of_contact, slips_between
@@ -108,7 +108,7 @@ def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float
 
 
 @jax.jit
-def _inner_forces(model: InnerStates, path: Path, last: FloatScalar, times: Times) -> Times:
+def _inner_forces(model: InnerStates, path: MotionPath, last: FloatScalar, times: Times) -> Times:
     def at(time: FloatScalar) -> FloatScalar:
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
         coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
@@ -120,7 +120,12 @@ def _inner_forces(model: InnerStates, path: Path, last: FloatScalar, times: Time
 
 @jax.jit
 def _forces(
-    model: OneContactModel, path: Path, method: Exact | Regularized, sticks: Sticks, last: FloatScalar, times: Times
+    model: OneContactModel,
+    path: MotionPath,
+    method: Exact | Regularized,
+    sticks: Sticks,
+    last: FloatScalar,
+    times: Times,
 ) -> Times:
     def at(time: FloatScalar) -> FloatScalar:
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
@@ -318,7 +323,7 @@ class Simulation(WithMethods):
     time_reached: Float[Array, "*batch"]
     final_state: tuple[Float[Array, "*batch"], ...]
     near_grazing_count: Int[Array, "*batch"]
-    _path: Path
+    _path: MotionPath
     _of_all_contacts: tuple[Sticks, Totals] | None = None
 
     @property

@@ -24,8 +24,8 @@ from .plan import (
     OtherProgramError,
     Plan,
     Points,
-    Setting,
     SweepError,
+    SweepSetting,
     UnreadableError,
     checked_derivatives,
     checked_errors,
@@ -416,7 +416,7 @@ def _not_stored(one: object) -> float:
     raise SweepError("the functions of outputs are not stored")
 
 
-def _setting(body: Manifest, to_run: bool) -> Setting:
+def _setting(body: Manifest, to_run: bool) -> SweepSetting:
     floats = np.array([float.fromhex(value) for value in body["floats"]])
     decoder = Decoder(floats, np.array(body["integers"], np.int64))
     objects = {name: decoder.decoded(body["objects"][name]) for name in OBJECTS}
@@ -428,7 +428,7 @@ def _setting(body: Manifest, to_run: bool) -> Setting:
                     "with the same folder, which goes on from here."
                 )
     if not to_run:
-        return Setting(**objects)
+        return SweepSetting(**objects)
     check_method(objects["method"])
     return setting_of(**objects)
 

@@ -28,9 +28,9 @@ from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import System, checked_system, require_system, unit_at
 from .._uncertainty.design import Design, given_twice
 from .._uncertainty.families import RandomNumber
-from .._uncertainty.inputs import Model, SampledLaw
+from .._uncertainty.inputs import SampledLaw, StochasticModel
 from .._uncertainty.numbers import (
-    Path,
+    NumberPath,
     check_numbers,
     matching,
     number_at,
@@ -234,7 +234,7 @@ _Value: TypeAlias = float | np.ndarray
 """Of a parameter at one point, or at many."""
 
 
-class Setting(NamedTuple):
+class SweepSetting(NamedTuple):
     """A system, the law of its excitation, its initial state, and the method."""
 
     system: System
@@ -243,12 +243,12 @@ class Setting(NamedTuple):
     method: Exact | Regularized
 
     @property
-    def model(self) -> Model:
+    def model(self) -> StochasticModel:
         """What an ensemble simulates."""
-        return Model(self.system, self.law, self.y0)
+        return StochasticModel(self.system, self.law, self.y0)
 
 
-def setting_of(system: object, law: BaseMotion, y0: InitialState | None, method: Exact | Regularized) -> Setting:
+def setting_of(system: object, law: BaseMotion, y0: InitialState | None, method: Exact | Regularized) -> SweepSetting:
     """The setting; with the initial values that are zero by default. Raises ValueError for what is no system, and for
     a start that is none.
     """
@@ -258,7 +258,7 @@ def setting_of(system: object, law: BaseMotion, y0: InitialState | None, method:
     known = law_of(law)
     if not isinstance(known, SampledLaw):
         excitation_of(known, "law")
-    return Setting(system, known, y0, method)
+    return SweepSetting(system, known, y0, method)
 
 
 # --- dimensionless groups
@@ -271,7 +271,7 @@ class _Group(NamedTuple):
     """
 
     meaning: str
-    apply: Callable[[Setting, _Value], tuple[Path, _Value]]
+    apply: Callable[[SweepSetting, _Value], tuple[NumberPath, _Value]]
 
 
 _FREQUENCIES: dict[str, Callable[[_Value], _Value]] = {
@@ -282,7 +282,7 @@ _FREQUENCIES: dict[str, Callable[[_Value], _Value]] = {
 """What a law's field of this name is at a frequency in Hz."""
 
 
-def _by_frequency_ratio(setting: Setting, ratio: _Value) -> tuple[Path, _Value]:
+def _by_frequency_ratio(setting: SweepSetting, ratio: _Value) -> tuple[NumberPath, _Value]:
     """``r = f_b / (omega / 2 pi)`` (Lima and Sampaio's conference paper, section 3), both in Hz."""
     if not np.ndim(ratio):
         checks.positive("over['r']", ratio)
@@ -291,7 +291,7 @@ def _by_frequency_ratio(setting: Setting, ratio: _Value) -> tuple[Path, _Value]:
     return path, _FREQUENCIES[str(path[-1])](ratio * omega / (2 * math.pi))
 
 
-def _by_dimensionless_speed(setting: Setting, w: _Value) -> tuple[Path, _Value]:
+def _by_dimensionless_speed(setting: SweepSetting, w: _Value) -> tuple[NumberPath, _Value]:
     """``w = v / (omega a)`` with the half-width ``a = mu n / k`` of the stick band."""
     wanted = "a natural frequency and a stick band, as those of a MassSpring with Coulomb friction"
     omega = _number_of(setting.system, "natural_frequency", "w", wanted, w)
@@ -321,7 +321,7 @@ def _number_of(system: System, name: str, group: str, wanted: str, many: _Value)
     return float(value)
 
 
-def _path_in_law(setting: Setting, names: tuple[str, ...], group: str, wanted: str) -> Path:
+def _path_in_law(setting: SweepSetting, names: tuple[str, ...], group: str, wanted: str) -> NumberPath:
     known = [path for path in paths_of_numbers({"law": setting.law}) if path[-1] in names]
     if len(known) != 1 or number_at(setting, known[0]) is None:
         found = ", ".join(map(shown, known)) or "none"
@@ -341,11 +341,11 @@ class Setter(NamedTuple):
     `paths`: where those stand that are numbers of the setting; the others are dimensionless groups.
     """
 
-    setting: Setting
+    setting: SweepSetting
     parameters: tuple[str, ...]
-    paths: dict[str, Path]
+    paths: dict[str, NumberPath]
 
-    def __call__(self, values: tuple[float, ...]) -> Setting:
+    def __call__(self, values: tuple[float, ...]) -> SweepSetting:
         """The setting with these `values`. Raises ValueError for values that do not fit."""
         by_name = dict(zip(self.parameters, values, strict=True))
         try:
@@ -357,14 +357,14 @@ class Setter(NamedTuple):
             raise ValueError(f"The point {point} of the sweep cannot be simulated: {error}") from error
         return changed
 
-    def columns(self, values: np.ndarray) -> tuple[dict[Path, np.ndarray], Setting]:
+    def columns(self, values: np.ndarray) -> tuple[dict[NumberPath, np.ndarray], SweepSetting]:
         """Many points at once, (points, parameters): an array (points,) for each number, and the setting that has these
         arrays in place of numbers, unchecked.
         """
         found, changed = self._changed(dict(zip(self.parameters, values.T, strict=True)))
         return {path: np.asarray(column) for path, column in found.items()}, changed
 
-    def _changed(self, by_name: Mapping[str, _Value]) -> tuple[dict[Path, _Value], Setting]:
+    def _changed(self, by_name: Mapping[str, _Value]) -> tuple[dict[NumberPath, _Value], SweepSetting]:
         found = {path: by_name[name] for name, path in self.paths.items()}
         changed = with_numbers(self.setting, tuple(found), list(found.values()))
         for name in self.parameters:
@@ -374,7 +374,7 @@ class Setter(NamedTuple):
         return found, changed
 
 
-def setter_of(setting: Setting, parameters: tuple[str, ...]) -> Setter:
+def setter_of(setting: SweepSetting, parameters: tuple[str, ...]) -> Setter:
     """What gives the setting with values of the `parameters`, in their order.
 
     Raises ValueError for a name that fits no number, or several.
@@ -382,7 +382,7 @@ def setter_of(setting: Setting, parameters: tuple[str, ...]) -> Setter:
     known = list(paths_of_numbers(setting._asdict()))
     numbers = [name for name in parameters if name not in _GROUPS or _fits(name, known)]
     paths = {name: known[matching("over", name, known)] for name in numbers}
-    by_path: dict[Path, str] = {}
+    by_path: dict[NumberPath, str] = {}
     for name, path in paths.items():
         other = by_path.setdefault(path, name)
         if other != name:
@@ -392,11 +392,11 @@ def setter_of(setting: Setting, parameters: tuple[str, ...]) -> Setter:
     return Setter(setting, parameters, paths)
 
 
-def _fits(name: str, known: list[Path]) -> bool:
+def _fits(name: str, known: list[NumberPath]) -> bool:
     return any(shown(path) == name or shown(path).endswith(f".{name}") for path in known)
 
 
-def label_and_unit(setting: Setting, name: str) -> tuple[str, str]:
+def label_and_unit(setting: SweepSetting, name: str) -> tuple[str, str]:
     """What figures call a parameter, in words ("friction coefficient", "initial position"), and its unit.
 
     The unit is "1" where it has none, or none is known.
@@ -411,7 +411,7 @@ def label_and_unit(setting: Setting, name: str) -> tuple[str, str]:
 _SYMBOLS = {"mu": "friction coefficient", "mu_static": "static friction coefficient"}
 
 
-def _label_at(setting: Setting, path: Path) -> str:
+def _label_at(setting: SweepSetting, path: NumberPath) -> str:
     *above, last = path
     if above == ["y0"]:
         return f"initial {require_system(setting.system).coordinates[int(last)].name}"
@@ -426,7 +426,7 @@ def _label_at(setting: Setting, path: Path) -> str:
 _POINTS_AT_ONCE = 1 << 16
 
 
-def check_points(setter: Setter, points: Points, setting_at: Callable[[int], Setting]) -> None:
+def check_points(setter: Setter, points: Points, setting_at: Callable[[int], SweepSetting]) -> None:
     """Check every point as constructors do. Raises the ValueError of `setting_at` for the first that they refuse.
 
     Points are checked in arrays first; only those that may be refused are then made one by one.
@@ -462,7 +462,7 @@ def _suspicious(setter: Setter, values: np.ndarray) -> np.ndarray:
     return wrong
 
 
-def _unrelated(module: Checked, single: Checked, inside: dict[Path, np.ndarray]) -> np.ndarray:
+def _unrelated(module: Checked, single: Checked, inside: dict[NumberPath, np.ndarray]) -> np.ndarray:
     """For which points the numbers of `module` do not fit together; `single`: the module of the setting."""
     kind = type(module)
     if kind.__check_init__ is not Checked.__check_init__:
@@ -477,7 +477,7 @@ def _unrelated(module: Checked, single: Checked, inside: dict[Path, np.ndarray])
     return np.zeros(len(next(iter(inside.values()))), bool)
 
 
-def _refused(module: object, inside: dict[Path, np.ndarray]) -> np.ndarray:
+def _refused(module: object, inside: dict[NumberPath, np.ndarray]) -> np.ndarray:
     """For which points the constructor of `module` refuses these numbers: each different row is tried once."""
     check = getattr(type(module), "__check_init__", lambda _: None)
     rows, which = np.unique(np.stack(list(inside.values()), axis=1), axis=0, return_inverse=True)
@@ -526,7 +526,7 @@ class Plan:
     What may be given in several ways was checked before: `checked_keep`, `checked_statistics` and the like.
     """
 
-    setting: Setting
+    setting: SweepSetting
     points: Points
     t1: float
     samples: int
@@ -562,7 +562,7 @@ class Plan:
     def _with_values(self) -> Setter:
         return setter_of(self.setting, self.points.parameters)
 
-    def setting_at(self, point: int) -> Setting:
+    def setting_at(self, point: int) -> SweepSetting:
         """What is simulated at a point."""
         return self._with_values(self.points.values(point))
 

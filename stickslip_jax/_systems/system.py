@@ -19,7 +19,7 @@ from .._foundation.fields import PACKAGE, Checked, Option, modules_in, with_fiel
 from .._foundation.methods import keeps
 from .._foundation.types import AnyArray, BoolScalar, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
 from .._uncertainty.families import RandomNumber
-from .._uncertainty.numbers import Path, number_at, quantity_at
+from .._uncertainty.numbers import NumberPath, number_at, quantity_at
 from .dynamic_friction import DynamicFriction
 from .memory_models import InnerStates
 from .switched_model import OneContactModel, SwitchedModel
@@ -39,7 +39,7 @@ def is_built_in(tree: PyTree) -> bool:
 # The units of numbers by their paths.
 
 
-def unit_at(setting: Any, path: Path) -> str:
+def unit_at(setting: Any, path: NumberPath) -> str:
     """The unit of the number at `path` in a `setting`, which has a system; "1" where it has none, or none is known.
 
     The numbers of a distribution have the unit of what is random, but for those that only give its shape.

@@ -23,7 +23,7 @@ from .._foundation.types import AnyArray, DType, FloatArray, Number
 from .._numerics.elementary import key_data_of, random_words, uniform
 from .design import Design
 from .families import RandomNumber
-from .numbers import Path, check_realizations, matching, number_at, numbers_in, shown, with_numbers
+from .numbers import NumberPath, check_realizations, matching, number_at, numbers_in, shown, with_numbers
 
 # Correlated random numbers: a Gaussian copula.
 
@@ -223,7 +223,7 @@ _AT_ONCE = 1 << 16  # samples whose inputs are drawn together
 class Input(NamedTuple):
     """One number that differs from sample to sample: where it stands, and its distribution or array of values."""
 
-    path: Path
+    path: NumberPath
     source: Number
     about: Quantity | None
 
@@ -245,7 +245,7 @@ class Input(NamedTuple):
         return _FIRST_NAMED + zlib.crc32(self.name.encode()) % (_FIRST_STATE - _FIRST_NAMED)
 
 
-class Model(NamedTuple):
+class StochasticModel(NamedTuple):
     """A system, the law of its excitation, and its initial state."""
 
     system: Any
@@ -262,7 +262,7 @@ class Inputs:
       each other. `columns`, `correlated`: which entries these are about, in their order.
     """
 
-    model: Model
+    model: StochasticModel
     entries: tuple[Input, ...]
     names: tuple[str, ...]
     samples: int
@@ -274,7 +274,7 @@ class Inputs:
 
     @classmethod
     def of(
-        cls, model: Model, samples: int | Design, key: Array | None, copula: GaussianCopula | None = None
+        cls, model: StochasticModel, samples: int | Design, key: Array | None, copula: GaussianCopula | None = None
     ) -> "Inputs":
         """The inputs in `model`, whose law is one of the package or a `SampledLaw`.
 
@@ -398,15 +398,15 @@ class Inputs:
         check_realizations(found, first)
         return jax.tree.map(lambda leaf: leaf[np.minimum(np.arange(number), used - 1)], found)
 
-    def head(self, samples: int) -> Model:
+    def head(self, samples: int) -> StochasticModel:
         """The model of the first `samples` samples."""
         return self.filled([entry.source if entry.is_random else entry.source[:samples] for entry in self.entries])
 
-    def filled(self, values: Any) -> Model:
+    def filled(self, values: Any) -> StochasticModel:
         """The model with one value for each input."""
         return with_numbers(self.model, tuple(entry.path for entry in self.entries), values)
 
-    def of_sample(self, number: int, dtype: DType) -> Model:
+    def of_sample(self, number: int, dtype: DType) -> StochasticModel:
         """The model of sample `number`, with plain numbers."""
         return self.filled([float(value[0]) for value in self.drawn(number, 1, dtype)])
 
@@ -541,7 +541,7 @@ def _columns_of(design: Design, entries: tuple[Input, ...]) -> tuple[int, ...]:
     return random
 
 
-def _with_values(model: Model, design: Design) -> Model:
+def _with_values(model: StochasticModel, design: Design) -> StochasticModel:
     """The model with the columns of a design of values in place of the numbers that they are named after."""
     assert design.values is not None
     if design.names is None:
@@ -568,7 +568,7 @@ def _columns(y0: Any) -> Any:
     return tuple(checks.numbers("y0", y0).T) if checks.dimensions(y0) == 2 else y0
 
 
-def varying(tree: Any, path: Path = (), about: Any = None) -> Iterator[tuple[Path, Any, Quantity | None]]:
+def varying(tree: Any, path: NumberPath = (), about: Any = None) -> Iterator[tuple[NumberPath, Any, Quantity | None]]:
     """Path, distribution or array, and field of every input in `tree`."""
     if isinstance(tree, RandomNumber) or (about is not None and varies(tree, about)):
         yield path, tree, about
@@ -577,7 +577,7 @@ def varying(tree: Any, path: Path = (), about: Any = None) -> Iterator[tuple[Pat
         for field in dataclasses.fields(tree):
             if not field.metadata.get("static", False) and field.name not in own:
                 yield from varying(getattr(tree, field.name), (*path, field.name), abouts.get(field.name))
-    elif isinstance(tree, Model):
+    elif isinstance(tree, StochasticModel):
         for name, part in tree._asdict().items():
             yield from varying(part, (name,))
     elif isinstance(tree, (tuple, list)):
@@ -587,7 +587,7 @@ def varying(tree: Any, path: Path = (), about: Any = None) -> Iterator[tuple[Pat
         yield path, tree, None
 
 
-def _short(paths: list[Path]) -> tuple[str, ...]:
+def _short(paths: list[NumberPath]) -> tuple[str, ...]:
     """The shortest endings of the paths that no other path has."""
     names = []
     for path in paths:

@@ -18,14 +18,14 @@ from .._foundation.fields import Quantity, described, is_distribution, modules_i
 # Parameters by name: numbers in a system, its excitation and its initial state.
 
 
-Path = tuple[str | int, ...]
+NumberPath = tuple[str | int, ...]
 
 
 class Parameter(NamedTuple):
     """A number that can be varied: its name as the caller gave it, its path, and its value."""
 
     name: str
-    path: Path
+    path: NumberPath
     value: float
 
 
@@ -43,21 +43,21 @@ def parameters_of(where: Mapping[str, object], wrt: object) -> tuple[Parameter, 
     return tuple(_chosen(name, known) for name in names)
 
 
-def number_at(tree: Any, path: Path) -> Any:
+def number_at(tree: Any, path: NumberPath) -> Any:
     """The number of `tree` at `path`."""
     for step in path:
         tree = tree[step] if isinstance(step, int) else getattr(tree, step)
     return tree
 
 
-def quantity_at(tree: Any, path: Path) -> Quantity:
+def quantity_at(tree: Any, path: NumberPath) -> Quantity:
     """What is known of the number of `tree` at `path`, its unit and bounds; an empty `Quantity` where nothing is."""
     holder = number_at(tree, path[:-1])
     about = described(type(holder)).get(str(path[-1])) if dataclasses.is_dataclass(holder) else None
     return about if isinstance(about, Quantity) else Quantity()
 
 
-def with_numbers(tree: Any, paths: Sequence[Path], values: Any) -> Any:
+def with_numbers(tree: Any, paths: Sequence[NumberPath], values: Any) -> Any:
     """`tree` with the numbers at `paths` replaced, also those that were None."""
     if not paths:
         return tree
@@ -78,7 +78,7 @@ def check_numbers(tree: object) -> None:
             check_numbers(part)
 
 
-def matching(argument: str, name: str, paths: list[Path]) -> int:
+def matching(argument: str, name: str, paths: list[NumberPath]) -> int:
     """The position in `paths` of the number called `name`, in full or by the end of its path.
 
     Raises ValueError, about `argument`, for a name that fits none of them, or several.
@@ -100,7 +100,7 @@ def matching(argument: str, name: str, paths: list[Path]) -> int:
     )
 
 
-def _chosen(name: str, known: Sequence[tuple[Path, Any]]) -> Parameter:
+def _chosen(name: str, known: Sequence[tuple[NumberPath, Any]]) -> Parameter:
     path, value = known[matching("wrt", name, [path for path, _ in known])]
     if value is None:
         raise ValueError(
@@ -110,14 +110,14 @@ def _chosen(name: str, known: Sequence[tuple[Path, Any]]) -> Parameter:
     return Parameter(name, path, float(value))
 
 
-def paths_of_numbers(where: Mapping[str, object]) -> Iterator[Path]:
+def paths_of_numbers(where: Mapping[str, object]) -> Iterator[NumberPath]:
     """Paths of all numbers, those in distributions too, and of optional numbers that are not set, in the objects by
     name.
     """
     return (path for path, _ in numbers_in(where))
 
 
-def numbers_in(where: Mapping[str, object], *, whole: bool = False) -> Iterator[tuple[Path, Any]]:
+def numbers_in(where: Mapping[str, object], *, whole: bool = False) -> Iterator[tuple[NumberPath, Any]]:
     """Paths and values of all numbers in the objects by name; None for optional numbers that are not set.
 
     `whole`: yield a distribution itself, not the numbers in it, and arrays in place of numbers too.
@@ -126,7 +126,7 @@ def numbers_in(where: Mapping[str, object], *, whole: bool = False) -> Iterator[
         yield from _numbers(tree, (root,), whole)
 
 
-def _numbers(tree: object, path: Path, whole: bool) -> Iterator[tuple[Path, Any]]:
+def _numbers(tree: object, path: NumberPath, whole: bool) -> Iterator[tuple[NumberPath, Any]]:
     if whole and is_distribution(tree) and not _is_law(tree):
         yield path, tree
     elif isinstance(tree, eqx.Module):
@@ -160,7 +160,7 @@ def _is_number(value: object) -> bool:
     return not np.ma.is_masked(value) and math.isfinite(float(value))
 
 
-def shown(path: Path) -> str:
+def shown(path: NumberPath) -> str:
     """The path as users write it: "system.friction.mu", "y0[0]"."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).lstrip(".")
 

@@ -19,8 +19,8 @@ from .._excitation.excitation import motion_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import AnyArray, FloatArray, Status
 from .._numerics.derivatives import as_arrays
-from .._sweep.plan import Setting
-from .._uncertainty.numbers import Path, with_numbers
+from .._sweep.plan import SweepSetting
+from .._uncertainty.numbers import NumberPath, with_numbers
 from ._cases import Cycle, changes_by_itself, drive_period, has_known_period, steps_in, without_turns
 from ._orbits import Mode, modes_between, multipliers_of, sequence, slip_count, stick_count, without_trivial
 
@@ -56,8 +56,8 @@ class Equations:
 
     def __init__(
         self,
-        setting: Setting,
-        path: Path,
+        setting: SweepSetting,
+        path: NumberPath,
         driven: bool,
         duration: float,
         dtype: Any,
@@ -161,8 +161,8 @@ class _Raw(NamedTuple):
 
 @eqx.filter_jit
 def _evaluate(
-    setting: Setting, unknowns: FloatArray, plane: Plane | None, *, path: Path, driven: bool, by_itself: bool,
-    periods: int, drive: float | None, steps: int | None, capacity: int | None,
+    setting: SweepSetting, unknowns: FloatArray, plane: Plane | None, *, path: NumberPath, driven: bool,
+    by_itself: bool, periods: int, drive: float | None, steps: int | None, capacity: int | None,
 ) -> _Raw:  # fmt: skip
     coordinates = len(setting.system.coordinates)
     dtype = unknowns.dtype

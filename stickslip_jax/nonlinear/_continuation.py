@@ -11,7 +11,7 @@ from .._foundation import checks
 from .._foundation.extras import Entries, labeled_dataset, require_labels, variable
 from .._foundation.processes import require_threads_of_jax
 from .._simulation.result import provenance, source
-from .._sweep.plan import Setting, label_and_unit, setter_of
+from .._sweep.plan import SweepSetting, label_and_unit, setter_of
 from .._uncertainty.numbers import number_at
 from ._branches import (
     BranchEvent,
@@ -104,7 +104,7 @@ def continue_orbit(
 
 def _problem(
     orbit: PeriodicOrbit, parameter: str, until: float, step: float
-) -> tuple[Setting, Equations, np.ndarray, np.ndarray]:
+) -> tuple[SweepSetting, Equations, np.ndarray, np.ndarray]:
     """The checked arguments: the setting, its equations, the scales of the unknowns, and where the branch begins."""
     if not isinstance(orbit, PeriodicOrbit) or not bool(np.all(np.asarray(orbit.converged))):
         shown = "one that has not" if isinstance(orbit, PeriodicOrbit) else checks.show(orbit)
@@ -112,7 +112,7 @@ def _problem(
     checks.bounded("step", step, above=0, below=1)
     checks.bounded("until", until)
     state = np.asarray(orbit.state, float)
-    setting = Setting(orbit.system, orbit.base, tuple(state.tolist()), orbit.method)
+    setting = SweepSetting(orbit.system, orbit.base, tuple(state.tolist()), orbit.method)
     setter = setter_of(setting, (parameter,))
     path = setter.paths.get(parameter)
     if path is None or path[0] == "y0":
@@ -439,7 +439,7 @@ class _Branch:
         return self._corrected(last.unknowns / self._scale + part * way, way / length, last.tangent)
 
 
-def _labeled(branch: _Branch, setting: Setting) -> "xarray.Dataset":
+def _labeled(branch: _Branch, setting: SweepSetting) -> "xarray.Dataset":
     points, driven, size = branch.points, branch.equations.driven, len(setting.system.coordinates)
     label, unit = label_and_unit(setting, branch.parameter)
     values = np.array([point.unknowns for point in points]).reshape(len(points), -1)

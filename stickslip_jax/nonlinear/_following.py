@@ -267,7 +267,7 @@ class Followed(Protocol):
     def status(self) -> Array: ...
 
 
-Found = TypeVar("Found", bound=Followed)
+FollowedT = TypeVar("FollowedT", bound=Followed)
 
 
 def start_age(cycle: Cycle, dtype) -> FloatArray:
@@ -404,9 +404,9 @@ def block_size(number: int, stored: Kept) -> int:
 
 
 def in_blocks(
-    cases: Cases, run: Callable[[Cycle, Array], Found], like: Found, progress: bool | None, stored: Kept,
+    cases: Cases, run: Callable[[Cycle, Array], FollowedT], like: FollowedT, progress: bool | None, stored: Kept,
     size: int | None = None, name: str = "block",
-) -> Found:  # fmt: skip
+) -> FollowedT:  # fmt: skip
     """`run` over all cases, in blocks over threads; its results joined, arrays of NumPy with a first axis (cases,).
 
     A block in which steps ran out, as the ``status`` of its results says, is followed again with twice as many. Blocks
@@ -418,11 +418,11 @@ def in_blocks(
     # The last block repeats its last case, so that all are of one size, and compiled once.
     numbers = np.minimum(np.arange(blocks * size), cases.number - 1).reshape(blocks, size)
 
-    def one(block: int) -> Found:
+    def one(block: int) -> FollowedT:
         which = numbers[block]
         starts = jnp.asarray(cases.starts[which], cases.dtype)
 
-        def run_block(cycle: Cycle) -> Found:
+        def run_block(cycle: Cycle) -> FollowedT:
             own = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, cycle)
             return run(own, starts)
 
@@ -436,7 +436,7 @@ def in_blocks(
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: cases.number], *found)
 
 
-def _with_enough_steps(cases: Cases, run: Callable[[Cycle], Found]) -> Found:
+def _with_enough_steps(cases: Cases, run: Callable[[Cycle], FollowedT]) -> FollowedT:
     """What `run` returns, as arrays of NumPy; run again with twice the steps while these run out, unless their number
     was given.
     """

@@ -98,7 +98,7 @@ _HALVINGS = 8
 _LEAST = 0.5  # a smaller gain near the end is round-off
 
 
-class Found(NamedTuple):
+class Root(NamedTuple):
     """Of a root: the derivative of the function there (size, size), and the residuals: of the guess, and after each
     iteration that made it smaller (NaN after the last).
     """
@@ -128,7 +128,7 @@ def root_of(
     guess: FloatArray,
     tolerance: FloatScalar,
     iterations: int,
-) -> tuple[FloatArray, Found]:
+) -> tuple[FloatArray, Root]:
     """A root of `function` (size,) near `guess`, and how it was found.
 
     `size_of` a residual at a point: relative, without unit. A step that makes it larger is halved. The derivatives of
@@ -163,7 +163,7 @@ def root_of(
         residuals = jnp.full(iterations + 1, jnp.nan, guess.dtype)
         begun = _State(guess, most, jnp.zeros_like(unit), jnp.zeros_like(guess), none, residuals, none - 1, most > 0)
         done = lax.while_loop(lambda state: state.goes_on & (state.number < iterations), one, begun)
-        return done.z, Found(done.matrix, done.residuals)
+        return done.z, Root(done.matrix, done.residuals)
 
     def tangent(linear, target):
         return solution(jax.vmap(linear, out_axes=1)(jnp.eye(len(target), dtype=target.dtype)), target)

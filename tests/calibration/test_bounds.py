@@ -12,7 +12,7 @@ from scipy import optimize, stats
 import stickslip_jax as ss
 from stickslip_jax._calibration.information import all_bounds, information_of
 from stickslip_jax._calibration.parameters import Transform, identity
-from stickslip_jax._calibration.search import Fit, Free, Point, Problem, Seen
+from stickslip_jax._calibration.search import Fit, FitProblem, Free, Point, Seen
 
 SETS = 200
 TIMES = np.linspace(0, 20, 401)
@@ -131,7 +131,7 @@ def test_errors_that_end_where_the_motion_changes(beyond, high):
     """
     size = 100.0  # the loose hold of the search is nothing beside it
 
-    class Bent(Problem):
+    class Bent(FitProblem):
         def seen(self, point):
             x = size * point.x[0]
             far = x > 1
@@ -163,7 +163,7 @@ def test_errors_are_those_of_the_number_not_of_its_logarithm(straight_in, ends):
     Where residuals are straight in the number, its standard error is right. Else it ends at ``exp(+-1.645 0.2)``.
     """
 
-    class Straight(Problem):
+    class Straight(FitProblem):
         def seen(self, point):
             q = np.exp(point.x[0])
             residual, slope = (q - 1, q) if straight_in == "number" else (point.x[0], 1.0)

@@ -27,7 +27,7 @@ from ..._systems.system import System
 # Result of one trajectory, the same for every engine: the state along it, and the parts of a `Simulation`.
 
 
-class Path(eqx.Module):
+class MotionPath(eqx.Module):
     """The state and the base velocity of one trajectory as functions of time."""
 
     @property
@@ -69,7 +69,7 @@ class Run(NamedTuple):
     time_reached: Array
     final_state: State
     near_grazing_count: Array
-    path: Path
+    path: MotionPath
     of_all_contacts: tuple[Sticks, Totals] | None = None
 
 

@@ -23,7 +23,7 @@ from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..common.lanes import Engine, SampleTotals
-from ..common.path import Path, Run
+from ..common.path import MotionPath, Run
 from .arcs import Scales
 from .crossing import (
     LAST_LEFT,
@@ -387,7 +387,7 @@ def _close_up(records: StickRecord, buffer: StickRecord, crossed: IntArray) -> S
 # One trajectory in closed form over base intervals, and the state along it.
 
 
-class IntervalPath(Path):
+class IntervalPath(MotionPath):
     """Path given by the states at the beginnings of the base intervals."""
 
     system: MassSpring

@@ -25,7 +25,7 @@ from ..._systems.system import System
 from ..common.lanes import Engine, SampleTotals, with_leaves
 from ..common.method import Regularized, longest_step, max_steps_advice, step_for
 from ..common.path import (
-    Path,
+    MotionPath,
     Run,
     SegmentLaws,
     has_ended,
@@ -238,7 +238,7 @@ _MOST_SLOPES = 8  # by more numbers, going back over the steps takes less time
 _NO_KEY_DATA = np.zeros(2, np.uint32)  # a realisation draws nothing
 
 
-class CubicPath(Path):
+class CubicPath(MotionPath):
     """Path given by the states and rates at the ends of all steps, with a cubic for each state in between.
 
     `t` (s) and `y` have an entry for the beginning of each step and one for the end of the last.
@@ -293,7 +293,7 @@ class CubicPath(Path):
         return self.tables.at(time)
 
 
-class _Setting(NamedTuple):
+class _Arguments(NamedTuple):
     """Arguments of one simulation, with numbers as arrays."""
 
     system: System
@@ -320,7 +320,7 @@ def follow_regularized(
     sizes = table_sizes(system, excitation, t1)
     longest = longest_step(system, excitation) if adaptive else math.inf
     system, excitation, t1, y0, longest = numbers_as_arrays((system, excitation, t1, y0, longest), dtype)
-    setting = _Setting(system, excitation, method, jnp.asarray(t1), y0, longest)
+    setting = _Arguments(system, excitation, method, jnp.asarray(t1), y0, longest)
     if not adaptive:
         return method, _follow_fixed(setting, steps, sizes)
     run: Run = _follow_adaptive(setting, steps, sizes)
@@ -341,7 +341,7 @@ def _fixed_steps(system: System, excitation: Excitation, method: Regularized, t1
         ) from None
 
 
-def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRecord, Passage]]:
+def _fixed_loop(setting: _Arguments, steps: int) -> tuple[FixedLane, tuple[StickRecord, Passage]]:
     system, excitation, method, t1, y0, _ = setting
     dtype = t1.dtype
     field, segment_laws, criterion = (
@@ -368,7 +368,7 @@ def _fixed_loop(setting: _Setting, steps: int) -> tuple[FixedLane, tuple[StickRe
 
 
 @eqx.filter_jit
-def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
+def _follow_fixed(setting: _Arguments, steps: int, sizes: tuple[int, ...]) -> Run:
     system, excitation, method, t1, *_ = setting
     # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.
     method = dataclasses.replace(method, atol=None, minimum_duration=lax.stop_gradient(method.minimum_duration))
@@ -381,7 +381,7 @@ def _follow_fixed(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
 
 
 @eqx.filter_jit
-def _follow_adaptive(setting: _Setting, steps: int, sizes: tuple[int, ...]) -> Run:
+def _follow_adaptive(setting: _Arguments, steps: int, sizes: tuple[int, ...]) -> Run:
     system, excitation, method, t1, y0, longest = setting
     field, criterion = field_of(system, excitation.signal, method), criterion_of(method)
     dtype = t1.dtype
@@ -412,7 +412,7 @@ def _run(
     status: IntArray,
     time_reached: FloatArray,
     final: State,
-    path: Path,
+    path: MotionPath,
 ) -> Run:
     none = jnp.zeros((), jnp.int32)
     sticks, totals, of_all = sticks_and_totals(records, totals, system)

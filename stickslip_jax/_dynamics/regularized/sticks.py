@@ -298,7 +298,7 @@ def hermite(
 # What the stick detector sees of several contacts: slopes, normal forces, which are closed.
 
 
-Model = ContactsModel | InnerStates
+DetectedModel = ContactsModel | InnerStates
 
 
 def with_slope(what: Any, forcing: object, tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
@@ -307,7 +307,7 @@ def with_slope(what: Any, forcing: object, tau: FloatArray, y: State, rates: Sta
 
 
 def normal_forces(
-    model: Model, forcing: object, h: FloatArray, before: State, rates: State, after: State, end_rates: State
+    model: DetectedModel, forcing: object, h: FloatArray, before: State, rates: State, after: State, end_rates: State
 ) -> NormalForces | None:
     """The normal forces and their slopes at both ends of a step, 1 where they do not vary; None if none varies."""
     if not model.varying:
@@ -322,7 +322,9 @@ def normal_forces(
     return NormalForces(*at(jnp.zeros_like(h), before, rates), *at(h, after, end_rates))
 
 
-def velocities_and_closed(model: Model, forcing: object, tau: FloatArray, y: State) -> tuple[FloatArray, BoolArray]:
+def velocities_and_closed(
+    model: DetectedModel, forcing: object, tau: FloatArray, y: State
+) -> tuple[FloatArray, BoolArray]:
     """The relative velocities, and whether the contacts are closed."""
     velocity = model.relative_velocity(forcing, tau, y)
     closed = jnp.ones(velocity.shape, bool)

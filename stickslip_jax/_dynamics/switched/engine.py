@@ -21,7 +21,7 @@ from ..._systems.system import System
 from ..common.lanes import Engine, SampleTotals
 from ..common.method import Arguments, Exact, max_steps_advice
 from ..common.path import (
-    Path,
+    MotionPath,
     Run,
     SegmentLaws,
     has_ended,
@@ -264,7 +264,7 @@ _MOST_SLOPES = 3  # by more numbers, going back over the steps takes less time
 _MOST_DOUBLINGS = 6  # of the number of loop steps, before a trajectory is given up
 
 
-class StepPath(Path):
+class StepPath(MotionPath):
     """Path given by the states at the beginnings of time steps."""
 
     system: System
