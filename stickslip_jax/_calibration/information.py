@@ -11,7 +11,7 @@ from scipy import linalg, optimize, stats
 from .._dynamics.common.method import Arguments
 from .._simulation.call import simulate
 from .record import Record, Windows
-from .search import LOOSE, Fit, FitProblem, Free, Point, Seen, chi_squared
+from .search import LOOSE, Fit, FitProblem, Free, Residuals, SearchPoint, chi_squared
 
 # What a record says about each number: covariances, and numbers that it does not tell.
 
@@ -37,7 +37,7 @@ class Information(NamedTuple):
     lost: int
 
 
-def information_of(seen: Seen, number: int) -> Information:
+def information_of(seen: Residuals, number: int) -> Information:
     """What standardised residuals and their derivatives say of the first `number` numbers.
 
     The other ones, the states at the windows' starts, are taken out: each window's derivatives are projected on what
@@ -163,7 +163,7 @@ def _is_bent(
     if free.s:
         starts = np.stack([-np.linalg.lstsq(one[:, number:], one[:, :number] @ change)[0] for one in slopes])
     for sign in (1.0, -1.0):
-        beside = Point(np.clip(at.x + sign * change, *transform.box), at.s + sign * starts)
+        beside = SearchPoint(np.clip(at.x + sign * change, *transform.box), at.s + sign * starts)
         promised = abs(transform.own(beside.x)[which] - transform.own(at.x)[which]) / error
         grown = np.sqrt(max(chi_squared(problem.seen(beside).over(sigma)) - least, 0))
         if not promised / _AS_STRAIGHT < grown < promised * _AS_STRAIGHT:
@@ -172,7 +172,7 @@ def _is_bent(
 
 
 def _bounds_of(
-    problem: FitProblem, sigma: np.ndarray, at: Point, free: Free, which: int, error: float, limit: float
+    problem: FitProblem, sigma: np.ndarray, at: SearchPoint, free: Free, which: int, error: float, limit: float
 ) -> Bounds:
     """How far the number `which`, or how much it is above the one it is counted from, can go down and up until the
     record contradicts it, all others fitted again.
@@ -193,7 +193,7 @@ def _bounds_of(
             x = point.x.copy()
             x[which] = to
             try:
-                fit = problem.search(sigma, Point(x, point.s), others)
+                fit = problem.search(sigma, SearchPoint(x, point.s), others)
             except ValueError:  # no motion there reaches the end of its window
                 return _NO_MOTION
             over = np.sqrt(max(chi_squared(fit.seen.over(sigma)) - least, 0)) - limit
@@ -224,7 +224,7 @@ _CLEAR = 0.2  # of chi-squared: what another number must explain to be named
 _OTHER_UNIT = 30.0  # times as large as the first guesses move, or as small
 
 
-def explanations(record: Record, windows: Windows, seen: Seen, sigma: np.ndarray, number: int) -> list[str]:
+def explanations(record: Record, windows: Windows, seen: Residuals, sigma: np.ndarray, number: int) -> list[str]:
     """What another number that is not searched would do to chi-squared, to first order, the best one; if any does.
 
     `seen`: standardised, with derivatives by the `number` parameters and the states at starts.

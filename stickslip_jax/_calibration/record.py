@@ -168,7 +168,7 @@ def _channel(system: System, name: str, own: Mapping[str, Observer]) -> Channel:
     names = [coordinate.name for coordinate in coordinates]
     if name in names:
         number = names.index(name)
-        return Channel(name, coordinates[number].unit, Coordinate(number))
+        return Channel(name, coordinates[number].unit, MeasuredCoordinate(number))
     rates = {each.replace("velocity", "acceleration"): i for i, each in enumerate(names) if "velocity" in each}
     if name in rates:
         number = rates[name]
@@ -182,7 +182,7 @@ def _channel(system: System, name: str, own: Mapping[str, Observer]) -> Channel:
     )
 
 
-class Coordinate(NamedTuple):
+class MeasuredCoordinate(NamedTuple):
     """Measures one coordinate of the state."""
 
     number: int
@@ -217,7 +217,7 @@ def start_guess(record: Record, system: System, at: float, span: float) -> np.nd
     By a parabola through the points that are less than `span` (s) away, at least some: a velocity that is not measured
     is the slope of its position.
     """
-    rows = {c.observe.number: i for i, c in enumerate(record.channels) if isinstance(c.observe, Coordinate)}
+    rows = {c.observe.number: i for i, c in enumerate(record.channels) if isinstance(c.observe, MeasuredCoordinate)}
     names = [coordinate.name for coordinate in system.coordinates]
     guess = np.zeros(len(names))
     for number, name in enumerate(names):

@@ -33,7 +33,7 @@ LOOSE = 0.1
 stays there. One with a standard error of 1 % moves by less than a thousandth of that for it."""
 
 
-class Point(NamedTuple):
+class SearchPoint(NamedTuple):
     """Where a search stands: `x` (parameters,) and `s` (windows, coordinates), as the model takes them."""
 
     x: np.ndarray
@@ -47,7 +47,7 @@ class Free(NamedTuple):
     s: bool
 
 
-class Seen(NamedTuple):
+class Residuals(NamedTuple):
     """Predictions less measurements (windows, channels, times), 0 where nothing was measured, and their derivatives
     (windows, channels, times, parameters + coordinates).
     """
@@ -55,16 +55,16 @@ class Seen(NamedTuple):
     residuals: np.ndarray
     slopes: np.ndarray
 
-    def over(self, sigma: np.ndarray) -> "Seen":
+    def over(self, sigma: np.ndarray) -> "Residuals":
         """The same in units of the noise of each channel, (channels,)."""
-        return Seen(self.residuals / sigma[:, None], self.slopes / sigma[:, None, None])
+        return Residuals(self.residuals / sigma[:, None], self.slopes / sigma[:, None, None])
 
 
 class Fit(NamedTuple):
     """The end of a search: where, what is seen there (not standardised), and whether it converged."""
 
-    point: Point
-    seen: Seen
+    point: SearchPoint
+    seen: Residuals
     converged: bool
 
 
@@ -74,7 +74,7 @@ class FitProblem(NamedTuple):
     model: FittedMotion
     windows: Windows
 
-    def seen(self, point: Point) -> Seen:
+    def seen(self, point: SearchPoint) -> Residuals:
         """Residuals and derivatives at a point; NaN where a motion does not reach its window's end."""
         try:
             seen, slopes = map(np.asarray, _with_slopes(self.model, self.windows, point.x, point.s))
@@ -82,13 +82,13 @@ class FitProblem(NamedTuple):
             shape = self.windows.is_measured.shape
             seen, slopes = np.full(shape, np.nan), np.full((*shape, len(point.x) + point.s.shape[1]), np.nan)
         there = self.windows.is_measured
-        return Seen(np.where(there, seen - self.windows.values, 0), np.where(there[..., None], slopes, 0))
+        return Residuals(np.where(there, seen - self.windows.values, 0), np.where(there[..., None], slopes, 0))
 
-    def search(self, sigma: np.ndarray, start: Point, free: Free) -> Fit:
+    def search(self, sigma: np.ndarray, start: SearchPoint, free: Free) -> Fit:
         """The least-squares fit from `start`, with the noise `sigma` (channels,)."""
-        latest: list[tuple[np.ndarray, Seen]] = []
+        latest: list[tuple[np.ndarray, Residuals]] = []
 
-        def at(vector: np.ndarray) -> Seen:
+        def at(vector: np.ndarray) -> Residuals:
             if not latest or not np.array_equal(latest[0][0], vector):
                 latest[:] = [(vector.copy(), self.seen(_point(vector, start, free)))]
             return latest[0][1].over(sigma)
@@ -127,11 +127,11 @@ class FitProblem(NamedTuple):
         most = chi_squared(fit.seen.over(sigma)) * (1 + _TOLERANCE)
         return there if chi_squared(there.seen.over(sigma)) <= most else fit
 
-    def _at(self, point: Point, converged: bool) -> Fit:
+    def _at(self, point: SearchPoint, converged: bool) -> Fit:
         return Fit(point, self.seen(point), converged)
 
 
-def matrix_of(seen: Seen, free: Free) -> np.ndarray | sparse.coo_matrix:
+def matrix_of(seen: Residuals, free: Free) -> np.ndarray | sparse.coo_matrix:
     """The derivatives of all residuals by all that is free, parameters first, (residuals, numbers)."""
     number, windows = len(free.x), len(seen.slopes)
     of_x = seen.slopes[..., :number][..., free.x].reshape(seen.residuals.size, np.count_nonzero(free.x))
@@ -145,20 +145,20 @@ def matrix_of(seen: Seen, free: Free) -> np.ndarray | sparse.coo_matrix:
     return sparse.hstack([sparse.coo_matrix(of_x), sparse.block_diag(list(own))])  # pyright: ignore[reportReturnType]
 
 
-def chi_squared(seen: Seen) -> float:
+def chi_squared(seen: Residuals) -> float:
     """The sum of squares of standardised residuals."""
     return float(np.sum(np.square(seen.residuals)))
 
 
-def _vector(point: Point, free: Free) -> np.ndarray:
+def _vector(point: SearchPoint, free: Free) -> np.ndarray:
     # SciPy's first step is up to as long as the vector where it begins: of length one in each number from its guess on.
     return np.concatenate([1 + point.x[free.x], point.s.ravel() if free.s else []])
 
 
-def _point(vector: np.ndarray, start: Point, free: Free) -> Point:
+def _point(vector: np.ndarray, start: SearchPoint, free: Free) -> SearchPoint:
     x, number = start.x.copy(), np.count_nonzero(free.x)
     x[free.x] = vector[:number] - 1
-    return Point(x, vector[number:].reshape(start.s.shape) if free.s else start.s)
+    return SearchPoint(x, vector[number:].reshape(start.s.shape) if free.s else start.s)
 
 
 @eqx.filter_jit
@@ -301,7 +301,7 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
     free = Free(np.ones(len(x), bool), len(cuts.firsts) > 1 or search.y0 is None)
     more = 1
     problem = search.problem(cuts, search.transform.numbers(x), more)
-    start = Point(x, np.zeros(problem.model.state_origin.shape))
+    start = SearchPoint(x, np.zeros(problem.model.state_origin.shape))
     for _ in range(_MOST_DOUBLINGS):
         if np.all(np.isfinite(problem.seen(start).residuals)):
             break
@@ -324,7 +324,7 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
 def _with_noise(
     problem: FitProblem,
     record: Record,
-    start: Point,
+    start: SearchPoint,
     free: Free,
     sigma: np.ndarray | None,
     about: np.ndarray | None = None,

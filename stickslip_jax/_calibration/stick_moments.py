@@ -76,7 +76,7 @@ class Product(StickStatistic):
 
 
 @dataclasses.dataclass(frozen=True)
-class Recorded(StickStatistic):
+class FromRecordedSticks(StickStatistic):
     """A statistic found from recorded sticks, where it could be found from totals too: in the same way as others."""
 
     of: StickStatistic
@@ -383,7 +383,7 @@ def _derivative(
 _Square = Float[np.ndarray, "parameters parameters"]
 
 
-class Part(NamedTuple):
+class FitPart(NamedTuple):
     """What one experiment, or several, add to a fit.
 
     - `value`: half of the weighted sum of squares, or the negative logarithm of the likelihood but for a constant.
@@ -399,7 +399,7 @@ class Part(NamedTuple):
     scores: _Square
 
     @classmethod
-    def total(cls, parts: "list[Part]") -> "Part":
+    def total(cls, parts: "list[FitPart]") -> "FitPart":
         """The sum of independent parts."""
         return cls(*(sum(each) for each in zip(*parts, strict=True)))  # pyright: ignore[reportArgumentType]
 
@@ -415,13 +415,13 @@ def covariance_of_misfit(
     return observed.covariance / observed.recordings + per_sample / simulated.samples
 
 
-def by_moments(observed: Observed, simulated: Simulated, covariance: Float[np.ndarray, "moments moments"]) -> Part:
+def by_moments(observed: Observed, simulated: Simulated, covariance: Float[np.ndarray, "moments moments"]) -> FitPart:
     """The weighted sum of squares of an experiment; `covariance` is that of the misfit."""
     weight = np.linalg.inv(covariance)
     misfit = observed.mean - simulated.mean
     weighted = simulated.slope.T @ weight
     hessian = weighted @ simulated.slope
-    return Part(
+    return FitPart(
         0.5 * float(misfit @ weight @ misfit), -weighted @ misfit, hessian, simulated.noise(weight), hessian
     )  # fmt: skip
 
@@ -432,7 +432,7 @@ def with_products(statistics: tuple[StickStatistic, ...]) -> tuple[StickStatisti
     return (*statistics, *(Product(statistics[i], statistics[j]) for i, j in zip(one, other, strict=True)))
 
 
-def by_likelihood(observed: Observed, simulated: Simulated) -> Part:
+def by_likelihood(observed: Observed, simulated: Simulated) -> FitPart:
     """The synthetic likelihood (Wood 2010) of an experiment: a recording's numbers are taken to be jointly normal.
 
     `simulated` holds means of the numbers and of their products. With their deviations from the simulated means, in
@@ -459,7 +459,7 @@ def by_likelihood(observed: Observed, simulated: Simulated) -> Part:
     of_means = to_standard @ simulated.covariance @ to_standard.T * (1 + simulated.samples / recordings)
     value = np.linalg.slogdet(correlation)[1] + 2 * math.fsum(np.log(spread)) + float(np.sum(inverse * seen))
     noise = simulated.noise(recordings * to_standard.T @ information @ to_standard)
-    return Part(0.5 * recordings * value, -weighted @ misfit, hessian, noise, weighted @ of_means @ weighted.T)
+    return FitPart(0.5 * recordings * value, -weighted @ misfit, hessian, noise, weighted @ of_means @ weighted.T)
 
 
 def _standardising(mean: np.ndarray, spread: np.ndarray) -> np.ndarray:

@@ -22,9 +22,9 @@ from .._statistics.estimate import Estimate, correlated_estimates
 from .._systems.system import System
 from .parameters import Models, covariance_of
 from .stick_moments import (
+    FitPart,
+    FromRecordedSticks,
     Observed,
-    Part,
-    Recorded,
     Simulated,
     Simulator,
     by_likelihood,
@@ -58,21 +58,21 @@ class SearchEnd(NamedTuple):
     """Where a search ended: coordinates, what was found there, and whether it ended because no step gains anything."""
 
     x: _Vector
-    part: Part
+    part: FitPart
     stands: bool
 
 
-def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> SearchEnd:
+def minimised(at: Callable[[_Vector], FitPart | None], x: _Vector, most: int) -> SearchEnd:
     """The minimum near `x` of what `at` returns, None where there is nothing.
 
     `most`: iterations. The trust region is in coordinates, that of logarithms for most parameters.
     """
     from scipy import optimize  # noqa: PLC0415 - takes long to load
 
-    known: dict[bytes, Part | None] = {}
+    known: dict[bytes, FitPart | None] = {}
     stands, last = 0, np.inf
 
-    def part(x: _Vector) -> Part | None:
+    def part(x: _Vector) -> FitPart | None:
         if x.tobytes() not in known:
             known[x.tobytes()] = at(x)
         return known[x.tobytes()]
@@ -109,7 +109,7 @@ def minimised(at: Callable[[_Vector], Part | None], x: _Vector, most: int) -> Se
     return SearchEnd(x, end, stands >= _STANDS)
 
 
-def gain(part: Part | None) -> float:
+def gain(part: FitPart | None) -> float:
     """What the step of Gauss and Newton would gain, in squared standard errors."""
     if part is None:
         return np.inf
@@ -132,7 +132,7 @@ class Precision(NamedTuple):
     noise_share: float
 
 
-def precision(part: Part, stands: bool = False) -> Precision:
+def precision(part: FitPart, stands: bool = False) -> Precision:
     """The covariance of the minimum, by the sandwich: the errors of derivatives add no information.
 
     `stands`: as in `SearchEnd`.
@@ -423,7 +423,7 @@ def _observations(ensembles: list[Ensemble], moments: object, objective: Objecti
     """The moments of each experiment. Raises ValueError for those that cannot be fitted."""
     statistics, found = moments_of(moments), []
     if objective == "likelihood":
-        statistics = tuple(map(Recorded, statistics))
+        statistics = tuple(map(FromRecordedSticks, statistics))
     for number, one in enumerate(ensembles):
         seen = observed_moments(statistics, one)
         drops = moments is None and objective == "moments" and seen.recordings > len(statistics)
@@ -507,16 +507,16 @@ class _Fit:
 
     def part(
         self, x: Float[np.ndarray, " parameters"], covariances: list[Float[np.ndarray, "moments moments"]] | None
-    ) -> Part | None:
+    ) -> FitPart | None:
         """What all experiments add up to at `x`; `covariances` of the misfits, by default from the recordings."""
         simulated = self.at(x)
         if simulated is None:
             return None
         pairs = list(zip(self.observations, simulated, strict=True))
         if self.objective == "likelihood":
-            return Part.total([by_likelihood(*pair) for pair in pairs])
+            return FitPart.total([by_likelihood(*pair) for pair in pairs])
         known = covariances or [covariance_of_misfit(*pair) for pair in pairs]
-        return Part.total([by_moments(*pair, weight) for pair, weight in zip(pairs, known, strict=True)])
+        return FitPart.total([by_moments(*pair, weight) for pair, weight in zip(pairs, known, strict=True)])
 
     def covariances(self, x: Float[np.ndarray, " parameters"]) -> list[Float[np.ndarray, "moments moments"]]:
         """Of the misfits, with those of the simulations at `x`."""

@@ -35,14 +35,16 @@ from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, StochasticModel
 from .data import Fields, Keep, Origin, Realization, Unknown, UnknownSystem, check_extendable, origins_of, same_object
 from .dataset import fields_of_file
-from .parts import EnsembleAccumulator, Part, prepare, progress_bar
+from .parts import EnsembleAccumulator, EnsemblePart, prepare, progress_bar
 from .result import Ensemble
 from .setup import MOST_SAMPLES, NO_OUTPUTS, TAKEN, EnsembleSetup, fields_of_outputs, only, outputs_of, runner_for
 
 # `simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics.
 
 
-_Simulate = Callable[[int, int], tuple[Part, ...]]  # samples ``first .. first + number - 1``; the part of each track
+_Simulate = Callable[
+    [int, int], tuple[EnsemblePart, ...]
+]  # samples ``first .. first + number - 1``; the part of each track
 _ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
@@ -264,7 +266,7 @@ def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator
     how = {"samples": plan.lanes, "leaf_numbers": setup.leaf_numbers, "sizes": sizes,
            "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip
 
-    def simulate(first: int, number: int) -> tuple[Part]:
+    def simulate(first: int, number: int) -> tuple[EnsemblePart]:
         varying = tuple(jnp.asarray(column) for column in setup.varying_leaves(first, plan.lanes))
         numbers = jnp.asarray(setup.inputs.realization_numbers(first, plan.lanes))
         given, lanes = (varying, setup.key_data, numbers, jnp.uint32(number)), np.arange(plan.lanes)
@@ -277,14 +279,16 @@ def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator
             kept = [(kept[0][0], ~short), (records, short)]
         results = SampleTotals(*(leaf[:number] for leaf in results))
         if records is None:
-            return (Part(results),)
+            return (EnsemblePart(results),)
         sticks = StickCollector()
         sticks.restart(number)
         for found, of_lanes in kept:
             assert found is not None
             values = np.stack([np.asarray(column).T for column in found.columns.values()], axis=1)
             sticks.add(values, np.where(of_lanes, np.asarray(found.ending).T, np.int8(-1)), lanes[None, :])
-        part = Part.of(results, sticks.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period)
+        part = EnsemblePart.of(
+            results, sticks.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period
+        )
         return (part,)
 
     return simulate
@@ -295,11 +299,11 @@ def _streamer(setup: EnsembleSetup, plan: _Plan) -> _Simulate:
     assert isinstance(setup.engine, Engine)
     summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
 
-    def simulate(first: int, number: int) -> tuple[Part, ...]:
+    def simulate(first: int, number: int) -> tuple[EnsemblePart, ...]:
         job = setup.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
         results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=setup.dtype)
         results = SampleTotals(*(np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:number] for leaf in results))
-        return tuple(Part(results.of_track(track)) for track in setup.tracks)
+        return tuple(EnsemblePart(results.of_track(track)) for track in setup.tracks)
 
     return simulate
 
@@ -312,7 +316,7 @@ def _recorder(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[Ensemble
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), setup.dtype
     lane, track = np.arange(plan.lanes)[:, None], np.arange(len(setup.tracks))
 
-    def simulate(first: int, number: int) -> tuple[Part, ...]:
+    def simulate(first: int, number: int) -> tuple[EnsemblePart, ...]:
         if not hasattr(of_thread, "sticks"):
             of_thread.sticks = StickCollector()
         rows = -(-number // plan.lanes)
@@ -331,9 +335,9 @@ def _recorder(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[Ensemble
             unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
         results, sticks = _of_samples(ended, rows * plan.lanes, number), of_thread.sticks.sticks
 
-        def part(track: int | None, keeps: bool) -> Part:
+        def part(track: int | None, keeps: bool) -> EnsemblePart:
             of_it = sticks if track is None else sticks.of_track(track, len(setup.tracks))
-            return Part.of(results.of_track(track), of_it, setup.t1, setup.numbering, keeps, setup.period)
+            return EnsemblePart.of(results.of_track(track), of_it, setup.t1, setup.numbering, keeps, setup.period)
 
         return tuple(part(one, to.wants_sticks) for one, to in zip(setup.tracks, accumulators, strict=True))
 
@@ -352,7 +356,9 @@ def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) 
     return SampleTotals(*(column[:number] for column in ordered))
 
 
-def _in_order(simulate: _Simulate, plan: _Plan, first: int, samples: int) -> Iterator[tuple[int, tuple[Part, ...]]]:
+def _in_order(
+    simulate: _Simulate, plan: _Plan, first: int, samples: int
+) -> Iterator[tuple[int, tuple[EnsemblePart, ...]]]:
     """Simulate all tasks in threads, a few at a time, and yield the parts in order of the samples."""
     tasks = deque(plan.tasks(first, samples))
     waiting: deque[tuple[int, Future]] = deque()

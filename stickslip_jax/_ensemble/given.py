@@ -20,7 +20,7 @@ from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
 from .._systems.system import Coordinate
 from .data import Fields, GivenMotions, Unknown, UnknownSystem, single
-from .parts import EnsembleAccumulator, Part
+from .parts import EnsembleAccumulator, EnsemblePart
 
 # Tables of measured sticks, checked and put in order.
 
@@ -305,7 +305,7 @@ def _summed(results: SampleTotals, sticks: FlatSticks, t1: float, numbering: Num
     # Columns that are not known must not spoil the sums of the rest; `EnsembleStatistics` gives no number of them.
     unknown = np.all(np.isnan(sticks.numbers), axis=1)
     counted = sticks._replace(numbers=np.where(unknown[:, None], 0, sticks.numbers))
-    part = Part.of(results, counted, t1, numbering, True, period)
+    part = EnsemblePart.of(results, counted, t1, numbering, True, period)
     if part.sticks is not None:
         part.sticks.numbers[unknown] = np.nan
     accumulator = EnsembleAccumulator(samples, "sticks")

@@ -101,7 +101,7 @@ FEWEST = 64
 """The fewest samples that are retained, however many sticks they have."""
 
 
-class Part(NamedTuple):
+class EnsemblePart(NamedTuple):
     """A part of the ensemble: results of consecutive samples, their sticks, and the sums over these sticks."""
 
     results: SampleTotals
@@ -113,7 +113,7 @@ class Part(NamedTuple):
     def of(
         cls, results: SampleTotals, sticks: StickStream | FlatSticks, t1: float, numbering: Numbering,
         keep_sticks: bool, period: float | None = None,
-    ) -> "Part":  # fmt: skip
+    ) -> "EnsemblePart":  # fmt: skip
         """The part made from the results and the sticks of consecutive samples, simulated up to `t1` (s).
 
         `keep_sticks`: whether the part holds the sticks too, not only their sums. `period`: of the positions, which
@@ -153,7 +153,7 @@ def prepare(dtype: DType) -> None:
     sticks.restart(1)
     sticks.add(np.zeros((1, len(NUMBERS), 1), dtype), np.zeros((1, 1), np.int8), np.zeros((1, 1), np.int64))
     one = np.zeros(1)
-    Part.of(
+    EnsemblePart.of(
         SampleTotals(one, one, one, np.full(1, Status.FINISHED), one), sticks.sticks, 1.0, Numbering(1, False), True
     )
 
@@ -175,7 +175,7 @@ class EnsembleAccumulator:
         self.counts = np.zeros(len(Status), int)
         self.near_grazing_samples = 0
         self.accumulator: StickAccumulator | None = None
-        self._kept: list[Part] = []
+        self._kept: list[EnsemblePart] = []
         self._totals: list[SampleTotals] | None = None if keep == "statistics" else []
         self._outputs: list[Mapping[str, np.ndarray]] = []
         self._space = RETAINED if retained is None else retained  # number of sticks that still fit
@@ -191,7 +191,7 @@ class EnsembleAccumulator:
         """Whether the sticks of further parts are kept."""
         return self.keep == "sticks" or self._space > 0
 
-    def add(self, part: Part) -> None:
+    def add(self, part: EnsemblePart) -> None:
         """Add the next part."""
         self.counts += np.bincount(part.results.status, minlength=len(Status))
         self.near_grazing_samples += int(np.count_nonzero(part.results.near_grazing_count))
@@ -209,12 +209,14 @@ class EnsembleAccumulator:
         self.add_outputs(other.output_values)
         if self.keep == "sticks":
             sticks = other.require_sticks()
-            self._keep(Part(other.totals, rest=other.numbering.rest(sticks)), sticks)
+            self._keep(EnsemblePart(other.totals, rest=other.numbering.rest(sticks)), sticks)
         elif other.retained is not None and self._space > 0:
             totals = other.retained.totals
             none = np.zeros(len(totals), int)
             time, sticks, slips, *rest = totals.T
-            self._keep(Part(SampleTotals(sticks, slips, time, none, none), rest=tuple(rest)), other.retained.sticks)
+            self._keep(
+                EnsemblePart(SampleTotals(sticks, slips, time, none, none), rest=tuple(rest)), other.retained.sticks
+            )
             # Samples that did not finish took space, too, when they were simulated. Where some that did finish are not
             # retained, there was none left.
             self._retained_samples += other.samples - other.finished
@@ -237,7 +239,7 @@ class EnsembleAccumulator:
         elif self._totals is not None:
             self._totals.append(totals)
 
-    def _keep(self, part: Part, sticks: FlatSticks) -> None:
+    def _keep(self, part: EnsemblePart, sticks: FlatSticks) -> None:
         """Keep the `sticks` of a part, or those of as many of its first samples as there is space for."""
         part = part._replace(sticks=sticks)
         if self.keep == "sticks":
@@ -251,7 +253,7 @@ class EnsembleAccumulator:
             results = SampleTotals(*(column[:fits].copy() for column in part.results))
             rest = tuple(column[:fits].copy() for column in part.rest)
             whole = fits == len(sticks.count)
-            self._kept.append(Part(results, sticks if whole else sticks.head(fits), rest=rest))
+            self._kept.append(EnsemblePart(results, sticks if whole else sticks.head(fits), rest=rest))
             left = self._space - len(sticks.start) - fits if fits == len(part.results.status) else 0
             self._space = max(left, int(self._retained_samples < FEWEST))
 
@@ -283,7 +285,7 @@ def _joined(totals: list[SampleTotals]) -> SampleTotals:
     return SampleTotals(*map(np.concatenate, zip(*totals, strict=True)))
 
 
-def _totals_of(part: Part) -> np.ndarray:
+def _totals_of(part: EnsemblePart) -> np.ndarray:
     """The `TOTALS` of each finished sample, (finished samples, 5)."""
     results = part.results
     finished = results.status == Status.FINISHED
@@ -295,7 +297,7 @@ def _totals_of(part: Part) -> np.ndarray:
 _MUCH = 2e9  # bytes
 
 
-def _check_memory(kept: list[Part], samples: int) -> None:
+def _check_memory(kept: list[EnsemblePart], samples: int) -> None:
     """Say early how much memory the sticks will take: a warning where it is much, ValueError where it is not there.
 
     Joining them takes twice their size.

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, PyTree
 
 from .._dynamics.interval.arcs import Scales, carry_across, excess_of, touch
-from .._dynamics.interval.crossing import Motion, cross_interval
+from .._dynamics.interval.crossing import MassState, cross_interval
 from .._events.sticks import StickRecord, Totals
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import BoolArray, DType, Ending, FloatArray, IntArray
@@ -100,7 +100,7 @@ class IntervalLane(NamedTuple):
     """
 
     memory: PyTree
-    motion: Motion
+    motion: MassState
     totals: Totals
     cut_velocity: FloatArray
 
@@ -120,7 +120,7 @@ def cross_with_distances(
 
 def _distances(
     scales: Scales,
-    motion: Motion,
+    motion: MassState,
     cut_velocity: FloatArray,
     stick: StickRecord,
     duration: FloatArray,
@@ -159,7 +159,7 @@ def _distances(
     )
 
 
-class _Arc(NamedTuple):
+class _MovingArc(NamedTuple):
     """The first arc of an interval on a moving base."""
 
     excess: FloatArray  # R^2 - w2 q^2 in (m/s^2)^2 (`_dynamics/interval/arcs.py`); where positive it reaches q
@@ -170,8 +170,8 @@ class _Arc(NamedTuple):
 
 
 def _first_arc(
-    scales: Scales, motion: Motion, cut_velocity: FloatArray, duration: FloatArray, velocity: FloatArray
-) -> _Arc:
+    scales: Scales, motion: MassState, cut_velocity: FloatArray, duration: FloatArray, velocity: FloatArray
+) -> _MovingArc:
     forward = jnp.where(velocity < 0, -1, 1)
     v, q, alpha, spring = forward * motion.v, jnp.abs(velocity), scales.deceleration, scales.spring
     A = spring.squared * (forward * motion.x) - alpha
@@ -187,10 +187,10 @@ def _first_arc(
     # Back on the circle on which it left a stick, R = q for all parameters: the sign of the excess is round-off there.
     not_tangent = (jnp.abs(excess) > touch(A, spring.omega * q, scales)) & (spring.squared > 0)
     has_top = (q > 0) & is_below & ~is_reversed & not_tangent & (top < duration) & (motion.t + top < scales.t1)
-    return _Arc(excess, top, is_below, has_top, is_below & (excess > 0) & (excess <= (2 * alpha) ** 2))
+    return _MovingArc(excess, top, is_below, has_top, is_below & (excess > 0) & (excess <= (2 * alpha) ** 2))
 
 
-def relative_excess(scales: Scales, motion: Motion, velocity: Array) -> Array:
+def relative_excess(scales: Scales, motion: MassState, velocity: Array) -> Array:
     """``R^2 - w2 q^2`` of the first arc on a base of this velocity, relative to its terms; 1 for an arc from above."""
     nothing = jnp.zeros_like(motion.x)
     arc = _first_arc(scales, motion, nothing, jnp.full_like(nothing, jnp.inf), velocity)

@@ -27,7 +27,7 @@ from .boundaries import (
     vanishes_from_start,
     zero_with_derivative,
 )
-from .step_boundaries import Step, crossed_after, distances_of_step, is_candidate
+from .step_boundaries import EngineStep, crossed_after, distances_of_step, is_candidate
 
 # Engines that record, beside the sticks, the candidates: intervals or steps that may be close to a boundary.
 
@@ -40,7 +40,7 @@ class Trace(NamedTuple):
     """
 
     sticks: StickRecord
-    candidates: BoundaryDistances | Step | None
+    candidates: BoundaryDistances | EngineStep | None
     is_candidate: BoolArray | None
 
 
@@ -104,7 +104,7 @@ class StepSample(NamedTuple):
 
 
 class StepMotion(NamedTuple):
-    """A lane of the switched engine, and its `Step.crossed`."""
+    """A lane of the switched engine, and its `EngineStep.crossed`."""
 
     lane: Lane
     crossed: FloatArray
@@ -137,15 +137,15 @@ class StepRecording(Engine[SwitchedShared, StepSample, StepMotion, Trace, IntArr
         moved, stick = advance(model, *shared, lane)
         if not self.with_distances:
             return StepMotion(moved, crossed), Trace(stick, None, None)
-        taken = Step.of(lane, moved, crossed)
+        taken = EngineStep.of(lane, moved, crossed)
         following = crossed_after(shared.segment_laws, shared.t1, taken)
         return StepMotion(moved, following), Trace(stick, taken, is_candidate(model, *shared, taken))
 
-    def distances(self, samples: StepSample, candidates: Step) -> BoundaryDistances:
+    def distances(self, samples: StepSample, candidates: EngineStep) -> BoundaryDistances:
         """The signed distances of candidates (slots, lanes)."""
         return jax.vmap(self.distances_of, in_axes=(0, None))(candidates, samples.smooth)
 
-    def distances_of(self, candidates: Step, smooth: Signal | None) -> BoundaryDistances:
+    def distances_of(self, candidates: EngineStep, smooth: Signal | None) -> BoundaryDistances:
         """The signed distances of candidates (candidates,), each under its own smooth excitation."""
         engine, shared = self.engine, self.shared(candidates.t.dtype)
 

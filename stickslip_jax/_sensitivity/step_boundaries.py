@@ -36,7 +36,7 @@ _Start: TypeAlias = tuple[FloatArray, State, FloatArray]
 """Time, state and sign at the beginning of a flow; a first axis of two for both flows of a step (`_search`)."""
 
 
-class Step(NamedTuple):
+class EngineStep(NamedTuple):
     """A step of the engine: time, state, sign and segment states at its start; time, state and sign at its end.
 
     `crossed`: when the slip began, if it began as the mass crossed the base velocity, s; else negative.
@@ -52,7 +52,7 @@ class Step(NamedTuple):
     crossed: FloatArray
 
     @classmethod
-    def of(cls, before: Lane, after: Lane, crossed: FloatArray) -> "Step":
+    def of(cls, before: Lane, after: Lane, crossed: FloatArray) -> "EngineStep":
         """The step that led from `before` to `after`."""
         return cls(before.t, before.y, before.sign, before.segment_states, after.t, after.y, after.sign, crossed)
 
@@ -92,8 +92,8 @@ class _AtRoot(NamedTuple):
     slope: FloatArray
 
 
-def crossed_after(segment_laws: SegmentLaws, t1: FloatArray, step: Step) -> FloatArray:
-    """`Step.crossed` for the step after `step`."""
+def crossed_after(segment_laws: SegmentLaws, t1: FloatArray, step: EngineStep) -> FloatArray:
+    """`EngineStep.crossed` for the step after `step`."""
     ends = [
         (law.jumps, segment_state.segment.end)
         for law, segment_state in zip(segment_laws.all, step.segment_states, strict=True)
@@ -107,7 +107,7 @@ def crossed_after(segment_laws: SegmentLaws, t1: FloatArray, step: Step) -> Floa
 
 @sharing
 def is_candidate(
-    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
+    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: EngineStep
 ) -> BoolArray:
     """Whether the step may be close to a boundary."""
     return _outcome_of(*without_derivatives((model, segment_laws, t1, step_length, step))).is_candidate
@@ -115,7 +115,7 @@ def is_candidate(
 
 @sharing
 def distances_of_step(
-    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
+    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: EngineStep
 ) -> BoundaryDistances:
     """The signed distances of a step for which `is_candidate` is true."""
     # What has no derivatives decides and searches; the rest is evaluated once, at the instants found.
@@ -153,7 +153,7 @@ def distances_of_step(
 
 
 def _outcome_of(
-    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: Step
+    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: EngineStep
 ) -> _Outcome:
     sticking = step.sign == 0
     tau = step.end - step.t
@@ -184,16 +184,16 @@ def _outcome_of(
     return _Outcome(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
 
 
-def _stop(t1: FloatArray, step: Step) -> FloatArray:
+def _stop(t1: FloatArray, step: EngineStep) -> FloatArray:
     return jnp.min(jnp.stack([t1, *(segment_state.segment.end for segment_state in step.segment_states)]), axis=0)
 
 
-def _after_crossing(step: Step) -> BoolArray:
+def _after_crossing(step: EngineStep) -> BoolArray:
     """Whether the step belongs to a slip that began as the mass crossed the base velocity."""
     return (step.crossed >= 0) & (step.sign != 0)
 
 
-def _lag(step: Step) -> FloatArray:
+def _lag(step: EngineStep) -> FloatArray:
     """Time from that crossing to the start of the step, s; 0 without one."""
     return jnp.where(_after_crossing(step), step.t - step.crossed, 0)
 
@@ -216,7 +216,12 @@ def _flow(model: OneContactModel, inputs: PyTree, y: State, length: FloatArray, 
 
 
 def _search(
-    model: OneContactModel, segments: Segments, start: _Start, step: Step, outcome: _Outcome, step_length: FloatArray
+    model: OneContactModel,
+    segments: Segments,
+    start: _Start,
+    step: EngineStep,
+    outcome: _Outcome,
+    step_length: FloatArray,
 ) -> _Root:
     """The instants (2,) at which the distances are evaluated, one on each flow: roots of a residual.
 
@@ -250,14 +255,17 @@ def _search(
             ahead = _flow(model, inputs, y, to - before.tau, sign)
             value = residual(to, *model.guard(inputs, to - before.tau, ahead, sign))
             # A residual that is positive at the first instant has no root after it: `before` is then never found.
-            new, is_before = _Bracket(to, value, jnp.ones_like(to), jnp.isnan(share) | before.found), value < 0
+            new, is_before = _RootBracket(to, value, jnp.ones_like(to), jnp.isnan(share) | before.found), value < 0
             before, after = _replaced(before, new, is_before), _replaced(after, new, ~is_before)
             return (before, after, _either(is_before, ahead, y)), None
 
         none, no, yes = jnp.zeros_like(step_length), jnp.zeros((), bool), jnp.ones((), bool)
         # Of a minimum inside the step, the step's end is a known instant after it.
         inside = outcome.dips & ~is_across
-        ends = _Bracket(none, -(none + 1), none + 1, no), _Bracket(outcome.tau, outcome.rise, none + 1, inside & yes)
+        ends = (
+            _RootBracket(none, -(none + 1), none + 1, no),
+            _RootBracket(outcome.tau, outcome.rise, none + 1, inside & yes),
+        )
         # NaN stands for the first instant; zeros, once the root is bracketed, for refinements alone.
         shares = jnp.asarray([np.nan, *_INCREMENTS, *[0.0] * _REFINEMENTS], step_length.dtype)
         (before, after, _), _ = lax.scan(go_on, (*ends, y0), shares)
@@ -270,7 +278,7 @@ def _search(
     return jax.vmap(search)(t0, y0, sign, jnp.array([False, True]))
 
 
-class _Bracket(NamedTuple):
+class _RootBracket(NamedTuple):
     """One end of the bracket of a root: its instant, the residual there, and its weight in the Illinois rule."""
 
     tau: FloatArray
@@ -279,13 +287,13 @@ class _Bracket(NamedTuple):
     found: BoolArray
 
 
-def _between(before: _Bracket, after: _Bracket) -> FloatArray:
+def _between(before: _RootBracket, after: _RootBracket) -> FloatArray:
     """Time from `before` to the zero of the line through both weighted values: ``a / (a - b)`` of their distance."""
     a, b = before.value * before.weight, after.value * after.weight
     return jnp.clip(a / jnp.where(a == b, 1, a - b), 0, 1) * (after.tau - before.tau)
 
 
-def _replaced(end: _Bracket, new: _Bracket, by_new: BoolArray) -> _Bracket:
+def _replaced(end: _RootBracket, new: _RootBracket, by_new: BoolArray) -> _RootBracket:
     """An end, replaced by `new` where `by_new`; an end that stays has its weight halved (Illinois rule)."""
     return _either(by_new, new, end._replace(weight=end.weight / 2))
 
@@ -311,7 +319,7 @@ def _at(model: OneContactModel, segments: Segments, start: _Start, tau: FloatArr
 
 
 def _grazing(
-    model: OneContactModel, segments: Segments, step: Step, outcome: _Outcome, here: _Root, then: _AtRoot
+    model: OneContactModel, segments: Segments, step: EngineStep, outcome: _Outcome, here: _Root, then: _AtRoot
 ) -> tuple[SignedDistance, FloatArray]:
     """The grazing distance, minus the minimum of the measure, and when that is reached (s)."""
     fixed, is_ratio = lax.stop_gradient(step), _after_crossing(step)
@@ -331,7 +339,7 @@ def _grazing(
 
 
 def _switch_without_stop(
-    model: OneContactModel, segments: Segments, fixed: Step, outcome: _Outcome, here: _Root, then: _AtRoot
+    model: OneContactModel, segments: Segments, fixed: EngineStep, outcome: _Outcome, here: _Root, then: _AtRoot
 ) -> tuple[FloatArray, BoolArray]:
     """When the mode would have switched, had the segment not ended (s), and whether it would."""
     falls = outcome.falls & here.found & (then.slope < 0)
@@ -344,7 +352,7 @@ def _switch_without_stop(
     return when, falls & ((fixed.sign == 0) | sticks)
 
 
-def _is_undone(model: OneContactModel, segment_laws: SegmentLaws, fixed: Step, outcome: _Outcome) -> BoolArray:
+def _is_undone(model: OneContactModel, segment_laws: SegmentLaws, fixed: EngineStep, outcome: _Outcome) -> BoolArray:
     """Whether the excitation's next segment undoes a switch of mode just before it."""
     if not segment_laws.all:
         return jnp.zeros_like(outcome.falls)
@@ -359,7 +367,7 @@ def _is_undone(model: OneContactModel, segment_laws: SegmentLaws, fixed: Step, o
 
 
 def _crossing(
-    model: OneContactModel, segments: Segments, step: Step, outcome: _Outcome, across: _Root, then: _AtRoot
+    model: OneContactModel, segments: Segments, step: EngineStep, outcome: _Outcome, across: _Root, then: _AtRoot
 ) -> SignedDistance:
     """How far friction is from being unable to hold an arrival, near the edge of the band beyond which it would cross.
 

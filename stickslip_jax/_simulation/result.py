@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.common.path import MotionPath
 from .._dynamics.regularized.implicit_step import Switch
-from .._dynamics.switched.engine import Beginnings, StepPath, follow_steps, state_in_step
+from .._dynamics.switched.engine import StepBeginnings, StepPath, follow_steps, state_in_step
 from .._events.sticks import NUMBERS, FlatSticks, Slips, Sticks, Totals, of_contact, slips_between
 from .._events.tables import Columns, slip_variables, stick_columns, stick_variables, table_of, write_table
 from .._excitation.excitation import BaseMotion
@@ -175,8 +175,10 @@ def energies_of(one: "Simulation", times: Float[Array, "*times"]) -> Energies:
 
 
 @jax.jit
-def _energies(model: OneContactModel, beginnings: Beginnings, last: FloatScalar, times: Times, rule: _Rule) -> Energies:
-    def worked(begun: Beginnings, h: FloatScalar) -> energy.Powers:
+def _energies(
+    model: OneContactModel, beginnings: StepBeginnings, last: FloatScalar, times: Times, rule: _Rule
+) -> Energies:
+    def worked(begun: StepBeginnings, h: FloatScalar) -> energy.Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
 
         def power(node: FloatScalar) -> energy.Powers:

@@ -218,7 +218,7 @@ class BranchEvent(NamedTuple):
     text: str
 
 
-class Point:
+class OrbitPoint:
     """A point of the branch: the `unknowns`, the equations `found` there, the `tangent` (scaled), and the number of
     iterations that it took.
     """
@@ -226,9 +226,9 @@ class Point:
     def __init__(self, unknowns: np.ndarray, found: Evaluated, tangent: np.ndarray, iterations: int):
         self.unknowns, self.found, self.tangent, self.iterations = unknowns, found, tangent, iterations
 
-    def turned(self) -> "Point":
+    def turned(self) -> "OrbitPoint":
         """The same, its tangent the other way."""
-        return Point(self.unknowns, self.found, -self.tangent, self.iterations)
+        return OrbitPoint(self.unknowns, self.found, -self.tangent, self.iterations)
 
     @cached_property
     def multipliers(self) -> np.ndarray:
@@ -280,10 +280,10 @@ class Change(NamedTuple):
 
     kind: str
     text: str
-    is_before: Callable[[Point], bool]
+    is_before: Callable[[OrbitPoint], bool]
 
 
-def changes(last: Point, found: Point, driven: bool) -> Iterator[Change]:
+def changes(last: OrbitPoint, found: OrbitPoint, driven: bool) -> Iterator[Change]:
     """What changed between two neighbouring points with the same sequence of modes."""
     turned = last.tangent[-1] * found.tangent[-1] < 0
     if turned:
@@ -292,7 +292,7 @@ def changes(last: Point, found: Point, driven: bool) -> Iterator[Change]:
         if kind == "branch point" and turned:
             continue
 
-        def sign(point: Point, test: Callable[[np.ndarray], float] = test) -> float:
+        def sign(point: OrbitPoint, test: Callable[[np.ndarray], float] = test) -> float:
             return test(point.own_multipliers(driven))
 
         if sign(last) * sign(found) < 0:
@@ -325,7 +325,7 @@ def text_of(signs: tuple[int, ...]) -> str:
     return "".join(_SIGNS[sign] for sign in signs)
 
 
-def change_of_modes(last: Point, found: Point) -> Change | None:
+def change_of_modes(last: OrbitPoint, found: OrbitPoint) -> Change | None:
     """The change of the sequence of modes between two neighbouring points; None where it is the same."""
     order = sequence(last.found.modes)
     if order == sequence(found.found.modes):
@@ -389,7 +389,7 @@ _EXACT = 1e-13
 
 
 def turning_back(
-    equations: Equations, plane: Plane | None, scale: np.ndarray, last: Point, found: Point
+    equations: Equations, plane: Plane | None, scale: np.ndarray, last: OrbitPoint, found: OrbitPoint
 ) -> tuple[str, float, str] | None:
     """The kind of the end between two neighbouring points, the parameter there, and in words; None where there is none.
 
@@ -471,7 +471,7 @@ def _root(
     return float(value) if result.converged and near else float(guess[-1])
 
 
-def tangent_release(points: list[Point]) -> float | None:
+def tangent_release(points: list[OrbitPoint]) -> float | None:
     """The parameter where the largest multiplier of the last `points` with the same order of modes becomes infinite;
     None where it does not grow so far.
 

@@ -17,7 +17,7 @@ from ._branches import (
     BranchEvent,
     Change,
     Equations,
-    Point,
+    OrbitPoint,
     change_of_modes,
     changes,
     description,
@@ -147,7 +147,7 @@ class _Branch:
     def __init__(
         self, equations: Equations, scale: np.ndarray, parameter: str, begun: np.ndarray, until: float, step: float
     ):
-        self.points: list[Point] = []
+        self.points: list[OrbitPoint] = []
         self.events: list[BranchEvent] = []
         self.ending = ""
         self.equations = equations
@@ -195,7 +195,7 @@ class _Branch:
                 return
         self.ending = f"{most} points were found; ask for more with the argument most"
 
-    def _guesses(self, last: Point, length: float) -> Iterator[np.ndarray]:
+    def _guesses(self, last: OrbitPoint, length: float) -> Iterator[np.ndarray]:
         """Guesses (scaled) of the point that follows at a `length`: along the tangent, and along a parabola.
 
         Where a stick is about to last for ever, its release is nearly tangent, and the way to the end in the state as
@@ -212,7 +212,7 @@ class _Branch:
         self.ending = why
         self.events.append(BranchEvent(kind, float(value), max(len(self.points) - 1, 0), why))
 
-    def _end_here(self, last: Point, length: float) -> None:
+    def _end_here(self, last: OrbitPoint, length: float) -> None:
         """End where no orbit continues `last`: what vanishes is told by the motion that is followed from just beyond,
         which also is the other end of the bracket in which the branch ends.
         """
@@ -234,7 +234,7 @@ class _Branch:
         low, high = sorted((one[-1], other[-1]))
         return f" (between {low:.9g} and {high:.9g})" if high - low > _TOLD * self._scale[-1] else ""
 
-    def _turns_back(self, last: Point, found: Point) -> bool:
+    def _turns_back(self, last: OrbitPoint, found: OrbitPoint) -> bool:
         """Whether the branch ends between two points because it would go back over the same orbits. Ends it there."""
         end = turning_back(self.equations, self._plane, self._scale, last, found)
         if end is None and self._is_half(found) and not self._is_half(last):
@@ -246,14 +246,14 @@ class _Branch:
             self._end(kind, value, f"{text}, and the branch ends")
         return end is not None
 
-    def _is_half(self, point: Point) -> bool:
+    def _is_half(self, point: OrbitPoint) -> bool:
         """Whether a point is an orbit of half the period: it solves the same equations, so a step may lead to it."""
         if not self.equations.driven or self.equations.periods % 2:
             return False
         moved = self.equations.half_way(point.unknowns, self._plane)
         return moved is not None and bool(np.max(np.abs(moved / self._scale[: len(moved)])) < _HALF)
 
-    def _land(self, last: Point, found: Point) -> bool:
+    def _land(self, last: OrbitPoint, found: OrbitPoint) -> bool:
         """The last point, where the parameter is at the end of its range that it passed; whether it was found."""
         end = min(max(found.unknowns[-1], min(self._range)), max(self._range))
         share = (end - last.unknowns[-1]) / (found.unknowns[-1] - last.unknowns[-1])
@@ -269,13 +269,13 @@ class _Branch:
         self.ending = f"{self.parameter} reached {end:g}"
         return True
 
-    def _is_next(self, last: Point, found: Point, length: float) -> bool:
+    def _is_next(self, last: OrbitPoint, found: OrbitPoint, length: float) -> bool:
         """Whether `found` is the next point of the same branch, and not one of another that is near."""
         moved = np.linalg.norm(found.unknowns / self._scale - last.unknowns / self._scale)
         goes_on = abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE or length < _CORNER * self._step
         return bool(moved <= 4 * length and goes_on)
 
-    def _cosine(self, point: Point) -> float:
+    def _cosine(self, point: OrbitPoint) -> float:
         """Of the angle at which an orbit that nothing drives crosses the plane where it begins; 1 with a drive."""
         if self.equations.driven:
             return 1.0
@@ -284,7 +284,7 @@ class _Branch:
         normal = point.found.matrix[size, :size] * self._scale[:size]
         return float(np.dot(rates, normal) / (np.linalg.norm(rates) * np.linalg.norm(normal)))
 
-    def _corrected(self, guess: np.ndarray, along: np.ndarray, before: np.ndarray) -> Point | None:
+    def _corrected(self, guess: np.ndarray, along: np.ndarray, before: np.ndarray) -> OrbitPoint | None:
         """The point of the branch in the plane through `guess` (scaled) across `along`; None where Newton's method
         finds none. Its tangent points as the one `before`.
         """
@@ -301,7 +301,7 @@ class _Branch:
             if error <= (smallest if best else max(smallest, noise)):
                 tangent = np.linalg.svd(rows)[2][-1]
                 tangent *= 1 if np.dot(tangent, before) >= 0 else -1
-                best = Point(scaled * self._scale, found, tangent, best.iterations if best else iteration)
+                best = OrbitPoint(scaled * self._scale, found, tangent, best.iterations if best else iteration)
                 # On until round-off: where a multiplier is nearly 1, the orbit is far less exact than its residual.
                 smallest = error / 2
             elif best is not None:
@@ -338,7 +338,7 @@ class _Branch:
         self._plane = self.equations.plane(state, across / np.max(np.abs(across)) / self._scale[:size])
         return np.append(state, unknowns[size:]) / self._scale
 
-    def _rebased(self, point: Point) -> Point:
+    def _rebased(self, point: OrbitPoint) -> OrbitPoint:
         """The same point from the middle of its longest slip on, where its begin has come near an event, or the motion
         there along the plane.
         """
@@ -355,7 +355,7 @@ class _Branch:
         self._plane = plane
         return point
 
-    def _noted(self, last: Point, found: Point) -> Point | None:
+    def _noted(self, last: OrbitPoint, found: OrbitPoint) -> OrbitPoint | None:
         """Note what happened between two points, each event located, the first one first. Returns `found`, its tangent
         away from `last`: where the sequence of modes changes, the branch may turn round in a corner. None, with nothing
         noted, where a change is not located, since orbits do not lead over to `found`, or where all sticks: a mass may
@@ -390,11 +390,11 @@ class _Branch:
             self._add(one, *self._located(last, found, one.is_before))
         return found
 
-    def _way(self, last: Point, found: Point) -> np.ndarray:
+    def _way(self, last: OrbitPoint, found: OrbitPoint) -> np.ndarray:
         """From one point to the next, scaled."""
         return (found.unknowns - last.unknowns) / self._scale
 
-    def _away(self, found: Point, length: float) -> Point:
+    def _away(self, found: OrbitPoint, length: float) -> OrbitPoint:
         """`found` with the tangent that leads away from where the order of modes became what it is there."""
         for factor in _LOOKS:
             there = []
@@ -407,11 +407,13 @@ class _Branch:
                 return there[0]
         return found
 
-    def _add(self, change: Change, located: Point, more: str) -> None:
+    def _add(self, change: Change, located: OrbitPoint, more: str) -> None:
         value = float(located.unknowns[-1])
         self.events.append(BranchEvent(change.kind, value, len(self.points) - 1, change.text + more))
 
-    def _located(self, last: Point, found: Point, is_before: Callable[[Point], bool]) -> tuple[Point, str]:
+    def _located(
+        self, last: OrbitPoint, found: OrbitPoint, is_before: Callable[[OrbitPoint], bool]
+    ) -> tuple[OrbitPoint, str]:
         """The first point after an event between two points, by parts of the way between them; and in words how near it
         is, where Newton's method does not come nearer.
         """
@@ -431,7 +433,7 @@ class _Branch:
                 high, after = middle, point
         return after, ""
 
-    def _between(self, last: Point, way: np.ndarray, part: float) -> Point | None:
+    def _between(self, last: OrbitPoint, way: np.ndarray, part: float) -> OrbitPoint | None:
         """The point of the branch in the plane across `part` of the `way` from one point to the next."""
         length = np.linalg.norm(way)
         if length == 0:

@@ -241,7 +241,7 @@ class SticksOfPeriod(NamedTuple):
     longest: FloatArray
 
 
-class Seen(NamedTuple):
+class SeenCases(NamedTuple):
     """What is seen of each case at the ends of the periods kept: states (cases, periods, coordinates), sticks (cases,
     periods) or (cases, periods, contacts), and of each case (cases,) the `Status` and how often round-off decided.
 
@@ -256,7 +256,7 @@ class Seen(NamedTuple):
     near_grazing_count: Array
 
 
-SEEN = Seen(0, 0, SticksOfPeriod(0, 0, 0), 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
+SEEN = SeenCases(0, 0, SticksOfPeriod(0, 0, 0), 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
 
 
 @runtime_checkable
@@ -298,7 +298,7 @@ def _of_contact(sticks: Sticks, held: AnyArray, age: FloatArray) -> tuple[Sticks
     return SticksOfPeriod(begun, jnp.sum(duration), jnp.max(whole)), jnp.max(jnp.where(lasts, whole, 0))
 
 
-def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> Seen:
+def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> SeenCases:
     """Cases over `transient` periods, and then over the `kept` ones."""
 
     def period(carry):
@@ -325,20 +325,20 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
 
     (_, _, status, close, _), (states, sticks, sizes) = lax.scan(keep, begun, length=kept)
     states, sticks = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), (states, sticks))
-    return Seen(states, jnp.fmax(jnp.max(sizes, axis=0), _AT_REST * begun[4]), sticks, status, close)
+    return SeenCases(states, jnp.fmax(jnp.max(sizes, axis=0), _AT_REST * begun[4]), sticks, status, close)
 
 
 _follow = eqx.filter_jit(_followed)
 
 
 @eqx.filter_jit
-def _follow_along(cycle: Cycle, begin: Array, starts: Array, transient: IntArray, *, kept: int) -> Seen:
+def _follow_along(cycle: Cycle, begin: Array, starts: Array, transient: IntArray, *, kept: int) -> SeenCases:
     """As `_followed`, of arrays (values, cases, ...), each value of a parameter from where the one before ended; the
     first from `begin` (cases, coordinates), and what was not followed to the end from `starts`.
     """
     arrays, rest = eqx.partition(cycle, eqx.is_array)
 
-    def one_value(y: Array, own: Cycle) -> tuple[Array, Seen]:
+    def one_value(y: Array, own: Cycle) -> tuple[Array, SeenCases]:
         seen = _followed(eqx.combine(own, rest), y, transient, kept=kept)
         return _next_start(seen.states[:, -1], starts), seen
 
@@ -352,7 +352,7 @@ def _next_start(last: Array, starts: Array) -> Array:
 
 def follow_along(
     cases: Cases, transient: int, kept: int, progress: bool | None, stored: Kept, *, descending: bool
-) -> Seen:
+) -> SeenCases:
     """As `follow`, each value of the first parameter from where the one before it ended, in the order of its values.
 
     `descending`: from the last value to the first.
@@ -368,7 +368,7 @@ def follow_along(
     with progress_bar(progress, cases.number) as bar:
         for number, part in enumerate(parts):
 
-            def run(cycle: Cycle, part: np.ndarray = part, begin: Array = begin) -> Seen:
+            def run(cycle: Cycle, part: np.ndarray = part, begin: Array = begin) -> SeenCases:
                 own = jax.tree.map(lambda leaf: leaf[part] if eqx.is_array(leaf) else leaf, cycle)
                 return _follow_along(own, begin, starts, jnp.asarray(transient, jnp.int32), kept=kept)
 
@@ -381,17 +381,19 @@ def follow_along(
     return jax.tree.map(lambda leaf: leaf[back].reshape(cases.number, *leaf.shape[2:]), whole)
 
 
-def follow(cases: Cases, transient: int, kept: int, progress: bool | None = None, stored: Kept | None = None) -> Seen:
+def follow(
+    cases: Cases, transient: int, kept: int, progress: bool | None = None, stored: Kept | None = None
+) -> SeenCases:
     """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy."""
     numbers = cases.starts.shape[1] + 3 * (cases.system.contact_count or 1)
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the states at the ends of so many periods")
     return in_blocks(cases, periods_of(transient, kept), SEEN, progress, Kept() if stored is None else stored)
 
 
-def periods_of(transient: int, kept: int) -> Callable[[Cycle, Array], Seen]:
+def periods_of(transient: int, kept: int) -> Callable[[Cycle, Array], SeenCases]:
     """How the cases of a block are followed for `in_blocks`."""
 
-    def run(cycle: Cycle, starts: Array) -> Seen:
+    def run(cycle: Cycle, starts: Array) -> SeenCases:
         return _follow(cycle, starts, jnp.asarray(transient, jnp.int32), kept=kept)
 
     return run

@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from .._dynamics.common.method import EXACT, Exact
 from .._dynamics.common.path import Run
-from .._dynamics.switched.engine import Beginnings, StepPath, state_in_step
+from .._dynamics.switched.engine import StepBeginnings, StepPath, state_in_step
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.extras import Entries
@@ -24,7 +24,7 @@ from ._cases import Cases, Cycle, Over, cases_of, checked_numbers
 from ._following import (
     CYCLE,
     Folder,
-    Seen,
+    SeenCases,
     dataset_of,
     follow,
     follow_along,
@@ -120,7 +120,7 @@ def stroboscopic_section(
     return section_of(cases, *found, transient)
 
 
-def section_of(cases: Cases, seen: Seen, found: np.ndarray, more: np.ndarray, transient: int) -> "xarray.Dataset":
+def section_of(cases: Cases, seen: SeenCases, found: np.ndarray, more: np.ndarray, transient: int) -> "xarray.Dataset":
     """The data set of what was seen, of the recurrences `found` and the periods `more` of each case, (cases,)."""
     numbers = np.arange(transient + 1, transient + np.shape(seen.states)[1] + 1)
     coordinates: Entries = {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})}
@@ -139,7 +139,7 @@ def section_of(cases: Cases, seen: Seen, found: np.ndarray, more: np.ndarray, tr
     )
 
 
-def sticks_in(cases: Cases, seen: Seen) -> Entries:
+def sticks_in(cases: Cases, seen: SeenCases) -> Entries:
     """Variables of the sticks in each period."""
     more = (CYCLE,) if np.ndim(seen.sticks.time) == 2 else (CYCLE, CONTACT)
     return {
@@ -481,7 +481,7 @@ def _passages(
     lengths = jnp.append(begun.t[1:], run.time_reached) - begun.t
 
     def locate(step: IntArray) -> tuple[FloatArray, FloatArray]:
-        here: Beginnings = jax.tree.map(lambda column: column[step], begun)
+        here: StepBeginnings = jax.tree.map(lambda column: column[step], begun)
         rises = after[step] > values[step]
 
         def closer(_: IntArray, state: tuple[FloatArray, FloatArray, FloatArray]):

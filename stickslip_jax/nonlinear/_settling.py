@@ -11,7 +11,7 @@ import numpy as np
 from .._dynamics.common.method import Exact
 from .._foundation import checks
 from ._cases import MOST_PERIODS, Cases, checked_numbers
-from ._following import SEEN, Kept, Seen, block_size, in_blocks, periods_of, warn_of_unsettled
+from ._following import SEEN, Kept, SeenCases, block_size, in_blocks, periods_of, warn_of_unsettled
 from ._orbits import periodic_orbit
 
 # After how many returns a motion repeats itself, and whether it has settled.
@@ -188,9 +188,9 @@ def checked_periods(transient: object, kept: object, longest: object) -> tuple[i
 
 
 def settled(
-    cases: Cases, seen: Seen, lasted: tuple[int, int, int], tolerance: float, progress: bool | None,
+    cases: Cases, seen: SeenCases, lasted: tuple[int, int, int], tolerance: float, progress: bool | None,
     stored: Kept, *, stacklevel: int,
-) -> tuple[Seen, np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[SeenCases, np.ndarray, np.ndarray]:  # fmt: skip
     """What was `seen`; of cases that have not settled, in later periods: twice as many before those that are kept,
     again and again. Also the `recurrence` of each case, and how many periods more came before those, (cases,).
 

@@ -12,7 +12,7 @@ from scipy import optimize, stats
 import stickslip_jax as ss
 from stickslip_jax._calibration.information import all_bounds, information_of
 from stickslip_jax._calibration.parameters import Transform, identity
-from stickslip_jax._calibration.search import Fit, FitProblem, Free, Point, Seen
+from stickslip_jax._calibration.search import Fit, FitProblem, Free, Residuals, SearchPoint
 
 SETS = 200
 TIMES = np.linspace(0, 20, 401)
@@ -136,7 +136,7 @@ def test_errors_that_end_where_the_motion_changes(beyond, high):
             x = size * point.x[0]
             far = x > 1
             residual, slope = np.where(far, 1 + beyond * (x - 1), x), size * np.where(far, beyond, 1.0)
-            return Seen(np.array([[[residual]]]), np.array([[[[slope]]]]))
+            return Residuals(np.array([[[residual]]]), np.array([[[[slope]]]]))
 
         def search(self, sigma, start, free):
             assert not free.x.any()
@@ -144,7 +144,7 @@ def test_errors_that_end_where_the_motion_changes(beyond, high):
 
     model: Any = SimpleNamespace(transform=identity(1, np.dtype(float)))
     problem = Bent(model, cast(Any, None))
-    at, sigma, free = Point(np.zeros(1), np.zeros((1, 0))), np.ones(1), Free(np.ones(1, bool), False)
+    at, sigma, free = SearchPoint(np.zeros(1), np.zeros((1, 0))), np.ones(1), Free(np.ones(1, bool), False)
     fit = Fit(at, problem.seen(at), True)
     told = information_of(fit.seen, 1)
     found, is_told = all_bounds(problem, sigma, fit, free, told, np.inf)
@@ -167,7 +167,7 @@ def test_errors_are_those_of_the_number_not_of_its_logarithm(straight_in, ends):
         def seen(self, point):
             q = np.exp(point.x[0])
             residual, slope = (q - 1, q) if straight_in == "number" else (point.x[0], 1.0)
-            return Seen(np.array([[[residual / 0.2]]]), np.array([[[[slope / 0.2]]]]))
+            return Residuals(np.array([[[residual / 0.2]]]), np.array([[[[slope / 0.2]]]]))
 
         def search(self, sigma, start, free):
             return Fit(start, self.seen(start), True)
@@ -175,7 +175,7 @@ def test_errors_are_those_of_the_number_not_of_its_logarithm(straight_in, ends):
     one, none = np.ones(1), np.zeros(1)
     transform = Transform(one, none, one * np.inf, none, one, np.zeros((1, 1)))
     problem = Straight(cast(Any, SimpleNamespace(transform=transform)), cast(Any, None))
-    at, free = Point(none, np.zeros((1, 0))), Free(np.ones(1, bool), False)
+    at, free = SearchPoint(none, np.zeros((1, 0))), Free(np.ones(1, bool), False)
     fit = Fit(at, problem.seen(at), True)
     found, _ = all_bounds(problem, one, fit, free, information_of(fit.seen, 1), np.inf)
     assert bool(found) == (ends is not None)

@@ -10,8 +10,8 @@ from scipy import optimize, stats
 import stickslip_jax as ss
 from stickslip_jax._calibration.parameters import Models
 from stickslip_jax._calibration.stick_moments import (
+    FitPart,
     Observed,
-    Part,
     Simulated,
     by_likelihood,
     by_moments,
@@ -112,7 +112,7 @@ def test_weighted_squares():
 
 def part_of(hessian, noise, gradient=(0.0, 0.0)):
     hessian = np.array(hessian, float)
-    return Part(0.0, np.array(gradient), hessian, np.array(noise, float), hessian)
+    return FitPart(0.0, np.array(gradient), hessian, np.array(noise, float), hessian)
 
 
 def test_noise_of_derivatives_is_no_information():
@@ -123,7 +123,7 @@ def test_noise_of_derivatives_is_no_information():
     estimates = (noisy * random.normal(size=noisy.shape)).sum(axis=1) / (noisy @ slope)
     squares = (noisy**2).sum(axis=1)[:, None, None]
     noise = np.full((1, 1), 60 * 0.2**2)
-    told = np.array([precision(Part(0, np.zeros(1), one, noise, one)).covariance[0, 0] for one in squares])
+    told = np.array([precision(FitPart(0, np.zeros(1), one, noise, one)).covariance[0, 0] for one in squares])
     assert np.all(np.isfinite(told))
     # The variance of 4000 normal numbers has a standard error of 2.2 %; that of the mean of `told` is less than 1 %.
     assert told.mean() == pytest.approx(estimates.var(), rel=0.1)
@@ -175,7 +175,7 @@ def test_search_goes_back_where_there_is_nothing():
     def at(x):
         asked.append(x)
         away = x - wanted
-        return None if x[0] > 0.4 else Part(0.5 * away @ bend @ away, bend @ away, 0.6 * bend, 0 * bend, bend)
+        return None if x[0] > 0.4 else FitPart(0.5 * away @ bend @ away, bend @ away, 0.6 * bend, 0 * bend, bend)
 
     assert minimised(at, np.zeros(2), 60).x == pytest.approx(wanted, abs=1e-4)
     assert any(x[0] > 0.4 for x in asked)

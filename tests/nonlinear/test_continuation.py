@@ -10,7 +10,7 @@ from support.turning import DRAG, FAR, Disc
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
-from stickslip_jax.nonlinear._branches import Equations, Evaluated, Point, change_of_modes
+from stickslip_jax.nonlinear._branches import Equations, Evaluated, OrbitPoint, change_of_modes
 from stickslip_jax.nonlinear._continuation import _Branch
 from stickslip_jax.nonlinear._orbits import Mode, sequence, stick_count
 
@@ -238,7 +238,7 @@ class Circle(Equations):
     def point(self, angle):
         """The point at an angle, its tangent toward larger ones."""
         unknowns = np.array([math.cos(angle), math.sin(angle)])
-        return Point(unknowns, self.at(unknowns, None), np.array([-math.sin(angle), math.cos(angle)]), 1)
+        return OrbitPoint(unknowns, self.at(unknowns, None), np.array([-math.sin(angle), math.cos(angle)]), 1)
 
 
 def test_events_are_located_where_a_branch_turns_far_between_two_points():
@@ -254,7 +254,7 @@ def test_events_are_located_where_a_branch_turns_far_between_two_points():
 def test_a_mode_that_passes_the_begin_of_the_period_is_told():
     """The sequence of modes remains, but that the period begins with another one is a corner of the branch."""
     slips = Circle().point(0)
-    sticks = Point(slips.unknowns, slips.found._replace(modes=Circle.modes[::-1]), slips.tangent, 1)
+    sticks = OrbitPoint(slips.unknowns, slips.found._replace(modes=Circle.modes[::-1]), slips.tangent, 1)
     assert change_of_modes(slips, sticks) is None
     assert slips.order != sticks.order
 

@@ -24,7 +24,7 @@ _SMALL, _NARROW = 0.05, 0.01
 _SOFTEST = {8: 1e-100, 4: 1e-15}
 
 
-class Spring(NamedTuple):
+class SpringScales(NamedTuple):
     """The squared angular frequency ``stiffness / mass`` (rad^2/s^2), and without a derivative: its root, for no spring
     that of the softest, and 1 over that.
     """
@@ -34,7 +34,7 @@ class Spring(NamedTuple):
     inverse_omega: FloatArray  # multiplying costs a fifth of dividing
 
     @classmethod
-    def of(cls, squared: FloatArray) -> "Spring":
+    def of(cls, squared: FloatArray) -> "SpringScales":
         """The spring of this squared angular frequency."""
         softest = _SOFTEST[squared.dtype.itemsize]
         fixed = lax.stop_gradient(squared)
@@ -43,7 +43,7 @@ class Spring(NamedTuple):
 
 
 @jax.custom_jvp
-def quotient(acceleration: FloatArray, needed: BoolArray, spring: Spring) -> FloatArray:
+def quotient(acceleration: FloatArray, needed: BoolArray, spring: SpringScales) -> FloatArray:
     """``acceleration / w2``, m, with its derivative where it is `needed`, for a spring that is not too soft."""
     return acceleration * (spring.inverse_omega * spring.inverse_omega)
 
@@ -57,7 +57,9 @@ def _quotient_jvp(primals, tangents):
     return found, quotient(jnp.where(needed, change, 0), needed, spring)
 
 
-def swung(x: FloatArray, v: FloatArray, A: FloatArray, t: FloatArray, spring: Spring) -> tuple[FloatArray, FloatArray]:
+def swung(
+    x: FloatArray, v: FloatArray, A: FloatArray, t: FloatArray, spring: SpringScales
+) -> tuple[FloatArray, FloatArray]:
     """Position and velocity after the time t, from the position x, the velocity v and the deceleration A.
 
     As after half the time, the velocity is ``v cos - A sin / omega`` of half the angle, and the deceleration
@@ -69,7 +71,7 @@ def swung(x: FloatArray, v: FloatArray, A: FloatArray, t: FloatArray, spring: Sp
 
 
 @jax.custom_jvp
-def _half_swing(t: FloatArray, spring: Spring) -> tuple[FloatArray, FloatArray]:
+def _half_swing(t: FloatArray, spring: SpringScales) -> tuple[FloatArray, FloatArray]:
     """``2 sin(omega t / 2) / omega`` in s, which is t without a spring, and ``cos(omega t / 2)``."""
     sine, cosine = sincos((0.5 * spring.omega) * t)
     return sine * (2 * spring.inverse_omega), cosine
@@ -98,7 +100,7 @@ def _series(z: FloatArray, *divisors: float) -> FloatArray:
 
 @jax.custom_jvp
 def to_meeting(
-    A: FloatArray, v: FloatArray, q: FloatArray, H: FloatArray, side: FloatArray, spring: Spring
+    A: FloatArray, v: FloatArray, q: FloatArray, H: FloatArray, side: FloatArray, spring: SpringScales
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Time and displacement from the state on an arc to its meeting with the velocity `q`, as `FirstArc` names them.
 
@@ -220,7 +222,7 @@ class Scales(NamedTuple):
     which a mass on a base at rest rests (m/s, without a derivative), and the horizon `t1`, s.
     """
 
-    spring: Spring
+    spring: SpringScales
     deceleration: FloatArray
     rest_speed: FloatArray
     t1: FloatArray
@@ -228,7 +230,7 @@ class Scales(NamedTuple):
     @classmethod
     def of(cls, squared: FloatArray, deceleration: FloatArray, t1: FloatArray) -> "Scales":
         """The scales for a squared angular frequency (rad^2/s^2), a deceleration and a horizon."""
-        scales = cls(Spring.of(squared), deceleration, t1, t1)
+        scales = cls(SpringScales.of(squared), deceleration, t1, t1)
         rest_speed = _REST_ULPS * jnp.finfo(squared.dtype).eps * deceleration * scales.clock
         return scales._replace(rest_speed=lax.stop_gradient(rest_speed))
 
@@ -238,7 +240,7 @@ class Scales(NamedTuple):
         return jnp.where(self.spring.omega * self.t1 > 1, self.spring.inverse_omega, self.t1)
 
 
-class Passage(NamedTuple):
+class IntervalPassage(NamedTuple):
     """Result of one interval: the state at its end and its stick, if any; `entered`, `left`: times since its start, s.
 
     `position`, `left_at`: where the stick begins and ends. `released`: whether friction gave way, after a stick or
@@ -297,7 +299,7 @@ class _Stick(NamedTuple):
 
 def carry_across(
     x: FloatArray, v: FloatArray, base: FloatArray, scales: Scales, span: FloatArray, began: FloatArray
-) -> Passage:
+) -> IntervalPassage:
     """Carry the state ``(x, v)`` across an interval of the base velocity `base`, from `began` on for `span` (s).
 
     There is at most one stick: after a release the mass moves on a circle tangent to the base velocity from below.
@@ -312,7 +314,7 @@ def carry_across(
     x_end = x_end + 0 * first.excess  # a radius whose square overflows would miss its arrivals: NaN (`NOT_FINITE`)
     position, left_at, left, released, stuck = stick
     position, left_at, tie = mirror * position, mirror * left_at, last.arrived & ~stuck
-    return Passage(mirror * x_end, mirror * v_end, last.entered, left, position, left_at, stuck, released, tie)
+    return IntervalPassage(mirror * x_end, mirror * v_end, last.entered, left, position, left_at, stuck, released, tie)
 
 
 @computed_once
@@ -446,7 +448,7 @@ def _meeting(at_rest, A, v, q, turned, scales):
     return excess, reaches, H
 
 
-def excess_of(A: FloatArray, v: FloatArray, q: FloatArray, spring: Spring) -> FloatArray:
+def excess_of(A: FloatArray, v: FloatArray, q: FloatArray, spring: SpringScales) -> FloatArray:
     """``R^2 - w2 q^2``, free of cancellation near v = q; positive if the arc from there reaches the base velocity."""
     return A * A + spring.squared * ((v - q) * (v + q))
 

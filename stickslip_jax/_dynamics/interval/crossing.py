@@ -26,7 +26,7 @@ from ..._systems.mass_spring import MassSpring
 from .arcs import (
     CLOCK_ULPS,
     Scales,
-    Spring,
+    SpringScales,
     carry_across,
     few,
     first_arc,
@@ -45,7 +45,7 @@ from .arcs import (
 # are exact sums of durations.
 
 
-class Motion(NamedTuple):
+class MassState(NamedTuple):
     """The state of the mass: time `t` in s, position `x` in m, velocity `v` in m/s.
 
     `remembered`: by the quantities of each stick that are asked for.
@@ -64,24 +64,24 @@ def scales_of(system: MassSpring, t1: Scalar, dtype) -> Scales:
     return Scales.of(jnp.asarray(system.stiffness, dtype) / mass, held / mass + 0 * mass, jnp.asarray(t1, dtype))
 
 
-def start_motion(scales: Scales, y0: tuple[Scalar, Scalar], quantities: tuple[str, ...] = ()) -> Motion:
+def start_motion(scales: Scales, y0: tuple[Scalar, Scalar], quantities: tuple[str, ...] = ()) -> MassState:
     """The initial state ``y0 = (position, velocity)``.
 
     `quantities` of each stick: those that are asked for.
     """
     dtype = scales.t1.dtype
     x, v = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
-    return Motion(jnp.zeros((), dtype), x, v, begin_quantities(x, quantities))
+    return MassState(jnp.zeros((), dtype), x, v, begin_quantities(x, quantities))
 
 
-def sticks_at_start(scales: Scales, motion: Motion, velocity: FloatArray) -> BoolArray:
+def sticks_at_start(scales: Scales, motion: MassState, velocity: FloatArray) -> BoolArray:
     """Whether the trajectory begins with a stick, and so without a slip before it, at the first base `velocity`."""
     return sticks_from_start(motion.x, motion.v, velocity, scales)
 
 
 def cross_interval(
-    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
-) -> tuple[Motion, Totals, StickRecord, BoolArray]:
+    scales: Scales, motion: MassState, totals: Totals, duration: FloatArray, velocity: FloatArray
+) -> tuple[MassState, Totals, StickRecord, BoolArray]:
     """Cross one interval, cut at the horizon; returns the next state, the totals with its stick, its record, and
     whether the mass met the base for no time.
     """
@@ -99,12 +99,12 @@ def cross_interval(
     record = StickRecord(start, end, passage.position, quantities, ending_of(stuck, released, ~uncut))
     # Not end - start, whose round-off grows with the time since t = 0.
     totals = with_stick(totals, stuck, ~released & ~uncut, passage.left - passage.entered)
-    return Motion(t_end, passage.x, passage.v, remembered), totals, record, passage.tie
+    return MassState(t_end, passage.x, passage.v, remembered), totals, record, passage.tie
 
 
 def cross_live_interval(
-    scales: Scales, motion: Motion, totals: Totals, duration: FloatArray, velocity: FloatArray
-) -> tuple[Motion, Totals, StickRecord, BoolArray]:
+    scales: Scales, motion: MassState, totals: Totals, duration: FloatArray, velocity: FloatArray
+) -> tuple[MassState, Totals, StickRecord, BoolArray]:
     """`cross_interval`, which after the horizon leaves everything as it is, to the last bit."""
     live = ~(motion.t >= scales.t1)
     following, totals, record, tie = cross_interval(scales, motion, totals, duration, velocity)
@@ -112,8 +112,8 @@ def cross_live_interval(
 
 
 def run_intervals(
-    scales: Scales, motion: Motion, durations: Array, velocities: Array
-) -> tuple[Motion, Totals, StickRecord, Motion, BoolArray]:
+    scales: Scales, motion: MassState, durations: Array, velocities: Array
+) -> tuple[MassState, Totals, StickRecord, MassState, BoolArray]:
     """Simulate all intervals of one realisation.
 
     Returns the final state, the totals, and of each interval a `StickRecord`, the state at its beginning, and whether
@@ -130,7 +130,7 @@ def run_intervals(
     return motion, totals, *of_each
 
 
-def status_of(motion: Motion, t1: FloatArray) -> IntArray:
+def status_of(motion: MassState, t1: FloatArray) -> IntArray:
     """The `Status` of a trajectory that ended in the state `motion`."""
     finite = jnp.isfinite(motion.t + t1) & jnp.isfinite(motion.x) & jnp.isfinite(motion.v)
     code = jnp.where(motion.t < t1, Status.BASE_TOO_SHORT, Status.FINISHED)
@@ -147,7 +147,7 @@ def status_of(motion: Motion, t1: FloatArray) -> IntArray:
 # - on an arc that is nearly tangent to the base velocity, whether it meets it;
 # - at ``H = 2 alpha``, whether friction holds the mass, and at ``H = 0`` whether it does so for more than an instant;
 # - where an arrival or a release falls on the end of the interval, whether there is one. A stick between the two would
-#   have no length: it is none (`Passage.tie`, which ensembles count too);
+#   have no length: it is none (`IntervalPassage.tie`, which ensembles count too);
 # - where an arrival falls on its beginning, whether there was a slip before.
 
 
@@ -179,7 +179,7 @@ class _Arc(NamedTuple):
     of_H: FloatArray
 
 
-def is_tie(scales: Scales, began: Motion, duration: FloatArray, velocity: FloatArray) -> BoolArray:
+def is_tie(scales: Scales, began: MassState, duration: FloatArray, velocity: FloatArray) -> BoolArray:
     """Whether round-off decided about an event in the interval of the base that began so. No derivative."""
     scales, began, duration, velocity = lax.stop_gradient((scales, began, duration, velocity))
     arc = _arc(scales, began, duration, velocity)
@@ -187,7 +187,7 @@ def is_tie(scales: Scales, began: Motion, duration: FloatArray, velocity: FloatA
     return has_events & (_ties_at_first(scales, began, arc) | _ties_later(scales, began, arc))
 
 
-def starts_at_edge(scales: Scales, start: Motion, velocity: FloatArray) -> BoolArray:
+def starts_at_edge(scales: Scales, start: MassState, velocity: FloatArray) -> BoolArray:
     """Whether a trajectory starts with its base's `velocity` at an edge of the stick band: one of the ties of `is_tie`,
     which alone costs nearly nothing.
     """
@@ -280,7 +280,7 @@ class _ArcBeyond(NamedTuple):
 
 
 def largest_in_interval(
-    scales: Scales, motion: Motion, duration: FloatArray, velocity: FloatArray, *, of_velocity: bool, sign: Scalar
+    scales: Scales, motion: MassState, duration: FloatArray, velocity: FloatArray, *, of_velocity: bool, sign: Scalar
 ) -> FloatArray:
     """The largest value of `sign` times the position (m), or the velocity (m/s), in an interval.
 
@@ -321,7 +321,9 @@ def _arcs_until_stick(
     return arcs
 
 
-def _largest_on(arc: _ArcBeyond, spring: Spring, of_velocity: bool, sign: FloatArray) -> tuple[BoolArray, FloatArray]:
+def _largest_on(
+    arc: _ArcBeyond, spring: SpringScales, of_velocity: bool, sign: FloatArray
+) -> tuple[BoolArray, FloatArray]:
     """Whether an arc reaches the largest value of `sign` times position or velocity on its circle, and that value."""
     x, v, A = arc.x, arc.v, arc.A
     # Clockwise from its beginning to the largest position. No derivative passes through when that is: there the value

@@ -27,7 +27,7 @@ from ..common.path import MotionPath, Run
 from .arcs import Scales
 from .crossing import (
     LAST_LEFT,
-    Motion,
+    MassState,
     cross_interval,
     cross_live_interval,
     is_tie,
@@ -56,7 +56,7 @@ class _Lane(NamedTuple):
     """
 
     memory: Any
-    motion: Motion
+    motion: MassState
     totals: Totals
     ties: IntArray
 
@@ -109,7 +109,7 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
         )
 
 
-def is_over(motion: Motion, before: Motion, t1: Scalar) -> BoolArray:
+def is_over(motion: MassState, before: MassState, t1: Scalar) -> BoolArray:
     """Whether a sample reached the horizon, had no further interval since `before`, or has a NaN time."""
     return ~(motion.t < jnp.asarray(t1, motion.t.dtype)) | (motion.t <= before.t)
 
@@ -144,23 +144,23 @@ class Given(NamedTuple):
 
 class _Block(NamedTuple):
     """Loop state of a block of lanes: the number of intervals crossed, the state and sums of each lane, and what is
-    kept of each interval: `StickRecord` (intervals, lanes), `Beginnings` (lanes, intervals) or nothing.
+    kept of each interval: `StickRecord` (intervals, lanes), `IntervalBeginnings` (lanes, intervals) or nothing.
     """
 
     crossed: IntArray
-    motion: Motion
+    motion: MassState
     totals: Totals
     kept: Any
 
 
-class Beginnings(NamedTuple):
+class IntervalBeginnings(NamedTuple):
     """The state at the beginning of each interval, and the number of intervals in which round-off decided."""
 
-    motion: Motion
+    motion: MassState
     near_grazing_count: IntArray
 
 
-def final_motion(given: Given) -> tuple[Motion, Totals]:
+def final_motion(given: Given) -> tuple[MassState, Totals]:
     """The state at the end of one trajectory, and the sums over its sticks."""
     return _follow("final", given)
 
@@ -170,7 +170,7 @@ def ordered_sticks(given: Given) -> StickRecord:
     return _follow("sticks", given)
 
 
-def beginnings(given: Given) -> Beginnings:
+def beginnings(given: Given) -> IntervalBeginnings:
     """The state at the beginning of each interval of one trajectory, (intervals,), and what `is_tie` finds in them."""
     return _follow("beginnings", given)
 
@@ -188,7 +188,7 @@ def _plain(what: _What, given: Given) -> Any:
     if what == "sticks":
         return closed_up(records)
     ties = jax.vmap(is_tie, (None, 0, 0, 0))(given.scales, began, given.durations, given.velocities)
-    return Beginnings(began, jnp.sum(ties | brief, dtype=jnp.int32))
+    return IntervalBeginnings(began, jnp.sum(ties | brief, dtype=jnp.int32))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -315,7 +315,7 @@ def _run_block(what: _What, given: Given) -> Any:
     start = jax.vmap(partial(start_motion, quantities=_ASKED[what]))(given.scales, given.y0)
     totals = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, start.t.shape), start_totals(durations.dtype))
     buffer: Any = jnp.zeros_like(durations)
-    began = Beginnings(jax.tree.map(lambda _: buffer, start), totals.sticks)
+    began = IntervalBeginnings(jax.tree.map(lambda _: buffer, start), totals.sticks)
     buffer = {"final": None, "sticks": _no_sticks(buffer.T), "beginnings": began}[what]
     block = _Block(jnp.zeros((), jnp.int32), start, totals, buffer)
     block = _cross_all(given.scales, durations, given.velocities, block)
@@ -343,12 +343,12 @@ def _cross_all(scales: Scales, durations: Array, velocities: Array, block: _Bloc
         kept = block.kept
         if isinstance(kept, StickRecord):
             kept = jax.tree.map(lambda old, row: lax.dynamic_update_index_in_dim(old, row, number, 0), kept, record)
-        elif isinstance(kept, Beginnings):
+        elif isinstance(kept, IntervalBeginnings):
             began = jax.tree.map(
                 lambda old, new: lax.dynamic_update_index_in_dim(old, new, number, 1), kept.motion, block.motion
             )
             ties = jax.vmap(is_tie)(scales, block.motion, *base)
-            kept = Beginnings(began, kept.near_grazing_count + (ties | brief))
+            kept = IntervalBeginnings(began, kept.near_grazing_count + (ties | brief))
         return _Block(number + 1, motion, totals, kept)
 
     def goes_on(block):
@@ -393,7 +393,7 @@ class IntervalPath(MotionPath):
     system: MassSpring
     base: VelocitySteps
     t1: Scalar
-    beginnings: Motion
+    beginnings: MassState
 
     @property
     def times(self) -> Array:

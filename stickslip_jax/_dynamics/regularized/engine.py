@@ -44,7 +44,7 @@ from .solve import (
     CLOSING,
     MORE,
     FixedLane,
-    Passage,
+    PathStep,
     Solver,
     Tables,
     advance_fixed,
@@ -253,7 +253,7 @@ class CubicPath(MotionPath):
 
     @classmethod
     def of(
-        cls, excitation: Excitation, tables: Tables, passages: Passage, steps: IntArray, last: FloatArray, final: State
+        cls, excitation: Excitation, tables: Tables, passages: PathStep, steps: IntArray, last: FloatArray, final: State
     ):
         """The path of the first `steps` passages (the others are empty), which ends at time `last` in `final`."""
         live = jnp.arange(len(passages.t)) < steps
@@ -341,7 +341,7 @@ def _fixed_steps(system: System, excitation: Excitation, method: Regularized, t1
         ) from None
 
 
-def _fixed_loop(setting: _Arguments, steps: int) -> tuple[FixedLane, tuple[StickRecord, Passage]]:
+def _fixed_loop(setting: _Arguments, steps: int) -> tuple[FixedLane, tuple[StickRecord, PathStep]]:
     system, excitation, method, t1, y0, _ = setting
     dtype = t1.dtype
     field, segment_laws, criterion = (

@@ -16,7 +16,7 @@ from .implicit_step import FrictionAt, Switch, contacts_step, implicit_step
 from .sticks import (
     AtContact,
     Criterion,
-    Step,
+    SeenStep,
     StickDetector,
     detect,
     detect_contacts,
@@ -67,7 +67,7 @@ class Field(NamedTuple):
 
     def seen(
         self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
-    ) -> tuple[Step, State, State]:
+    ) -> tuple[SeenStep, State, State]:
         """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
         zero = jnp.zeros_like(h)
         rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
@@ -80,7 +80,7 @@ class Field(NamedTuple):
             self.model.relative_acceleration(forcing, h, after, end_rates),
         )
         needs = self.need(forcing, zero, before), self.need(forcing, h, after)
-        return Step(t, h, *first, *last, before[0], rates[0], after[0], end_rates[0], *needs), rates, end_rates
+        return SeenStep(t, h, *first, *last, before[0], rates[0], after[0], end_rates[0], *needs), rates, end_rates
 
     @property
     def may_be_short(self) -> bool:
@@ -112,7 +112,7 @@ class Field(NamedTuple):
         self,
         criterion: Criterion,
         detector: StickDetector,
-        seen: Step,
+        seen: SeenStep,
         *,
         jumped: BoolArray,
         after: Any,
@@ -161,7 +161,7 @@ class ContactsField(eqx.Module):
 
     def seen(
         self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
-    ) -> tuple[Step, State, State]:
+    ) -> tuple[SeenStep, State, State]:
         """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
         zero = jnp.zeros_like(h)
         rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
@@ -172,7 +172,7 @@ class ContactsField(eqx.Module):
         slow = jnp.abs(r0) <= self.threshold
         need, end_need = self._need(forcing, zero, before, slow), self._need(forcing, h, after, slow)
         normal = normal_forces(self.model, forcing, h, before, rates, after, end_rates)
-        step = Step(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, need, end_need, normal)
+        step = SeenStep(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, need, end_need, normal)
         return step, rates, end_rates
 
     def contact(self, forcing: object, t: FloatArray, y: State) -> tuple[FloatArray, BoolArray]:
@@ -197,7 +197,7 @@ class ContactsField(eqx.Module):
         self,
         criterion: Criterion,
         detector: StickDetector,
-        seen: Step,
+        seen: SeenStep,
         *,
         jumped: BoolArray,
         after: Any,
@@ -231,7 +231,7 @@ class InnerField(NamedTuple):
 
     def seen(
         self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
-    ) -> tuple[Step, State, State]:
+    ) -> tuple[SeenStep, State, State]:
         """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
         zero = jnp.zeros_like(h)
         rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
@@ -241,7 +241,7 @@ class InnerField(NamedTuple):
         x1, v1 = jax.jvp(self.model.stick_position, (after,), (end_rates,))
         normal = normal_forces(self.model, forcing, h, before, rates, after, end_rates)
         # What friction is needed in a stick is asked only of steps that do not resolve it.
-        step = Step(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, jnp.zeros_like(r0), jnp.zeros_like(r1), normal)
+        step = SeenStep(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, jnp.zeros_like(r0), jnp.zeros_like(r1), normal)
         return step, rates, end_rates
 
     def at_contact(self, forcing: object, t: FloatArray, y: State) -> AtContact:

@@ -26,7 +26,7 @@ from ..common.method import Regularized, accurate_step, step_for
 from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
 from .field import ContactsField, Field, InnerField
 from .implicit_step import Switch
-from .sticks import Criterion, JoiningDetector, Step, StickDetector, detect_joined, hermite, start_joining
+from .sticks import Criterion, JoiningDetector, SeenStep, StickDetector, detect_joined, hermite, start_joining
 
 # The step-size control of adaptive steps, by diffrax.
 
@@ -73,7 +73,7 @@ _ULPS = 16
 _NEAR = 0.98  # of a step: a passage that soon is at its end
 
 
-def shortened(step: Step, band: FloatArray) -> tuple[BoolArray, FloatArray]:
+def shortened(step: SeenStep, band: FloatArray) -> tuple[BoolArray, FloatArray]:
     """Whether the step must be tried again, and its new length, s.
 
     `band`: the relative speed below which static friction can hold the mass, m/s.
@@ -136,7 +136,7 @@ class FixedLane(NamedTuple):
     limit: FloatArray | None
 
 
-class Passage(NamedTuple):
+class PathStep(NamedTuple):
     """Record of a step for the `CubicPath`: its beginning, the state there, and the rates at both ends."""
 
     t: FloatArray
@@ -145,10 +145,12 @@ class Passage(NamedTuple):
     end_rates: State
 
 
-def nothing_seen(numbers: State, contacts: int | None) -> tuple[StickRecord, Passage]:
+def nothing_seen(numbers: State, contacts: int | None) -> tuple[StickRecord, PathStep]:
     """The records of an idle step, for a trajectory with `numbers` of its state like these and so many contacts."""
     none = tuple(jnp.zeros_like(value) for value in numbers)
-    return no_stick(none[0].dtype, ALL, () if contacts is None else (contacts + 1,)), Passage(none[0], none, none, none)
+    return no_stick(none[0].dtype, ALL, () if contacts is None else (contacts + 1,)), PathStep(
+        none[0], none, none, none
+    )
 
 
 def start_fixed(
@@ -177,8 +179,8 @@ def advance_fixed(
     step: FloatArray,
     most_steps: IntArray,
     lane: FixedLane,
-) -> tuple[FixedLane, StickRecord, Passage]:
-    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `Passage`.
+) -> tuple[FixedLane, StickRecord, PathStep]:
+    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `PathStep`.
 
     The step may be rejected, for its error or where static friction exceeds kinetic friction: the lane stays, and tries
     a shorter one.
@@ -218,7 +220,7 @@ def advance_fixed(
         moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
     record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
-    return moved, record, Passage(lane.t, *map(field.model.numbers, (lane.y, rates, end_rates)))
+    return moved, record, PathStep(lane.t, *map(field.model.numbers, (lane.y, rates, end_rates)))
 
 
 def _judged(error: FloatArray) -> tuple[BoolArray, FloatArray]:
@@ -409,7 +411,7 @@ def detect_in_step(
     solution: Solution,
     detector: JoiningDetector,
     index: IntArray,
-) -> tuple[JoiningDetector, StickRecord, Passage]:
+) -> tuple[JoiningDetector, StickRecord, PathStep]:
     """Run the stick detector over step number `index` of a solution; beyond its `seen_steps` nothing changes."""
     live = index < solution.seen_steps
     index = jnp.minimum(index, solution.steps)
@@ -433,7 +435,7 @@ def detect_in_step(
     stick_time = jnp.where(hidden, jnp.nan, moved.totals.stick_time)
     moved = moved._replace(totals=moved.totals._replace(stick_time=stick_time))
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
-    return moved, record, Passage(t, *map(model.numbers, (y, rates, end_rates)))
+    return moved, record, PathStep(t, *map(model.numbers, (y, rates, end_rates)))
 
 
 def status_of(solution: Solution, detector: JoiningDetector) -> IntArray:

@@ -71,7 +71,7 @@ class NormalForces(NamedTuple):
     slope1: FloatArray
 
 
-class Step(NamedTuple):
+class SeenStep(NamedTuple):
     """One step from `t` to ``t + h`` as the detector reads it.
 
     `r0`, `slope0`, `r1`, `slope1`: relative velocity and its slope at both ends (before a jump of the base); `x0`,
@@ -111,7 +111,7 @@ def start_detector(
 def detect(
     criterion: Criterion,
     detector: StickDetector,
-    step: Step,
+    step: SeenStep,
     *,
     jumped: BoolArray,
     after: FloatArray,
@@ -172,7 +172,7 @@ class AtEnd(NamedTuple):
 
 
 def recorded(
-    minimum_duration: AnyArray | Scalar, detector: StickDetector, step: Step, time: TimeInside, at_end: AtEnd
+    minimum_duration: AnyArray | Scalar, detector: StickDetector, step: SeenStep, time: TimeInside, at_end: AtEnd
 ) -> tuple[StickDetector, StickRecord]:
     """The `detector` after a step, and the record of the stick that ended in the step, if any."""
     inside, leaves, start, position, leave, crossed, crossed_at = time
@@ -197,7 +197,7 @@ def recorded(
     return detector, record
 
 
-def passages(threshold: FloatArray, step: Step) -> tuple[FloatArray, FloatArray]:
+def passages(threshold: FloatArray, step: SeenStep) -> tuple[FloatArray, FloatArray]:
     """When ``|v_rel|`` falls to the `threshold` in a step and when it rises to it, s after the step began.
 
     Each is meaningless where it does not.
@@ -205,7 +205,7 @@ def passages(threshold: FloatArray, step: Step) -> tuple[FloatArray, FloatArray]
     return _straight_entry(threshold, step), _late_exit(threshold, step, crossing(threshold, step, entering=False))
 
 
-def crossing(threshold: FloatArray, step: Step, *, entering: bool) -> FloatArray:
+def crossing(threshold: FloatArray, step: SeenStep, *, entering: bool) -> FloatArray:
     """When ``|v_rel|`` passes the threshold, s after the step began; meaningless where it does not."""
     sign = _sign(step.r0 if entering else step.r1)
     # Positive before the crossing and negative after it.
@@ -252,7 +252,7 @@ def _slope_of_cubic(u: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArra
     return 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
 
 
-def _straight_entry(threshold: FloatArray, step: Step) -> FloatArray:
+def _straight_entry(threshold: FloatArray, step: SeenStep) -> FloatArray:
     """When ``|v_rel|`` falls to the threshold, by its slope at the beginning, or by the chord if it rises there."""
     size, rise = jnp.abs(step.r0), _sign(step.r0) * step.slope0
     above = jnp.maximum(size - threshold, 0)
@@ -261,7 +261,7 @@ def _straight_entry(threshold: FloatArray, step: Step) -> FloatArray:
     return jnp.clip(where, 0, step.h)
 
 
-def _late_exit(threshold: FloatArray, step: Step, resolved: FloatArray) -> FloatArray:
+def _late_exit(threshold: FloatArray, step: SeenStep, resolved: FloatArray) -> FloatArray:
     """When ``|v_rel|`` rises to the threshold if the mass is released in this step; else the time `resolved`.
 
     After the release, where the needed friction equals the largest, the excess force grows linearly with time and the
@@ -280,7 +280,7 @@ def _sign(value: FloatArray) -> FloatArray:
     return jnp.where(value < 0, -1.0, 1.0).astype(value.dtype)
 
 
-def position_in(step: Step, tau: FloatArray) -> FloatArray:
+def position_in(step: SeenStep, tau: FloatArray) -> FloatArray:
     """The position inside the step, by the cubic through its ends."""
     return hermite(tau, step.h, step.x0, step.v0, step.x1, step.v1)
 
@@ -356,7 +356,7 @@ def start_contacts(
 def detect_contacts(
     criterion: Criterion,
     detector: StickDetector,
-    step: Step,
+    step: SeenStep,
     *,
     jumped: BoolArray,
     after: tuple[FloatArray, BoolArray],
@@ -380,7 +380,7 @@ def detect_contacts(
     return recorded(jnp.append(least, jnp.max(least)), detector, step, time, at_end)
 
 
-def turned_by_jump(threshold: FloatArray, step: Step, velocity: FloatArray, jumped: BoolArray) -> BoolArray:
+def turned_by_jump(threshold: FloatArray, step: SeenStep, velocity: FloatArray, jumped: BoolArray) -> BoolArray:
     """Whether the relative velocity jumps to `velocity` where the step ends: between two masses a base does nothing."""
     size = jnp.maximum(jnp.maximum(jnp.abs(velocity), jnp.abs(step.r1)), threshold)
     return jumped & (jnp.abs(velocity - step.r1) > _ULPS * jnp.finfo(size.dtype).eps * size)
@@ -392,7 +392,7 @@ def _with_all(inside: BoolArray, closed: BoolArray) -> BoolArray:
 
 
 def _time_inside(
-    threshold: FloatArray, detector: StickDetector, step: Step, jumped: BoolArray
+    threshold: FloatArray, detector: StickDetector, step: SeenStep, jumped: BoolArray
 ) -> tuple[TimeInside, BoolArray]:
     """How the step changes the times below the threshold, and which contacts are closed at its end."""
     was = detector.inside[:-1]
@@ -528,7 +528,13 @@ def start_joining(
 
 
 def detect_joined(
-    criterion: Criterion, detector: JoiningDetector, step: Step, *, jumped: BoolArray, after: AtContact, last: BoolArray
+    criterion: Criterion,
+    detector: JoiningDetector,
+    step: SeenStep,
+    *,
+    jumped: BoolArray,
+    after: AtContact,
+    last: BoolArray,
 ) -> tuple[JoiningDetector, StickRecord]:
     """Update the detector by one step; returns it and the record of the stick that is known to have ended, if any.
 
@@ -630,7 +636,7 @@ class _Contacts(NamedTuple):
     may_end: FloatArray
 
 
-def _all_at_once(before: AllAtOnce, step: Step, of: _Contacts) -> tuple[AllAtOnce, StickSpan, IntArray]:
+def _all_at_once(before: AllAtOnce, step: SeenStep, of: _Contacts) -> tuple[AllAtOnce, StickSpan, IntArray]:
     """All at once after a step, the time in which they stuck until then, and how it ended, -1 if it did not.
 
     They begin with the last that comes to rest, or with the opening of the last that slips; they end with the first
@@ -686,7 +692,7 @@ def _own(tracks: FloatArray) -> FloatArray:
     return tracks[:-1] if tracks.ndim else tracks
 
 
-def _at(step: Step, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _at(step: SeenStep, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Where the contacts, and all at once, are in a step `tau` (s) after it began; each has its own `tau`."""
     ends = step.x0, step.v0, step.x1, step.v1
     if step.x0.ndim == 0:
@@ -694,7 +700,7 @@ def _at(step: Step, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
     return hermite(tau, step.h, *(x[:-1] for x in ends)), hermite(tau, step.h, *(x[-1] for x in ends))
 
 
-def _slip(step: Step, first: FloatArray, last: FloatArray) -> FloatArray:
+def _slip(step: SeenStep, first: FloatArray, last: FloatArray) -> FloatArray:
     """How far the contacts slip between two instants of a step, by the cubic of the relative velocity."""
     h = jnp.where(step.h > 0, step.h, 1)
 

@@ -44,7 +44,7 @@ _ROOM = 96  # steps more, for short trajectories
 _PER_SEGMENT = 8  # time steps in a segment of a record where neither is known
 
 
-class Beginnings(NamedTuple):
+class StepBeginnings(NamedTuple):
     """The beginning of each loop step, arrays (steps,): time (s), state, sign of the mode, and the current segments."""
 
     t: Array
@@ -52,7 +52,7 @@ class Beginnings(NamedTuple):
     sign: Array
     segments: Segments
 
-    def at(self, time: FloatArray) -> "Beginnings":
+    def at(self, time: FloatArray) -> "StepBeginnings":
         """The beginning of the step that contains `time` (s)."""
         # Of loop steps with the same beginning (tries of one time step), the last is the one that was accepted.
         index = jnp.clip(jnp.searchsorted(self.t, time, side="right") - 1, 0)
@@ -65,7 +65,7 @@ class Trajectory(eqx.Module):
     lane: Lane
     status: Array
     records: StickRecord
-    beginnings: Beginnings
+    beginnings: StepBeginnings
 
 
 def lane_at_start(
@@ -119,7 +119,7 @@ def run_trajectory(
     most = jnp.asarray(steps, jnp.int32)
 
     def beginning(lane):
-        return Beginnings(lane.t, lane.y, lane.sign, segment_laws.segments(lane.segment_states))
+        return StepBeginnings(lane.t, lane.y, lane.sign, segment_laws.segments(lane.segment_states))
 
     def one_step(lane, _):
         following, record = advance(model, segment_laws, t1, step, lane)
@@ -132,14 +132,16 @@ def run_trajectory(
     return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
 
 
-def state_at(system: System, excitation: Excitation, solver: Any, beginnings: Beginnings, time: FloatArray) -> State:
+def state_at(
+    system: System, excitation: Excitation, solver: Any, beginnings: StepBeginnings, time: FloatArray
+) -> State:
     """The state at one `time`, from the beginning of the step that contains it."""
     begun = beginnings.at(time)
     model = system.switched_model(excitation.signal, solver)
     return model.numbers(state_in_step(model, begun, time - begun.t))
 
 
-def state_in_step(model: SwitchedModel, begun: Beginnings, h: FloatArray) -> State:
+def state_in_step(model: SwitchedModel, begun: StepBeginnings, h: FloatArray) -> State:
     """The state at `h` (s) after the beginning of one step."""
     _, y, sign, segments = begun
     return model.flow(model.forcing(begun.t, segments), y, h, sign)
@@ -270,7 +272,7 @@ class StepPath(MotionPath):
     system: System
     excitation: Excitation
     solver: Any
-    beginnings: Beginnings
+    beginnings: StepBeginnings
 
     @property
     def times(self) -> Array:
@@ -283,7 +285,7 @@ class StepPath(MotionPath):
         begun, model = self.beginnings, self.system.switched_model(self.excitation.signal, self.solver)
         lengths = jnp.append(begun.t[1:], last) - begun.t
 
-        def inside(step: Beginnings, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def inside(step: StepBeginnings, h: FloatArray) -> tuple[FloatArray, FloatArray]:
             y = state_in_step(model, step, h)
             rates = model.rates(model.forcing(step.t, step.segments), h, y, step.sign)
             return sign * model.numbers(y)[number], sign * model.numbers(rates)[number]

@@ -12,7 +12,7 @@ from stickslip_jax._dynamics.regularized.sticks import (
     AtContact,
     Criterion,
     NormalForces,
-    Step,
+    SeenStep,
     detect_joined,
     start_joining,
 )
@@ -67,7 +67,7 @@ def detected(t, velocity, slope, normal, normal_slope):
         j = jnp.minimum(i + 1, STEPS)
         forces = NormalForces(normal[i], normal_slope[i], normal[j], normal_slope[j])
         ends = (velocity[i], slope[i], velocity[j], slope[j])
-        step = Step(t[i], t[j] - t[i], *ends, none, none, none, none, none[:2], none[:2], forces)
+        step = SeenStep(t[i], t[j] - t[i], *ends, none, none, none, none, none[:2], none[:2], forces)
         last = j == STEPS
         return detect_joined(criterion, detector, step, jumped=jnp.zeros((), bool), after=seen(j), last=last)
 
