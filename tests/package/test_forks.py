@@ -122,11 +122,11 @@ def test_the_question_changes_nothing():
     """Whether JAX has started is asked of it without a trace."""
     program = """
 import jax
-from stickslip_jax import _forks
+from stickslip_jax._foundation import processes
 before = jax.config.jax_num_cpu_devices
-print(_forks._has_started(), jax.config.jax_num_cpu_devices == before)
+print(processes._has_started(), jax.config.jax_num_cpu_devices == before)
 jax.config.update("jax_num_cpu_devices", 3)
-print(_forks._has_started(), len(jax.devices("cpu")), _forks._has_started(), jax.config.jax_num_cpu_devices)
+print(processes._has_started(), len(jax.devices("cpu")), processes._has_started(), jax.config.jax_num_cpu_devices)
 """
     assert lines_of(program) == ["False True", "False 3 True 3"]
 

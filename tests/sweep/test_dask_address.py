@@ -174,10 +174,10 @@ def test_scheduler_without_workers_is_told_also_when_quiet(capsys):
 HUNGRY = """
 import time
 import numpy as np
-from stickslip_jax._sweep import workers
+from stickslip_jax._sweep import batches
 
-if not hasattr(workers, "usual"):  # dask loads this file more than once
-    workers.usual = workers.perform
+if not hasattr(batches, "usual"):  # dask loads this file more than once
+    batches.usual = batches.perform
 held = []
 
 def hungry(plan, task):
@@ -185,9 +185,9 @@ def hungry(plan, task):
         for _ in range(400):
             held.append(np.ones(2**20))
             time.sleep(0.01)
-    return workers.usual(plan, task)
+    return batches.usual(plan, task)
 
-workers.perform = hungry
+batches.perform = hungry
 """
 
 
@@ -235,11 +235,11 @@ import dask
 import jax
 jax.config.update("jax_enable_x64", True)
 from distributed import Client, LocalCluster
-from stickslip_jax._sweep import dask_executor
+from stickslip_jax._sweep import executors
 import stickslip_jax as ss
 
 if __name__ == "__main__":
-    dask_executor._LONG = 1.0
+    executors._LONG = 1.0
     limits = {f"distributed.worker.memory.{name}": value for name, value in
               {"pause": 0.01, "terminate": False, "target": False, "spill": False}.items()}
     options = {"processes": True, "dashboard_address": ":0", "memory_limit": "4GB"}

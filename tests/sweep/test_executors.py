@@ -79,8 +79,8 @@ def test_two_processes_give_the_same_bits(undisturbed, tmp_path):
     program = script(f"""
         print("begun")
         from support.sweep import small_sweep
-        from stickslip_jax import _compilation_cache
-        _compilation_cache.use()
+        from stickslip_jax._foundation import compilation_cache
+        compilation_cache.use()
         small_sweep().run({str(tmp_path)!r}, workers=2)
         """)
     done = subprocess.run(
@@ -97,17 +97,17 @@ TWO_DEVICES = """
     import json, sys
     import numpy as np
     from support.sweep import small_sweep
-    from stickslip_jax._sweep import workers
-    from stickslip_jax import _compilation_cache
-    _compilation_cache.use()
-    used, perform = [], workers.perform
+    from stickslip_jax._sweep import batches
+    from stickslip_jax._foundation import compilation_cache
+    compilation_cache.use()
+    used, perform = [], batches.perform
 
     def noted(plan, task):
         (device,) = jax.numpy.zeros(()).devices()
         used.append(device.id)
         return perform(plan, task)
 
-    workers.perform = noted
+    batches.perform = noted
     small_sweep(sensitivities=[("mean_stick_duration", "mu")] if SENSITIVITIES else ()).run(sys.argv[1], threads=2)
     print(sorted(used))
     """
@@ -218,8 +218,8 @@ def test_threads_that_collect_warnings_give_back_the_filters():
 RUN = """
     import sys
     from support.sweep import small_sweep
-    from stickslip_jax import _compilation_cache
-    _compilation_cache.use()
+    from stickslip_jax._foundation import compilation_cache
+    compilation_cache.use()
     try:
         small_sweep(samples=40_000).run(sys.argv[1], workers=2)
     except KeyboardInterrupt as stopped:

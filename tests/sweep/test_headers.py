@@ -132,7 +132,7 @@ def test_derivatives_from_other_samples(copied):
 
 def test_worker_that_gives_back_another_task(tmp_path, monkeypatch, whole):
     """Noticed when it comes, and done again."""
-    perform, wrong = ss._sweep.workers.perform, []
+    perform, wrong = ss._sweep.batches.perform, []
 
     def mixed_up(plan, task):
         if task.derivative is None and task.first == 0 and not wrong:
