@@ -33,7 +33,7 @@ from ._ensemble.call import ContactEnsembles as ContactEnsembles, simulate_conta
 from ._ensemble.call import concatenate as concatenate, load as load
 from ._ensemble.data import Keep as Keep
 from ._ensemble.result import Ensemble as Ensemble
-from ._events.sticks import Slips as Slips, Sticks as Sticks
+from ._dynamics.sticks import Slips as Slips, Sticks as Sticks
 from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps
 from ._excitation.recorded import ForceSteps as ForceSteps
 from ._excitation.gaussian import GaussianProcess as GaussianProcess
@@ -82,10 +82,10 @@ from ._sensitivity import (
     differentiable as differentiable,
     sensitivity as sensitivity,
 )
-from ._simulation.call import simulate as simulate
-from ._simulation.call import Output as Output
-from ._simulation.result import Energies as Energies
-from ._simulation.result import Simulation as Simulation
+from ._dynamics.simulate import simulate as simulate
+from ._dynamics.simulate import Output as Output
+from ._dynamics.simulation import Energies as Energies
+from ._dynamics.simulation import Simulation as Simulation
 from ._statistics.estimate import bootstrap_interval as bootstrap_interval
 from ._statistics.totals import (
     Convergence as Convergence,

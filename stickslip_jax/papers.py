@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._dynamics.simulate import simulate
 from ._excitation.motion import Harmonic, RandomPhase, SourceVoltage
 from ._excitation.piecewise_constant import Constant, PiecewiseConstantLaw, PoissonSwitching, RandomSteps, SquareWave
 from ._foundation import checks
 from ._foundation.processes import require_threads_of_jax
 from ._foundation.types import Scalar
-from ._simulation.call import simulate
 from ._sweep.sweep import Sweep
 from ._systems.friction import Coulomb
 from ._systems.mass_spring import MassSpring

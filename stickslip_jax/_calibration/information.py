@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg, optimize, stats
 
 from .._dynamics.common.method import Arguments
-from .._simulation.call import simulate
+from .._dynamics.simulate import simulate
 from .record import Record, Windows
 from .search import LOOSE, Fit, FitProblem, Free, Residuals, SearchPoint, chi_squared
 

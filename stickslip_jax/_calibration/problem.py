@@ -9,13 +9,13 @@ from jaxtyping import Array
 
 from .._dynamics.common.method import Arguments, Exact, Regularized
 from .._dynamics.common.path import SegmentLaws
+from .._dynamics.simulate import simulate
+from .._dynamics.simulation import Simulation
 from .._dynamics.switched.engine import run_of, run_trajectory
 from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.segments import first_segment, segment_at
 from .._foundation.fields import Quantity, modules_in
 from .._foundation.types import BoolArray, FloatArray, Scalar
-from .._simulation.call import simulate
-from .._simulation.result import Simulation
 from .._systems.friction import FrictionLaw
 from .._systems.system import System
 from .._uncertainty.numbers import NumberPath, with_numbers

@@ -13,12 +13,12 @@ from scipy import stats
 
 from .._dynamics.common.method import Arguments, Exact, Regularized
 from .._dynamics.common.path import padded_length
+from .._dynamics.simulation import Simulation
 from .._dynamics.switched.engine import StepPath
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.types import AnyArray, FloatArray, InitialState
-from .._simulation.result import Simulation
 from .._statistics.independence import HypothesisTest
 from .._systems.system import System
 

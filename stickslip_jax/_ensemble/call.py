@@ -23,12 +23,12 @@ from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.engine_choice import compiled_for, solve_chunk
 from .._dynamics.regularized.engine import AdaptiveBatch
 from .._dynamics.regularized.solve import ADAPTIVE_STEPS, MORE, numbers_as_arrays
-from .._events.sticks import StickCollector
+from .._dynamics.simulate import Output, Outputs, checked_outputs
+from .._dynamics.sticks import StickCollector
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.processes import cores, require_threads_of_jax
 from .._foundation.types import InitialState, Status
-from .._simulation.call import Output, Outputs, checked_outputs
 from .._statistics.accumulator import Numbering
 from .._systems.system import System, WithContacts
 from .._uncertainty.design import Design

@@ -14,8 +14,8 @@ from jaxtyping import Array, Float, PyTree
 
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._events.sticks import FlatSticks, Slips, in_slots
-from .._events.tables import FlatSlips, slips_among
+from .._dynamics.stick_tables import FlatSlips, slips_among
+from .._dynamics.sticks import FlatSticks, Slips, in_slots
 from .._excitation.excitation import law_of
 from .._foundation.types import Number, Status
 from .._numerics.sums import Moments

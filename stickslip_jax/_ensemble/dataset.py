@@ -14,15 +14,15 @@ import numpy as np
 
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._events.sticks import NUMBERS, QUANTITIES, FlatSticks
-from .._events.tables import slip_variables, stick_variables
+from .._dynamics.simulation import method_attributes
+from .._dynamics.stick_tables import slip_variables, stick_variables
+from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks
 from .._foundation import checks
 from .._foundation.extras import flags, labeled_dataset, require, variable
 from .._foundation.files import file_for_user
 from .._foundation.processes import require_memory
 from .._foundation.types import Ending, Status
 from .._numerics.sums import Moments
-from .._simulation.result import method_attributes
 from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._systems.system import Coordinate, System

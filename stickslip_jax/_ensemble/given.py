@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import PyTree
 
 from .._dynamics.common.lanes import SampleTotals
-from .._events.sticks import NUMBERS, FlatSticks
+from .._dynamics.simulation import Simulation
+from .._dynamics.sticks import NUMBERS, FlatSticks
 from .._foundation import checks
 from .._foundation.types import Ending
-from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
 from .._systems.system import Coordinate
 from .data import Fields, GivenMotions, Unknown, UnknownSystem, single

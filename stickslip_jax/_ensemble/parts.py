@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._dynamics.common.lanes import SampleTotals
-from .._events.sticks import NUMBERS, FlatSticks, StickCollector, StickStream, with_columns
+from .._dynamics.sticks import NUMBERS, FlatSticks, StickCollector, StickStream, with_columns
 from .._foundation import checks
 from .._foundation.processes import available_memory
 from .._foundation.types import DType, Status

@@ -11,14 +11,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._events.sticks import Slips, Sticks
-from .._events.tables import stick_columns, time_columns, write_table
+from .._dynamics.simulation import Simulation
+from .._dynamics.stick_tables import stick_columns, time_columns, write_table
+from .._dynamics.sticks import Slips, Sticks
 from .._excitation.excitation import is_random
 from .._foundation import checks, html
 from .._foundation.files import file_to_write
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import Status
-from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
 from .._statistics.distribution import Distribution, Summary, shown, table_of
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble

@@ -15,13 +15,13 @@ from .._dynamics.common.lanes import Engine, Job, VaryingEngine, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
 from .._dynamics.engine_choice import engines_of_all, lanes_for, sample_engines
 from .._dynamics.regularized.engine import AdaptiveBatch, FixedEngine
-from .._events.sticks import ALL
+from .._dynamics.simulate import Output, simulate
+from .._dynamics.simulation import Simulation
+from .._dynamics.sticks import ALL
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._foundation import checks
 from .._foundation.types import AnyArray, DType, Status
 from .._numerics.sums import DyadicCounts, PowerSums
-from .._simulation.call import Output, simulate
-from .._simulation.result import Simulation
 from .._statistics.accumulator import Numbering
 from .._statistics.distribution import BINS, Clusters, Distribution
 from .._statistics.estimate import origin_of

@@ -16,6 +16,8 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from .._dynamics.common.method import slowest_time
+from .._dynamics.simulate import simulate
+from .._dynamics.simulation import Simulation
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import is_random, law_of
@@ -23,8 +25,6 @@ from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import Status
 from .._sensitivity.call import sensitivity
 from .._sensitivity.estimate import Sensitivity
-from .._simulation.call import simulate
-from .._simulation.result import Simulation
 from .._statistics.estimate import Estimate
 from .._statistics.totals import mean_stick_count, mean_stick_duration, stick_fraction
 from .._uncertainty.families import RandomNumber

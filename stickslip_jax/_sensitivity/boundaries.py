@@ -11,7 +11,7 @@ from jaxtyping import Array, PyTree
 
 from .._dynamics.interval.arcs import Scales, carry_across, excess_of, touch
 from .._dynamics.interval.crossing import MassState, cross_interval
-from .._events.sticks import StickRecord, Totals
+from .._dynamics.sticks import StickRecord, Totals
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import BoolArray, DType, Ending, FloatArray, IntArray
 from .._numerics.elementary import angle_of

@@ -13,9 +13,9 @@ from .._dynamics.common.path import SegmentLaws
 from .._dynamics.interval.arcs import Scales
 from .._dynamics.interval.crossing import scales_of, start_motion, status_of
 from .._dynamics.interval.engine import IntervalEngine, is_over
+from .._dynamics.sticks import StickRecord, start_totals
 from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
 from .._dynamics.switched.stepping import Lane, advance
-from .._events.sticks import StickRecord, start_totals
 from .._excitation.motion import RandomSignal, Signal
 from .._foundation.types import AnyArray, BoolArray, FloatArray, IntArray, Scalar
 from .boundaries import (

@@ -13,13 +13,13 @@ from jaxtyping import Array, Float
 
 from .._dynamics.common.lanes import Job, summarize
 from .._dynamics.common.method import Arguments, Exact, Regularized
+from .._dynamics.simulate import simulate
 from .._dynamics.switched.engine import steps_for
 from .._ensemble.setup import EnsembleSetup
 from .._excitation.excitation import BaseMotion, is_random
 from .._excitation.segments import SegmentLaw
 from .._foundation import checks
 from .._foundation.types import FloatArray, InitialState, Status
-from .._simulation.call import simulate
 from .._statistics.accumulator import Numbering
 from .._systems.system import System
 from .._uncertainty.families import RandomNumber

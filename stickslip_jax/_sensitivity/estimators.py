@@ -15,10 +15,10 @@ from jaxtyping import Array, Float, Int
 from .._compiler import WIDE_VECTORS, CompiledNatively
 from .._dynamics.common.lanes import Engine, Job, summarize
 from .._dynamics.engine_choice import compiled_for
+from .._dynamics.sticks import FlatSticks
 from .._ensemble.call import simulate_batch
 from .._ensemble.parts import RETAINED
 from .._ensemble.setup import EnsembleSetup, OutputRunner
-from .._events.sticks import FlatSticks
 from .._foundation.types import AnyArray, DType, IntArray, Status
 from .._numerics.sums import Moments
 from .._statistics.accumulator import Numbering

@@ -17,9 +17,9 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from .._dynamics.common.lanes import Engine, Job, VaryingEngine, follow_block, lanes_at_start
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.engine_choice import engines_of_all, sample_engines
+from .._dynamics.simulate import Output
 from .._foundation import checks
 from .._foundation.types import AnyArray, BoolArray, DType, FloatArray, IntArray, Scalar
-from .._simulation.call import Output
 from .._statistics.totals import DIFFERENTIABLE, Linear, StatisticOfTotals
 from .._uncertainty.families import RandomNumber
 from .._uncertainty.inputs import Inputs

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._events.sticks import NUMBERS, FlatSticks, StickStream
+from .._dynamics.sticks import NUMBERS, FlatSticks, StickStream
 from .._foundation import checks
 from .._foundation.types import Ending
 from .._numerics import sums

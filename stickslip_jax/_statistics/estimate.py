@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, SupportsFloat, TypeAlias, TypeGuar
 
 import numpy as np
 
-from .._events.sticks import FlatSticks
+from .._dynamics.sticks import FlatSticks
 from .._foundation import checks
 from .._foundation.types import Status
 from .._numerics.sums import Moments

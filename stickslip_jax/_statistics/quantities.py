@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._events.sticks import FlatSticks
+from .._dynamics.sticks import FlatSticks
 from .._foundation import checks
 from .._foundation.types import Ending
 from .estimate import EnsembleLike, StickSource, WithNumberedSticks, require_ensemble
@@ -73,7 +73,7 @@ OWN_MEAN_DURATION = SampledQuantity("own_mean_duration", "mean stick duration of
 STICK_QUANTITIES = (START, DURATION, POSITION)
 """Quantities of each stick that are summed over all sticks, and by order, while the sticks stream by.
 
-A new one goes to the end, and has the name of one of the `QUANTITIES` of a stick (`_events/sticks.py`).
+A new one goes to the end, and has the name of one of the `QUANTITIES` of a stick (`_dynamics/sticks.py`).
 """
 
 StickQuantity: TypeAlias = Literal["start", "duration", "position", "slip_before", "slip_start", "slip_duration"]

@@ -23,12 +23,12 @@ from typing import Any, NamedTuple, TextIO, TypeAlias, TypedDict
 import jax
 import numpy as np
 
+from .._dynamics.sticks import FlatSticks
 from .._ensemble.call import simulate_batch
 from .._ensemble.data import Retained
 from .._ensemble.encoding import Decoder, Encoder
 from .._ensemble.parts import EnsembleAccumulator
 from .._ensemble.result import Ensemble
-from .._events.sticks import FlatSticks
 from .._foundation import compilation_cache
 from .._foundation.files import unpacked_arrays
 from .._foundation.types import Status

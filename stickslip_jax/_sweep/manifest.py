@@ -12,11 +12,11 @@ import jax.lib
 import numpy as np
 
 from .._dynamics.common.method import check_method
+from .._dynamics.simulate import Output
 from .._ensemble.data import Unknown
 from .._ensemble.encoding import Decoder, Encoder
 from .._foundation import checks
 from .._foundation.files import NotAFileError, read_regular
-from .._simulation.call import Output
 from .._statistics.accumulator import Numbering
 from .plan import (
     DamagedBatchError,

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._dynamics.common.method import Exact, Regularized, entries_of
+from .._dynamics.simulate import Output, Outputs, checked_outputs
 from .._ensemble.data import Keep
 from .._ensemble.setup import MOST_SAMPLES, TAKEN, EnsembleSetup, fields_of_outputs, runner_for
 from .._excitation.excitation import BaseMotion, excitation_of, law_of
@@ -21,7 +22,6 @@ from .._foundation.fields import Checked, Quantity, described, modules_in, varie
 from .._foundation.processes import require_memory
 from .._foundation.types import InitialState
 from .._numerics.elementary import key_data_of
-from .._simulation.call import Output, Outputs, checked_outputs
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import DISTRIBUTIONS
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._dynamics.common.method import EXACT, Exact, Regularized, check_method
+from .._dynamics.simulate import Outputs
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
 from .._ensemble.result import Ensemble
@@ -17,7 +18,6 @@ from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState
-from .._simulation.call import Outputs
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import SampledQuantity
 from .._statistics.totals import StatisticOfTotals

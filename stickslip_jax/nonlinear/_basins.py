@@ -10,11 +10,11 @@ from scipy.spatial import KDTree
 from scipy.stats import binomtest
 
 from .._dynamics.common.method import EXACT, Exact
+from .._dynamics.simulate import simulate
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.extras import Entries, flags, variable
 from .._foundation.types import Scalar, Status
-from .._simulation.call import simulate
 from .._systems.system import System, checked_system
 from ._cases import Cases, cases_of
 from ._following import START, Folder, dataset_of, follow, kept_in, names_of, warn_of_none, warn_of_unfinished

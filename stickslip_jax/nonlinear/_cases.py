@@ -15,6 +15,8 @@ from jaxtyping import Array
 from .._dynamics.common.method import Arguments, Exact, check_fixed, slowest_time, state_of, working_dtype
 from .._dynamics.common.path import Run, SegmentLaws
 from .._dynamics.engine_choice import BySteps, engine_for
+from .._dynamics.simulate import simulate
+from .._dynamics.simulation import Simulation
 from .._dynamics.switched.engine import lane_at_start, steps_for
 from .._excitation.excitation import BaseMotion, excitation_of, motion_of
 from .._excitation.motion import Motion, Signal, UserMotion
@@ -24,8 +26,6 @@ from .._foundation.fields import is_of_package, modules_in
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Number, Scalar, Status
 from .._numerics.derivatives import NotKnown, as_arrays, values_of
-from .._simulation.call import simulate
-from .._simulation.result import Simulation
 from .._sweep.plan import Points, Setter, check_points, points_of, setter_of, setting_of
 from .._systems.system import System
 from .._uncertainty.numbers import with_numbers

@@ -20,17 +20,17 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from .._dynamics.simulate import code_of
+from .._dynamics.simulation import Simulation, provenance, source
+from .._dynamics.sticks import Sticks
 from .._ensemble.encoding import Encoder
 from .._ensemble.parts import progress_bar
-from .._events.sticks import Sticks
 from .._foundation import checks
 from .._foundation.extras import Entries, flags, labeled_dataset, variable
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory
 from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
-from .._simulation.call import code_of
-from .._simulation.result import Simulation, provenance, source
 from .._sweep.manifest import ID_LENGTH, ForeignBatchError, sum_of, versions, with_header, without_header
 from .._sweep.plan import DamagedBatchError, SweepError, label_and_unit
 from ._cases import Cases, Cycle

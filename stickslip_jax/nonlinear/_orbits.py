@@ -11,6 +11,8 @@ from jax import lax
 from jaxtyping import Array
 
 from .._dynamics.common.method import EXACT, Arguments, Exact, check_fixed, slowest_time, state_of, working_dtype
+from .._dynamics.simulate import simulate
+from .._dynamics.simulation import Simulation
 from .._dynamics.switched.engine import StepPath, follow_steps
 from .._excitation.excitation import BaseMotion, motion_of
 from .._foundation import checks
@@ -19,8 +21,6 @@ from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar
 from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
-from .._simulation.call import simulate
-from .._simulation.result import Simulation
 from .._systems.system import System, checked_system
 from ._cases import Cycle, changes_by_itself, check_repeats, check_signals, checked_period, drive_period, steps_in
 

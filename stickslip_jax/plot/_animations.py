@@ -21,13 +21,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
+from .._dynamics.simulation import Simulation
+from .._dynamics.sticks import Sticks
 from .._ensemble.parts import progress_bar
-from .._events.sticks import Sticks
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import Ending
-from .._simulation.result import Simulation
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Point, Rod, Spring
 from . import _style
 from ._histories import line_times

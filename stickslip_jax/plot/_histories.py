@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
+from .._dynamics.simulation import Simulation
 from .._excitation.motion import SourceVoltage
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
-from .._simulation.result import Simulation
 from .._systems.system import Coordinate
 from . import _style
 from ._style import SeveralAxes, Window, legend_above

@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
+from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
 from .._foundation import checks
-from .._simulation.result import Simulation
 from .._statistics.estimate import DEFAULT_LEVEL, check_level
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES
 from .._statistics.totals import Convergence, HistogramConvergence

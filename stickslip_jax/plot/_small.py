@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
-from .._simulation.result import Simulation
 from .._statistics.distribution import Distribution
 from ._histograms import histogram
 from ._histories import time_history

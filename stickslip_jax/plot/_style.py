@@ -21,12 +21,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from matplotlib.typing import ColorType
 
+from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
 from .._excitation.motion import RandomPhase, SourceVoltage
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import AnyArray
-from .._simulation.result import Simulation
 from .._statistics.estimate import Estimate
 from .._statistics.quantities import FirstSticks
 

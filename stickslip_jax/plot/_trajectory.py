@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
 from .._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import Ending, Status
-from .._simulation.result import Simulation
 from .._statistics.quantities import FirstSticks
 from ._style import Bins, SimulatedSticks, Window
 

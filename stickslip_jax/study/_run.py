@@ -24,14 +24,14 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from .._dynamics.simulate import simulate
+from .._dynamics.simulation import Simulation
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.dataset import as_netcdf, compression
 from .._ensemble.result import Ensemble
 from .._excitation.motion import RandomPhase, SourceVoltage
 from .._foundation.files import write_whole, writing
 from .._foundation.types import Ending, Status
-from .._simulation.call import simulate
-from .._simulation.result import Simulation
 from .._statistics.estimate import Estimate, format_with_error
 from .._statistics.quantities import FirstSticks, first_stick
 from .._statistics.totals import STATISTICS

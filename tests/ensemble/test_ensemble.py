@@ -14,8 +14,8 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax._dynamics.common import lanes
 from stickslip_jax._dynamics.interval.engine import IntervalEngine
+from stickslip_jax._dynamics.sticks import NUMBERS, slips_between
 from stickslip_jax._ensemble import parts
-from stickslip_jax._events.sticks import NUMBERS, slips_between
 from stickslip_jax._numerics.sums import Moments
 from stickslip_jax._statistics.totals import TOTALS
 

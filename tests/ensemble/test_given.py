@@ -10,7 +10,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._events.sticks import NUMBERS
+from stickslip_jax._dynamics.sticks import NUMBERS
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._events.sticks import QUANTITIES, SlipDisplacement
+from stickslip_jax._dynamics.sticks import QUANTITIES, SlipDisplacement
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=0.8))
 SWITCHES = ss.PoissonSwitching(1.0, 1.0)

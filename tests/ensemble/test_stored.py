@@ -13,7 +13,7 @@ import xarray as xr
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._events.sticks import NUMBERS, QUANTITIES, slips_between
+from stickslip_jax._dynamics.sticks import NUMBERS, QUANTITIES, slips_between
 from stickslip_jax._statistics.quantities import STICK_QUANTITIES
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))

@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 
 import stickslip_jax as ss
+from stickslip_jax._dynamics.sticks import FlatSticks
 from stickslip_jax._ensemble import dataset
-from stickslip_jax._events.sticks import FlatSticks
 
 
 @pytest.fixture(scope="module")

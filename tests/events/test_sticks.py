@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._events.sticks import NUMBERS, FlatSticks, Sticks, ending_of, with_columns
+from stickslip_jax._dynamics.sticks import NUMBERS, FlatSticks, Sticks, ending_of, with_columns
 
 
 @pytest.mark.parametrize(("is_stick", "released", "cut"), list(itertools.product((False, True), repeat=3)))

@@ -338,7 +338,7 @@ def test_drawing_simulates_nothing(one, monkeypatch):
     def refuse(*args, **kwargs):
         raise AssertionError("a figure called the simulator")
 
-    monkeypatch.setattr(importlib.import_module("stickslip_jax._simulation.call"), "working_dtype", refuse)
+    monkeypatch.setattr(importlib.import_module("stickslip_jax._dynamics.simulate"), "working_dtype", refuse)
     plot.time_history(one)
     plot.phase_portrait(one)
 

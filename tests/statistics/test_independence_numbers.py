@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, stats
 from support.independence import autoregressive, flat, iid, rows, shared, spearman_of
 
-from stickslip_jax._events.sticks import FlatSticks, with_columns
+from stickslip_jax._dynamics.sticks import FlatSticks, with_columns
 from stickslip_jax._statistics.independence import (
     HypothesisTest,
     anderson_darling,

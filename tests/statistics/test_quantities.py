@@ -8,7 +8,7 @@ import pytest
 from support.statistics import made_up_sticks, statistics_of
 
 import stickslip_jax as ss
-from stickslip_jax._events.sticks import QUANTITIES
+from stickslip_jax._dynamics.sticks import QUANTITIES
 from stickslip_jax._sensitivity.statistic import StickSequence, statistic_of
 from stickslip_jax._statistics import quantities, totals
 

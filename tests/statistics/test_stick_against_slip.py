@@ -9,7 +9,7 @@ from support.independence import autoregressive, flat, spearman_of
 from support.statistics import T1, made_up_sticks, statistics_of, sticks_from
 
 from stickslip_jax import Ending
-from stickslip_jax._events.sticks import with_columns
+from stickslip_jax._dynamics.sticks import with_columns
 from stickslip_jax._statistics.independence import independent
 
 

@@ -11,7 +11,7 @@ import pytest
 from support.statistics import made_up_sticks, sticks_from
 
 import stickslip_jax as ss
-from stickslip_jax._events.sticks import NUMBERS, QUANTITIES, StickCollector, StickStream, with_columns
+from stickslip_jax._dynamics.sticks import NUMBERS, QUANTITIES, StickCollector, StickStream, with_columns
 from stickslip_jax._numerics import numba_loops, sums
 from stickslip_jax._numerics.sums import DyadicCounts, PowerSums
 from stickslip_jax._statistics import accumulator

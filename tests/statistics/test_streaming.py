@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from support.statistics import T1, made_up_sticks, statistics_of
 
 import stickslip_jax as ss
+from stickslip_jax._dynamics.sticks import NUMBERS as COLUMNS
+from stickslip_jax._dynamics.sticks import StickCollector
 from stickslip_jax._ensemble import parts as ensemble_parts
-from stickslip_jax._events.sticks import NUMBERS as COLUMNS
-from stickslip_jax._events.sticks import StickCollector
 from stickslip_jax._numerics.sums import DyadicCounts, PowerSums
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from stickslip_jax import Ending
-from stickslip_jax._events.sticks import FlatSticks
+from stickslip_jax._dynamics.sticks import FlatSticks
 
 
 def flat(count, durations, slips=None, horizon=math.inf):

@@ -16,10 +16,10 @@ from jax import lax
 from jaxtyping import Array
 
 from ..._compiler import Layout, packed, unpacked
-from ..._events.sticks import NUMBERS
 from ..._foundation import checks
 from ..._foundation.types import AnyArray, AnyInteger, BoolArray, IntArray
 from ..._numerics.elementary import stored_words
+from ..sticks import NUMBERS
 
 # How one trajectory among many is followed: what each engine of ensembles defines.
 

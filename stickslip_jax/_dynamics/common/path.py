@@ -15,7 +15,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ..._events.sticks import StickRecord, Sticks, Totals, sticks_in_order
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal, SourceVoltage
 from ..._excitation.segments import SegmentLaw, SegmentState, added, following_segment, is_invalid
@@ -23,6 +22,7 @@ from ..._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
 from ..._numerics.derivatives import NotKnown, largest, without_derivatives
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
+from ..sticks import StickRecord, Sticks, Totals, sticks_in_order
 
 # Result of one trajectory, the same for every engine: the state along it, and the parts of a `Simulation`.
 

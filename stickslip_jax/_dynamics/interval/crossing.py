@@ -10,7 +10,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array
 
-from ..._events.sticks import (
+from ..._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
+from ..._systems.mass_spring import MassSpring
+from ..sticks import (
     Remembered,
     StickRecord,
     StickSpan,
@@ -21,8 +23,6 @@ from ..._events.sticks import (
     start_totals,
     with_stick,
 )
-from ..._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
-from ..._systems.mass_spring import MassSpring
 from .arcs import (
     CLOCK_ULPS,
     Scales,

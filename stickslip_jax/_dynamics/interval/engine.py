@@ -16,7 +16,6 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
 from ..._compiler import computed_once, native_loop, native_loops_work
-from ..._events.sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, count_slips, start_totals, sticks_of
 from ..._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from ..._excitation.segments import Segment, marked
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
@@ -24,6 +23,7 @@ from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..common.lanes import Engine, SampleTotals
 from ..common.path import MotionPath, Run
+from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, count_slips, start_totals, sticks_of
 from .arcs import Scales
 from .crossing import (
     LAST_LEFT,

@@ -11,7 +11,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ..._events.sticks import ALL, StickRecord, Totals, count_slips, no_stick
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.motion import Signal
 from ..._excitation.segments import first_segment
@@ -37,6 +36,7 @@ from ..common.path import (
     sticks_and_totals,
     stopping_scan,
 )
+from ..sticks import ALL, StickRecord, Totals, count_slips, no_stick
 from .field import ContactsField, Field, InnerField
 from .implicit_step import Switch
 from .solve import (

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..._events.sticks import StickRecord
 from ..._foundation.types import AnyArray, BoolArray, FloatArray, Scalar
 from ..._systems.contacts import ContactsModel, solved
 from ..._systems.memory_models import InnerStates
 from ..._systems.switched_model import NOISE_ULPS, OneContactModel, State
+from ..sticks import StickRecord
 from .implicit_step import FrictionAt, Switch, contacts_step, implicit_step
 from .sticks import (
     AtContact,

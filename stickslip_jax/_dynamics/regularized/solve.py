@@ -12,7 +12,6 @@ from jax import lax
 from jaxtyping import Array
 
 from ..._compiler import sharing
-from ..._events.sticks import ALL, StickRecord, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.segments import SegmentState, SegmentTable
 from ..._foundation import checks
@@ -24,6 +23,7 @@ from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..common.method import Regularized, accurate_step, step_for
 from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
+from ..sticks import ALL, StickRecord, no_stick
 from .field import ContactsField, Field, InnerField
 from .implicit_step import Switch
 from .sticks import Criterion, JoiningDetector, SeenStep, StickDetector, detect_joined, hermite, start_joining

@@ -10,7 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..._events.sticks import (
+from ..._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray, Scalar
+from ..._numerics.derivatives import OwnDerivative
+from ..._numerics.steps import look_ahead
+from ..._systems.contacts import ContactsModel
+from ..._systems.memory_models import InnerStates
+from ..._systems.switched_model import State
+from ..sticks import (
     Remembered,
     StickRecord,
     StickSpan,
@@ -21,12 +27,6 @@ from ..._events.sticks import (
     start_totals,
     with_stick,
 )
-from ..._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray, Scalar
-from ..._numerics.derivatives import OwnDerivative
-from ..._numerics.steps import look_ahead
-from ..._systems.contacts import ContactsModel
-from ..._systems.memory_models import InnerStates
-from ..._systems.switched_model import State
 
 # Detection of sticks in fixed steps: the relative velocity stays below a threshold for long enough.
 

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from jax.errors import ConcretizationTypeError
 from jaxtyping import Array
 
-from ..._events.sticks import ALL, StickRecord, count_slips, no_stick
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentLaw, first_segment, segment_at
@@ -33,6 +32,7 @@ from ..common.path import (
     sticks_and_totals,
     stopping_scan,
 )
+from ..sticks import ALL, StickRecord, count_slips, no_stick
 from .stepping import Lane, advance, start_lane
 
 # One trajectory of the switched engine, and its state at any time.

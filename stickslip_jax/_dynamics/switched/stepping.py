@@ -11,7 +11,14 @@ import numpy as np
 from jax import lax
 
 from ..._compiler import sharing
-from ..._events.sticks import (
+from ..._excitation.segments import SegmentState
+from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Number
+from ..._numerics.derivatives import OwnDerivative, without_derivatives
+from ..._numerics.matrices import any_of, largest_of, sum_of
+from ..._numerics.steps import look_ahead
+from ..._systems.switched_model import NOISE_ULPS, Question, State, SwitchedModel, chosen_state
+from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
+from ..sticks import (
     Remembered,
     StickRecord,
     StickSpan,
@@ -22,13 +29,6 @@ from ..._events.sticks import (
     start_totals,
     with_stick,
 )
-from ..._excitation.segments import SegmentState
-from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Number
-from ..._numerics.derivatives import OwnDerivative, without_derivatives
-from ..._numerics.matrices import any_of, largest_of, sum_of
-from ..._numerics.steps import look_ahead
-from ..._systems.switched_model import NOISE_ULPS, Question, State, SwitchedModel, chosen_state
-from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
 
 # The state of a trajectory between two steps of the switched engine, and what counts as round-off in it.
 

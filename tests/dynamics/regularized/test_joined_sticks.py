@@ -16,7 +16,7 @@ from stickslip_jax._dynamics.regularized.sticks import (
     detect_joined,
     start_joining,
 )
-from stickslip_jax._events.sticks import ALL
+from stickslip_jax._dynamics.sticks import ALL
 
 THRESHOLD, BEND, SHORTEST, T1, STEPS = 0.01, 0.004, 0.1, 60.0, 6000
 

@@ -14,12 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.common.path import MotionPath
-from .._dynamics.regularized.implicit_step import Switch
-from .._dynamics.switched.engine import StepBeginnings, StepPath, follow_steps, state_in_step
-from .._events.sticks import NUMBERS, FlatSticks, Slips, Sticks, Totals, of_contact, slips_between
-from .._events.tables import Columns, slip_variables, stick_columns, stick_variables, table_of, write_table
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import Entries, flags, labeled_dataset, variable
@@ -31,6 +25,12 @@ from .._systems import energy
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel
 from .._systems.system import Coordinate, System
+from .common.method import Exact, Regularized
+from .common.path import MotionPath
+from .regularized.implicit_step import Switch
+from .stick_tables import Columns, slip_variables, stick_columns, stick_variables, table_of, write_table
+from .sticks import NUMBERS, FlatSticks, Slips, Sticks, Totals, of_contact, slips_between
+from .switched.engine import StepBeginnings, StepPath, follow_steps, state_in_step
 
 if TYPE_CHECKING:
     import pandas

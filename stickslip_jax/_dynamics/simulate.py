@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, working_dtype
-from .._dynamics.engine_choice import engine_for
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Scalar, Status
 from .._systems.system import System
-from .result import Simulation
+from .common.method import EXACT, Arguments, Exact, Regularized, working_dtype
+from .engine_choice import engine_for
+from .simulation import Simulation
 
 # Outputs of a user's own: functions of one `Simulation` that return a number.
 
