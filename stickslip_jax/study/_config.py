@@ -29,11 +29,11 @@ from ._sections import (
     UniformConfig,
     kinds_in,
     shown_value,
-    start_value,
     tag_key,
     tag_of,
     toml_blocks,
     toml_value,
+    value_of,
 )
 from ._systems_config import (
     BaseConfig,
@@ -101,7 +101,7 @@ class PointConfig(Section):
 
     def y0(self) -> tuple[float | Uniform, ...] | None:
         """The initial state as the simulation takes it; None for zeros."""
-        return tuple(start_value(getattr(self, name)) for name in self.initial)
+        return tuple(value_of(getattr(self, name)) for name in self.initial)
 
 
 class RunConfig(PointConfig):
@@ -156,7 +156,7 @@ class StructurePointConfig(PointConfig):
     )
 
     def y0(self) -> tuple[float | Uniform, ...] | None:
-        return None if self.initial_state is None else tuple(map(start_value, self.initial_state))
+        return None if self.initial_state is None else tuple(map(value_of, self.initial_state))
 
 
 class MassSpringRunConfig(MassSpringPointConfig, RunConfig):
