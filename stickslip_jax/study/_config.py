@@ -17,6 +17,7 @@ from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._excitation.motion import RandomPhase
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.checks import LARGEST, one_of
+from .._foundation.fields import described
 from .._statistics.accumulator import MOST_ORDERS
 from .._sweep.plan import MOST_POINTS
 from .._systems.structure import LinearStructure
@@ -441,7 +442,8 @@ def _table(value: Any, kinds: Mapping[str, type[Section]]) -> Any:
         return _plain(value)
     name = type(value).__name__
     kind = kinds.get(name)
-    if kind is None or getattr(kind, "described_class", type(value)) is not type(value):
+    own = getattr(kind, "described_class", type(value))
+    if kind is None or (own is not type(value) and described(own)):  # others are compared when all is described
         raise StudyError(f"{name} has no section in a study's file; copy it as Python instead.")
     tag = tag_key(kind)
     table: dict[str, Any] = {} if tag is None else {tag: name}

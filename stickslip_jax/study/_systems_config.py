@@ -7,25 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
+from .._excitation import gaussian, piecewise_constant
 from .._excitation.excitation import WithJumps
-from .._excitation.gaussian import (
-    CloughPenzienSpectrum,
-    GaussianProcess,
-    KanaiTajimi,
-    KanaiTajimiSpectrum,
-    TabulatedSpectrum,
-    VelocitySpectrum,
-)
 from .._excitation.motion import Harmonic, RandomPhase, Signal, SourceVoltage, SumOfHarmonics
-from .._excitation.piecewise_constant import (
-    Constant,
-    PiecewiseConstant,
-    PiecewiseConstantLaw,
-    PoissonSwitching,
-    RandomSteps,
-    SemiMarkovSwitching,
-    SquareWave,
-)
 from .._excitation.recorded import ForceSteps
 from .._systems.builders import STANDARD_GRAVITY, block_row, storeys_on_bearing
 from .._systems.composed_friction import Ageing, Directional, ExponentialGrowth, LogarithmicGrowth
@@ -35,7 +19,7 @@ from .._systems.friction import Coulomb, Stribeck, VelocityWeakening
 from .._systems.mass_spring import MassSpring
 from .._systems.motor_cart import USUAL_MU, MotorCart
 from .._systems.structure import MOST_CONTACTS, LinearStructure, check_structure
-from .._uncertainty.families import Discrete, Exponential, LogNormal, Normal, Triangular, Uniform, Weibull
+from .._uncertainty import families
 from ._sections import (
     NUMBER,
     BuiltSection,
@@ -69,10 +53,12 @@ def _any_of(kinds: tuple[Any, ...], *, tag: str = "law", usual: str = "") -> Any
 
 # --- distributions and spectra
 
-_POSITIVE = _laws(Exponential, Weibull, LogNormal, Uniform, Triangular, Discrete)
-_SPECTRA = _laws(KanaiTajimiSpectrum, CloughPenzienSpectrum, TabulatedSpectrum)
+_POSITIVE = _laws(
+    families.Exponential, families.Weibull, families.LogNormal, families.Uniform, families.Triangular, families.Discrete
+)
+_SPECTRA = _laws(gaussian.KanaiTajimiSpectrum, gaussian.CloughPenzienSpectrum, gaussian.TabulatedSpectrum)
 _VELOCITY_SPECTRUM = section_of(
-    VelocitySpectrum,
+    gaussian.VelocitySpectrum,
     "law",
     base=BuiltSection,
     acceleration=(_any_of(_SPECTRA), Field(description="spectrum of the acceleration")),
@@ -82,24 +68,24 @@ if TYPE_CHECKING:
     _SpeedsConfig = Any
     _SpectrumConfig = Any
 else:
-    _GapConfig, _SpeedsConfig = _any_of(_POSITIVE), _any_of((*_POSITIVE, *_laws(Normal)))
+    _GapConfig, _SpeedsConfig = _any_of(_POSITIVE), _any_of((*_POSITIVE, *_laws(families.Normal)))
     _SpectrumConfig = _any_of((*_SPECTRA, _VELOCITY_SPECTRUM))
 
 # --- Section ``[base]`` of a study's file: the excitation.
 
 
-class PiecewiseConstantConfig(section_of(PiecewiseConstant, "law", base=BuiltSection)):
+class PiecewiseConstantConfig(section_of(piecewise_constant.PiecewiseConstant, "law", base=BuiltSection)):
     """Section ``[base]`` with the law `PiecewiseConstant`."""
 
     @model_validator(mode="after")
     def _times_fit(self) -> "PiecewiseConstantConfig":
         # Lists, which the law keeps as NumPy arrays: arrays of JAX would start it before its settings are known.
-        PiecewiseConstant(self.times, self.velocities)
+        piecewise_constant.PiecewiseConstant(self.times, self.velocities)
         return self
 
-    def build(self) -> PiecewiseConstantLaw:
+    def build(self) -> piecewise_constant.PiecewiseConstantLaw:
         """The law as the simulation takes it (starts JAX). Raises ValueError for times that are equal in float32."""
-        return PiecewiseConstant(jnp.asarray(self.times), jnp.asarray(self.velocities))
+        return piecewise_constant.PiecewiseConstant(jnp.asarray(self.times), jnp.asarray(self.velocities))
 
 
 class _Phased(DescribedSection):
@@ -159,10 +145,10 @@ class SemiMarkovSwitchingConfig(Section):
         self.build()
         return self
 
-    def build(self) -> SemiMarkovSwitching:
+    def build(self) -> piecewise_constant.SemiMarkovSwitching:
         """The law as the simulation takes it. Raises ValueError for distributions of numbers that do not fit."""
         speed = value_of(self.speed if self.speeds is None else self.speeds)
-        return SemiMarkovSwitching(speed=speed, **self.arguments("speed", "speeds"))
+        return piecewise_constant.SemiMarkovSwitching(speed=speed, **self.arguments("speed", "speeds"))
 
 
 class _WithSpectrum(DescribedSection):
@@ -173,15 +159,15 @@ class _WithSpectrum(DescribedSection):
 
 
 _JUMPS = (
-    section_of(PoissonSwitching, "law", {"speed": 1.0, "rate": 1.0}),
+    section_of(piecewise_constant.PoissonSwitching, "law", {"speed": 1.0, "rate": 1.0}),
     SemiMarkovSwitchingConfig,
-    *_laws(SquareWave, RandomSteps, Constant),
+    *_laws(piecewise_constant.SquareWave, piecewise_constant.RandomSteps, piecewise_constant.Constant),
     PiecewiseConstantConfig,
 )
 _MOTIONS = (
     section_of(Harmonic, "law", signal_unit="m/s", **_PHASED),
     section_of(SumOfHarmonics, "law", signal_unit="m/s", base=_Phased, phases=(list[float] | None, _ABOUT_PHASE)),
-    section_of(GaussianProcess, "law", base=_WithSpectrum),
+    section_of(gaussian.GaussianProcess, "law", base=_WithSpectrum),
     RecordedConfig,
 )
 
@@ -210,7 +196,7 @@ if TYPE_CHECKING:
     BaseConfig = Any
 else:
     BaseConfig = _any_of(
-        (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(KanaiTajimi), SourceVoltageConfig)
+        (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(gaussian.KanaiTajimi), SourceVoltageConfig)
     )
 
 
@@ -389,9 +375,10 @@ class ContactConfig(WithFriction):
         return Contact(self.direction_in(size), **usual | self.arguments("mass", "between", "direction"))
 
 
-class StructureSection(BuiltSection):
-    """A structure, one of whose contacts is counted, or all at once. `described_class` makes it."""
+class StructureSection(Section):
+    """A structure, one of whose contacts is counted, or all at once. `maker`: the class or function that makes it."""
 
+    maker: ClassVar[Any]
     driven_by_voltage: ClassVar[bool] = False
 
     @property
@@ -400,7 +387,7 @@ class StructureSection(BuiltSection):
         raise NotImplementedError("each kind has its own")
 
     def build(self) -> LinearStructure:
-        structure = self.described_class(**self.arguments("contact"))
+        structure = self.maker(**self.arguments("contact"))
         contact = getattr(self, "contact", 0)  # of storeys the bearing
         return structure.of_contact(contact) if isinstance(contact, int) else structure.of_all_contacts()
 
@@ -414,7 +401,7 @@ def _check_counted(contact: object, contacts: int) -> None:
 class LinearStructureConfig(StructureSection):
     """Section ``[system]`` with the model `LinearStructure`, and its sections ``[[system.contacts]]``."""
 
-    described_class: ClassVar[Any] = LinearStructure
+    maker: ClassVar[Any] = LinearStructure
 
     model: Literal["LinearStructure"]
     mass: _Matrix = Field(description="kg (or kg m^2): the diagonal, or rows")
@@ -461,7 +448,7 @@ class LinearStructureConfig(StructureSection):
 class BlockRowConfig(WithFriction, StructureSection):
     """Section ``[system]`` with the model `block_row`: equal blocks in a row on the base."""
 
-    described_class: ClassVar[Any] = staticmethod(block_row)
+    maker: ClassVar[Any] = staticmethod(block_row)
 
     model: Literal["block_row"]
     blocks: int = Field(ge=1, le=MOST_CONTACTS, description="number of blocks, each with a contact")
@@ -487,7 +474,7 @@ class BlockRowConfig(WithFriction, StructureSection):
 class StoreysOnBearingConfig(WithFriction, StructureSection):
     """Section ``[system]`` with the model `storeys_on_bearing`: a building whose base mat slides on the ground."""
 
-    described_class: ClassVar[Any] = staticmethod(storeys_on_bearing)
+    maker: ClassVar[Any] = staticmethod(storeys_on_bearing)
 
     model: Literal["storeys_on_bearing"]
     mass: list[float] = Field(description="of the base mat, then of the storeys, kg")
