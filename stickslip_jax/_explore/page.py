@@ -9,7 +9,7 @@ import socket
 import sys
 import warnings
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, cast
@@ -124,9 +124,15 @@ class NumberControl:
 
 
 def watched(widget: Any, chosen: Callable[[Any], None]) -> Any:
-    """The widget; `chosen` is called with each of its values."""
+    """The widget; `chosen` is called with each new value of it."""
     widget.param.watch(lambda event: chosen(event.new), "value")
     return widget
+
+
+def choice(name: str, options: Iterable[str], chosen: Callable[[str], None]) -> pn.widgets.Select:
+    """A list to choose from, beside what was given."""
+    options = [GIVEN, *options]
+    return watched(pn.widgets.Select(label=name, options=options, value=GIVEN, sizing_mode="stretch_width"), chosen)
 
 
 # Computations beside the page: always of the latest wish, older ones are left out.
@@ -339,29 +345,15 @@ class Explorer(pn.viewable.Viewer):
 
     def _choices(self) -> list[Any]:
         scene = self.scene
-        lists: dict[str, tuple[Any, Callable[[str], None]]] = {
-            "System": (SYSTEMS, self._choose_system),
-            "Friction": (FRICTIONS, self._choose_friction),
-            "Base": (bases_for(scene), self._choose_base),
-        }
         self._lists = {
-            name: watched(
-                pn.widgets.Select(label=name, options=[GIVEN, *options], value=GIVEN, sizing_mode="stretch_width"),
-                chosen,
-            )
-            for name, (options, chosen) in lists.items()
+            "System": choice("System", SYSTEMS, self._choose_system),
+            "Friction": choice("Friction", FRICTIONS, self._choose_friction),
+            "Base": choice("Base", bases_for(scene), self._choose_base),
         }
         self._lists["Friction"].visible = has_friction_to_choose(scene.system)
-        counts = [
-            watched(
-                pn.widgets.IntInput(label=label, value=getattr(scene, name), start=low, end=high, width=130),
-                partial(self._count, name),
-            )
-            for label, name, low, high in (
-                ("Realisations", "samples", 2, MOST_SAMPLES),
-                ("Seed", "seed", 0, 2**32 - 1),
-            )
-        ]
+        size = pn.widgets.IntInput(label="Realisations", value=scene.samples, start=2, end=MOST_SAMPLES, width=130)
+        seed = pn.widgets.IntInput(label="Seed", value=scene.seed, start=0, end=2**32 - 1, width=130)
+        counts = watched(size, partial(self._count, "samples")), watched(seed, partial(self._count, "seed"))
         return [*self._lists.values(), pn.Row(*counts)]
 
     def _choose_system(self, name: str) -> None:
@@ -506,13 +498,9 @@ class Explorer(pn.viewable.Viewer):
     def _buttons(self) -> Any:
         copy = pn.widgets.Button(label="Copy as Python", color="primary")
         copy.js_on_click(args={"code": self._code, "button": copy}, code=_COPY)
-        toml, figure = (
-            pn.widgets.FileDownload(callback=made, filename=name, label=label, color="primary")
-            for made, name, label in (
-                (self.study_file, "study.toml", "Save as TOML"),
-                (self.figures_file, "explorer.pdf", "Save the figure"),
-            )
-        )
+        download = partial(pn.widgets.FileDownload, color="primary")
+        toml = download(callback=self.study_file, filename="study.toml", label="Save as TOML")
+        figure = download(callback=self.figures_file, filename="explorer.pdf", label="Save the figure")
         return pn.FlexBox(copy, toml, figure)
 
     def study_file(self) -> io.BytesIO:

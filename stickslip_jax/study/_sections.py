@@ -105,14 +105,15 @@ def section_of(
     - `defaults`: those that a study has in place of the fields' own.
     - `signal_unit`: the unit of what is a base velocity or a force, known by the place of the section.
     - `base`: the class of the section.
-    - `keys`: type and pydantic field of further keys, which stand before the fields', or in place of one.
+    - `keys`: type and meaning (or pydantic field) of further keys, which stand before the fields', or in place of one.
     """
     known, name = described(described_class), described_class.__name__
     changed = {key: {"default": value} for key, value in (defaults or {}).items()}
     usual = {key: key_of(described_class, key, signal_unit=signal_unit, **changed.get(key, {})) for key in known}
-    tagged: dict[str, Any] = {tag: (Literal[name], name)} if tag else {}
-    further = {key: own for key, own in keys.items() if key not in known}
-    all_keys: dict[str, Any] = {**tagged, **further, **usual, **keys}
+    own = {key: (kind, Field(description=of) if isinstance(of, str) else of) for key, (kind, of) in keys.items()}
+    further: dict[str, Any] = {tag: (Literal[name], name)} if tag else {}
+    further |= {key: value for key, value in own.items() if key not in known}
+    all_keys: dict[str, Any] = {**further, **usual, **own}
     section: Any = create_model(f"{name}Config", __base__=base, **all_keys)
     section.described_class = described_class
     return section

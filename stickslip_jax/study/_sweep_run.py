@@ -39,10 +39,10 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
     """The sweep that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
     run, sweep = config.run, config.sweep
     over: dict[str | tuple[str, ...], np.ndarray] = {}
+    # Initial values, and the slips of `Ageing`, have other names in `Sweep`.
+    starts = {name: f"y0[{number}]" for number, name in enumerate(run.initial)}
     for names, values in sweep.over.parameter_values().items():
-        # Initial values, and the slips of `Ageing`, have other names in `Sweep`.
-        known = {name: f"y0[{number}]" for number, name in enumerate(run.initial)}
-        renamed = [known.get(name) or re.sub(r"\Ainitial_state\[", "y0[", name) for name in names]
+        renamed = [starts.get(name) or re.sub(r"\Ainitial_state\[", "y0[", name) for name in names]
         full = tuple(re.sub(r"\bslip\.", "law.", name) for name in renamed)
         over[full if len(full) > 1 else "".join(full)] = values
     try:
@@ -59,9 +59,7 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
         for pattern, words in _WORDS_OF_THE_FILE.items():
             said = re.sub(pattern, words, said)
         # A message that lists the names allowed goes on with the one that was probably meant.
-        found = re.fullmatch(
-            r".*? (?:names? out of|must name one of|statistic out of) (.*), but (.*) was given\.", said
-        )
+        found = re.fullmatch(_LISTING, said)
         if found is not None:
             given = (re.findall(r"[\w.]+", found[2]) or [""])[0]
             near = get_close_matches(given, re.findall(r"\w+", found[1]), n=1, cutoff=0.5)

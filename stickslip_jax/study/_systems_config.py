@@ -61,7 +61,7 @@ _VELOCITY_SPECTRUM = section_of(
     gaussian.VelocitySpectrum,
     "law",
     base=BuiltSection,
-    acceleration=(_any_of(_SPECTRA), Field(description="spectrum of the acceleration")),
+    acceleration=(_any_of(_SPECTRA), "spectrum of the acceleration"),
 )
 if TYPE_CHECKING:
     _GapConfig = Any
@@ -189,8 +189,8 @@ _WITH_JUMPS = section_of(
     WithJumps,
     "law",
     base=_WithJumps,
-    motion=(_any_of(_MOTIONS), Field(description="the continuous part")),
-    jumps=(_any_of(_JUMPS, usual="PoissonSwitching"), Field(description="the part that jumps")),
+    motion=(_any_of(_MOTIONS), "the continuous part"),
+    jumps=(_any_of(_JUMPS, usual="PoissonSwitching"), "the part that jumps"),
 )
 if TYPE_CHECKING:
     BaseConfig = Any
@@ -203,27 +203,22 @@ else:
 # --- sections of forces: friction laws, external forces and normal forces
 
 _OF_SPEED = _laws(Coulomb, VelocityWeakening, Stribeck)
+_GROWTHS = _laws(ExponentialGrowth, LogarithmicGrowth)
 _WITH_INNER_STATE = _laws(LuGre, ElastoPlastic, Dahl, BoucWen, DieterichRuina)
 _AGEING = section_of(
     Ageing,
     "law",
     base=BuiltSection,
-    slip=(
-        _any_of(_OF_SPEED, usual="Coulomb"),
-        Field(description="friction law of slips, and of sticks that have just begun"),
-    ),
-    growth=(
-        _any_of(_laws(ExponentialGrowth, LogarithmicGrowth)),
-        Field(description="what is added to static friction while a stick lasts"),
-    ),
+    slip=(_any_of(_OF_SPEED, usual="Coulomb"), "friction law of slips, and of sticks that have just begun"),
+    growth=(_any_of(_GROWTHS), "what is added to static friction while a stick lasts"),
 )
 _ONE_WAY = _any_of((*_OF_SPEED, _AGEING), usual="Coulomb")
 _DIRECTIONAL = section_of(
     Directional,
     "law",
     base=BuiltSection,
-    forward=(_ONE_WAY, Field(description="friction law of slips with a positive relative velocity")),
-    backward=(_ONE_WAY, Field(description="that of negative ones")),
+    forward=(_ONE_WAY, "friction law of slips with a positive relative velocity"),
+    backward=(_ONE_WAY, "that of negative ones"),
 )
 _FORCES = (*_laws(Harmonic, SumOfHarmonics, signal_unit="N"), RecordedConfig)
 
@@ -445,7 +440,7 @@ class LinearStructureConfig(StructureSection):
         return {**given, "contacts": tuple(contact.contact_in(self.size) for contact in self.contacts)}
 
 
-class BlockRowConfig(WithFriction, StructureSection):
+class BlockRowConfig(StructureSection, WithFriction):
     """Section ``[system]`` with the model `block_row`: equal blocks in a row on the base."""
 
     maker: ClassVar[Any] = staticmethod(block_row)
@@ -471,7 +466,7 @@ class BlockRowConfig(WithFriction, StructureSection):
         return self
 
 
-class StoreysOnBearingConfig(WithFriction, StructureSection):
+class StoreysOnBearingConfig(StructureSection, WithFriction):
     """Section ``[system]`` with the model `storeys_on_bearing`: a building whose base mat slides on the ground."""
 
     maker: ClassVar[Any] = staticmethod(storeys_on_bearing)
