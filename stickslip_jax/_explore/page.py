@@ -410,7 +410,7 @@ class Explorer(pn.viewable.Viewer):
             pn.FlexBox(self.statistics, self.slope), pn.Column(*panes, styles=_GRID, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )  # fmt: skip
-        tabs: list[Any] = [("pictures.Motion and statistics", motion)]
+        tabs: list[Any] = [("Motion and statistics", motion)]
         self._section = pictures.SectionFigure()
         if pictures.is_deterministic(self.scene):
             section = pn.Column(
