@@ -9,7 +9,7 @@ import socket
 import sys
 import warnings
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, cast
@@ -24,18 +24,7 @@ from bokeh.document import Document, without_document_lock
 from .._foundation import html
 from .._sensitivity.estimate import Sensitivity
 from ..study._config import StudyConfig, config_of
-from .pictures import (
-    Figures,
-    Motion,
-    SectionFigure,
-    Statistics,
-    is_deterministic,
-    motion_of,
-    section_of,
-    sheet_of,
-    slope_of,
-    statistics_of,
-)
+from . import pictures
 from .scene import (
     FRICTIONS,
     SYSTEMS,
@@ -108,8 +97,7 @@ class NumberControl:
         if self._is_quiet:
             return
         # The ends of the range and the step are not round in binary.
-        value = float(f"{event.new:.6g}")
-        self._show(value, slider=False)
+        self._show(float(f"{event.new:.6g}"), slider=False)
 
     def _written(self, event: Any) -> None:
         if self._is_quiet:
@@ -118,8 +106,8 @@ class NumberControl:
             value = read_number(event.new)
         except ValueError as error:
             self.refuse(str(error))
-            return
-        self._show(value, slider=True)
+        else:
+            self._show(value, slider=True)
 
     def _show(self, value: float, *, slider: bool) -> None:
         self.refuse("")
@@ -135,20 +123,16 @@ class NumberControl:
         self._moved(self, self.number)
 
 
-def choice(name: str, options: list[str], value: str, chosen: Callable[[str], None]) -> pn.widgets.Select:
-    """A list to choose from."""
-    widget = pn.widgets.Select(label=name, options=options, value=value, sizing_mode="stretch_width")
+def watched(widget: Any, chosen: Callable[[Any], None]) -> Any:
+    """The widget; `chosen` is called with each new value of it."""
     widget.param.watch(lambda event: chosen(event.new), "value")
     return widget
 
 
-def whole_number(
-    name: str, value: int, low: int, high: int, chosen: Callable[[int], None]
-) -> pn.widgets.IntInput:  # fmt: skip
-    """A box for a whole number."""
-    widget = pn.widgets.IntInput(label=name, value=value, start=low, end=high, width=130)
-    widget.param.watch(lambda event: chosen(event.new), "value")
-    return widget
+def choice(name: str, options: Iterable[str], chosen: Callable[[str], None]) -> pn.widgets.Select:
+    """A list to choose from, beside what was given."""
+    options = [GIVEN, *options]
+    return watched(pn.widgets.Select(label=name, options=options, value=GIVEN, sizing_mode="stretch_width"), chosen)
 
 
 # Computations beside the page: always of the latest wish, older ones are left out.
@@ -231,13 +215,10 @@ def as_python(scene: Scene) -> str:
     Raises NotWritable for a system or base made of something else than numbers and objects with fields.
     """
     imports: set[tuple[str, str]] = set()
-    parts = {
-        name: _assigned(name, _expression(getattr(scene, name), imports)) for name in ("system", "law", "y0", "method")
-    }
-    if scene.method == Scene._field_defaults["method"]:
-        parts["method"], option = "", ""
-    else:
-        option = ", method=method"
+    is_usual = scene.method == Scene._field_defaults["method"]
+    names = ("system", "law", "y0", *(() if is_usual else ("method",)))
+    parts = "".join(f"{name} = {_expression(getattr(scene, name), imports)}\n" for name in names)
+    option = "" if is_usual else ", method=method"
     own = "".join(f"from {module} import {name}\n" for module, name in sorted(imports) if module != "__main__")
     x64 = "True" if jnp.result_type(float) == jnp.float64 else "False"
     return f"""\
@@ -247,7 +228,7 @@ jax.config.update("jax_enable_x64", {x64})
 
 import stickslip_jax as ss
 {own}
-{parts["system"]}{parts["law"]}{parts["y0"]}{parts["method"]}
+{parts}
 many = ss.simulate_ensemble(
     system, law, t1={scene.t1!r}, samples={scene.samples},
     key=jax.random.key({scene.seed}), y0=y0{option},
@@ -260,10 +241,6 @@ first_system, base, start = many.realization(0)
 one = ss.simulate(first_system, base, t1={scene.t1!r}, y0=start{option})
 ss.plot.save(ss.plot.phase_portrait(one), "phase_portrait.png", overwrite=True)
 """
-
-
-def _assigned(name: str, value: str) -> str:
-    return f"{name} = {value}\n"
 
 
 def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> str:
@@ -280,7 +257,8 @@ def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> s
         given = [
             f"{field.name}={_expression(getattr(value, field.name), imports, indent + 4)}"
             for field in dataclasses.fields(value)
-            if field.init and not _is_default(field, getattr(value, field.name))
+            if field.init
+            and (field.default is dataclasses.MISSING or not eqx.tree_equal(field.default, getattr(value, field.name)))
         ]
         return _call(_class_name(type(value), imports), given, indent)
     raise NotWritable(f"{type(value).__name__} cannot be written as Python; keep the program that made it.")
@@ -292,12 +270,6 @@ def _call(name: str, arguments: list[str], indent: int, comma: bool = False) -> 
         return line
     inside = "".join(f"{' ' * (indent + 4)}{one},\n" for one in arguments)
     return f"{name}(\n{inside}{' ' * indent})"
-
-
-def _is_default(field: Any, value: Any) -> bool:
-    if field.default is dataclasses.MISSING:
-        return False
-    return bool(eqx.tree_equal(field.default, value))
 
 
 def _class_name(kind: type, imports: set[tuple[str, str]]) -> str:
@@ -340,8 +312,8 @@ class Explorer(pn.viewable.Viewer):
         self.scene, self._start, self._given = scene, scene, scene
         self._moving = numbers_of(scene)[0]
         document = pn.state.curdoc
-        pictures, derivatives = _THREADS
-        self._pictures, self._slopes = Worker(document, pictures), Worker(document, derivatives)
+        drawing, derivatives = _THREADS
+        self._pictures, self._slopes = Worker(document, drawing), Worker(document, derivatives)
         self._sections = Worker(document, derivatives)
         self._is_switching = False
         self._numbers = pn.Column(sizing_mode="stretch_width")
@@ -349,13 +321,9 @@ class Explorer(pn.viewable.Viewer):
         self.statistics = pn.pane.HTML(html.escaped(_FIRST), sizing_mode="stretch_width", css_classes=["statistics"])
         self.slope = pn.pane.HTML("", sizing_mode="stretch_width", css_classes=["slope"])
         self._code = pn.widgets.TextAreaInput(
-            label="Python",
-            rows=12,
-            disabled=True,
-            sizing_mode="stretch_width",
-            max_length=100_000,
+            label="Python", rows=12, disabled=True, sizing_mode="stretch_width", max_length=100_000,
             stylesheets=[_TO_BE_READ],
-        )
+        )  # fmt: skip
         self._section_note = pn.pane.HTML("", css_classes=["section-note"])
         self._tabs = pn.Tabs(sizing_mode="stretch_width")
         self._tabs.param.watch(lambda _: self._draw_section(), "active")
@@ -378,20 +346,19 @@ class Explorer(pn.viewable.Viewer):
     def _choices(self) -> list[Any]:
         scene = self.scene
         self._lists = {
-            "System": choice("System", [GIVEN, *SYSTEMS], GIVEN, self._choose_system),
-            "Friction": choice("Friction", [GIVEN, *FRICTIONS], GIVEN, self._choose_friction),
-            "Base": choice("Base", [GIVEN, *bases_for(scene)], GIVEN, self._choose_base),
+            "System": choice("System", SYSTEMS, self._choose_system),
+            "Friction": choice("Friction", FRICTIONS, self._choose_friction),
+            "Base": choice("Base", bases_for(scene), self._choose_base),
         }
         self._lists["Friction"].visible = has_friction_to_choose(scene.system)
-        size = whole_number("Realisations", scene.samples, 2, MOST_SAMPLES, partial(self._count, "samples"))
-        seed = whole_number("Seed", scene.seed, 0, 2**32 - 1, partial(self._count, "seed"))
-        return [*self._lists.values(), pn.Row(size, seed)]
+        size = pn.widgets.IntInput(label="Realisations", value=scene.samples, start=2, end=MOST_SAMPLES, width=130)
+        seed = pn.widgets.IntInput(label="Seed", value=scene.seed, start=0, end=2**32 - 1, width=130)
+        counts = watched(size, partial(self._count, "samples")), watched(seed, partial(self._count, "seed"))
+        return [*self._lists.values(), pn.Row(*counts)]
 
     def _choose_system(self, name: str) -> None:
-        samples, seed = self.scene.samples, self.scene.seed
         new = self._given if name == GIVEN else scene_of(StudyConfig.model_validate(dict(SYSTEMS[name])))
-        self.scene = new._replace(samples=samples, seed=seed)
-        self._start = self.scene
+        self.scene = self._start = new._replace(samples=self.scene.samples, seed=self.scene.seed)
         self._is_switching = True
         try:
             self._lists["Friction"].param.update(value=GIVEN, visible=has_friction_to_choose(new.system))
@@ -403,10 +370,9 @@ class Explorer(pn.viewable.Viewer):
     def _choose_friction(self, name: str) -> None:
         if self._is_switching:
             return
-        now, start = self.scene.system, self._start.system
-        self.scene = self.scene._replace(
-            system=start if name == GIVEN else with_friction(now, friction_called(name, now))
-        )
+        now = self.scene.system
+        new = self._start.system if name == GIVEN else with_friction(now, friction_called(name, now))
+        self.scene = self.scene._replace(system=new)
         self._renew()
 
     def _choose_base(self, name: str) -> None:
@@ -438,15 +404,15 @@ class Explorer(pn.viewable.Viewer):
         self.controls = [NumberControl(number, self._moved) for number in numbers]
         self._numbers.objects = [one.view for one in self.controls]
         self._moving = next((one for one in numbers if one.path[-1] in ("mu", "mu_static")), numbers[0])
-        self._figures = Figures(self.scene)
+        self._figures = pictures.Figures(self.scene)
         panes = [pn.pane.Bokeh(one, sizing_mode="stretch_width", margin=0) for one in self._figures.all]
         motion = pn.Column(
             pn.FlexBox(self.statistics, self.slope), pn.Column(*panes, styles=_GRID, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )  # fmt: skip
         tabs: list[Any] = [("Motion and statistics", motion)]
-        self._section = SectionFigure()
-        if is_deterministic(self.scene):
+        self._section = pictures.SectionFigure()
+        if pictures.is_deterministic(self.scene):
             section = pn.Column(
                 self._section_note, pn.pane.Bokeh(self._section.plot, sizing_mode="stretch_width"),
                 sizing_mode="stretch_width",
@@ -459,8 +425,8 @@ class Explorer(pn.viewable.Viewer):
     def _compute(self) -> None:
         """Simulate anew; the derivative and the diagram come after the pictures, for which they leave the processor."""
         scene, moving, figures = self.scene, self._moving, self._figures
-        motion = partial(motion_of, scene), partial(self._show_motion, scene, figures)
-        statistics = partial(statistics_of, scene), partial(self._show_statistics, scene, moving, figures)
+        motion = partial(pictures.motion_of, scene), partial(self._show_motion, scene, figures)
+        statistics = partial(pictures.statistics_of, scene), partial(self._show_statistics, scene, moving, figures)
         self._pictures.do([motion, statistics], self._fail)
 
     def _differentiate(self, scene: Scene, moving: MovableNumber) -> None:
@@ -468,10 +434,10 @@ class Explorer(pn.viewable.Viewer):
             self.slope.object = ""
             return
         self.slope.object = html.escaped(f"Computing the derivative by {moving.name} ...")
-        slope = partial(_quietly, slope_of, scene, moving.name), partial(self._show_slope, scene)
+        slope = partial(_quietly, pictures.slope_of, scene, moving.name), partial(self._show_slope, scene)
         self._slopes.do([slope], partial(self._no_slope, scene, moving))
 
-    def _show_motion(self, scene: Scene, figures: Figures, motion: Motion) -> None:
+    def _show_motion(self, scene: Scene, figures: pictures.Figures, motion: pictures.Motion) -> None:
         figures.show_motion(scene, motion)
         self._alert.param.update(object=html.escaped(motion.problem), visible=bool(motion.problem))
         try:
@@ -479,11 +445,15 @@ class Explorer(pn.viewable.Viewer):
         except ValueError as error:
             self._code.value = f"# {error}"
 
-    def _show_statistics(self, scene: Scene, moving: MovableNumber, figures: Figures, statistics: Statistics) -> None:
+    def _show_statistics(
+        self, scene: Scene, moving: MovableNumber, figures: pictures.Figures, statistics: pictures.Statistics
+    ) -> None:
         figures.show_statistics(statistics)
-        rows = [
-            (one.name, one.without_name().replace("+-", "±"), _range_of(*one.interval())) for one in statistics.means
-        ]
+        rows = []
+        for one in statistics.means:
+            low, high = one.interval()
+            between = f"{low:.4g} to {high:.4g}" if math.isfinite(low + high) else ""
+            rows.append((one.name, one.without_name().replace("+-", "±"), between))
         table = html.table(rows, ("of all realisations", "mean", "95 % interval"))
         left = f"<p>{statistics.unfinished:,} of {scene.samples:,} realisations did not finish.</p>"
         self.statistics.object = table + (left if statistics.unfinished else "")
@@ -496,7 +466,10 @@ class Explorer(pn.viewable.Viewer):
             return
         slope, remarks = found
         if math.isfinite(slope.derivative):
-            self.slope.object = "".join(map(html.escaped, (_with_unit(slope), *remarks)))
+            # The derivative, its error and their unit, and then how it was found.
+            unit = slope.unit if slope.parameter_unit == "1" else f"{slope.unit} per {slope.parameter_unit}"
+            number, bracket, how = str(slope).replace("+-", "±").partition(" (central")
+            self.slope.object = "".join(map(html.escaped, (f"{number} {unit}{bracket}{how}", *remarks)))
         else:
             self.slope.object = html.escaped(f"No derivative by {slope.parameter}: too few sticks.")
 
@@ -508,11 +481,11 @@ class Explorer(pn.viewable.Viewer):
         self._alert.param.update(object=html.escaped(f"The pictures are those of before: {error}"), visible=True)
 
     def _draw_section(self) -> None:
-        if self._tabs.active != 1 or not is_deterministic(self.scene):
+        if self._tabs.active != 1 or not pictures.is_deterministic(self.scene):
             return
         self._section_note.object = html.escaped(f"Computing over {self._moving.label} ...")
         self._sections.do(
-            [(partial(section_of, self.scene, self._moving), self._show_section)],
+            [(partial(pictures.section_of, self.scene, self._moving), self._show_section)],
             lambda error: setattr(self._section_note, "object", html.escaped(str(error))),
         )  # fmt: skip
 
@@ -525,34 +498,18 @@ class Explorer(pn.viewable.Viewer):
     def _buttons(self) -> Any:
         copy = pn.widgets.Button(label="Copy as Python", color="primary")
         copy.js_on_click(args={"code": self._code, "button": copy}, code=_COPY)
-        toml = pn.widgets.FileDownload(
-            callback=self.study_file, filename="study.toml", label="Save as TOML", color="primary"
-        )
-        figure = pn.widgets.FileDownload(
-            callback=self.figures_file, filename="explorer.pdf", label="Save the figure", color="primary"
-        )
+        download = partial(pn.widgets.FileDownload, color="primary")
+        toml = download(callback=self.study_file, filename="study.toml", label="Save as TOML")
+        figure = download(callback=self.figures_file, filename="explorer.pdf", label="Save the figure")
         return pn.FlexBox(copy, toml, figure)
 
     def study_file(self) -> io.BytesIO:
         """What is shown as the TOML file of a study. Raises StudyError for what has no section there."""
-        scene = self.scene
-        config = config_of(**scene._asdict())
-        return io.BytesIO(config.to_toml().encode())
+        return io.BytesIO(config_of(**self.scene._asdict()).to_toml().encode())
 
     def figures_file(self) -> io.BytesIO:
         """The pictures as a PDF."""
-        return io.BytesIO(sheet_of(self.scene))
-
-
-def _with_unit(slope: Sensitivity) -> str:
-    """The derivative, its error and their unit, and then how it was found."""
-    unit = slope.unit if slope.parameter_unit == "1" else f"{slope.unit} per {slope.parameter_unit}"
-    number, bracket, how = str(slope).replace("+-", "±").partition(" (central")
-    return f"{number} {unit}{bracket}{how}"
-
-
-def _range_of(low: float, high: float) -> str:
-    return f"{low:.4g} to {high:.4g}" if math.isfinite(low + high) else ""
+        return io.BytesIO(pictures.sheet_of(self.scene))
 
 
 def _quietly(function: Any, *arguments: Any) -> tuple[Any, list[str]]:
@@ -574,7 +531,15 @@ ADDRESS = "127.0.0.1"
 
 def serve(scene: Scene, *, port: int, opens: bool, say: Callable[[str], None]) -> None:
     """Serve the explorer until Ctrl-C. `port` 0: any free one. Raises OSError for one that is taken."""
-    port = _free(port)
+    with socket.socket() as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind((ADDRESS, port))
+        except OSError as error:
+            raise OSError(
+                f"Port {port} cannot be used ({error.strerror}); choose another, or 0 for any free one."
+            ) from None
+        port = tried.getsockname()[1]
     secret = secrets.token_urlsafe(24)
     address = f"http://{ADDRESS}:{port}/{secret}/"
     server: Any = pn.serve(
@@ -589,16 +554,3 @@ def serve(scene: Scene, *, port: int, opens: bool, say: Callable[[str], None]) -
         server.io_loop.start()
     finally:
         server.stop()
-
-
-def _free(port: int) -> int:
-    """The port, or any free one for 0. Raises OSError if it is taken."""
-    with socket.socket() as tried:
-        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            tried.bind((ADDRESS, port))
-        except OSError as error:
-            raise OSError(
-                f"Port {port} cannot be used ({error.strerror}); choose another, or 0 for any free one."
-            ) from None
-        return tried.getsockname()[1]

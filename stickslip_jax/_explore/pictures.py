@@ -13,7 +13,6 @@ from bokeh.models import BasicTickFormatter, ColumnDataSource, Range1d
 from bokeh.plotting import figure
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
-from matplotlib.figure import Figure
 
 from .._dynamics.common.method import slowest_time
 from .._dynamics.simulate import simulate
@@ -223,10 +222,12 @@ def section_of(scene: Scene, number: MovableNumber) -> Section:
 
 
 _HEIGHT = 250
-_CURVES = ("slip", "stick")
-_BARS = ("durations", "starts", "numbers")
-_COLORS = {"slip": _style.FORWARD, "stick": _style.STICK}
-_WIDTHS = {"slip": _style.SLIP_WIDTH, "stick": _style.STICK_WIDTH}
+_CURVES = {"slip": (_style.FORWARD, _style.SLIP_WIDTH), "stick": (_style.STICK, _style.STICK_WIDTH)}
+_BARS = {
+    "durations": ("Stick durations", "duration (s)", "density (1/s)"),
+    "starts": ("Stick starts", "start (s)", "density (1/s)"),
+    "numbers": ("Sticks in a realisation", "number of sticks", "probability"),
+}
 
 
 class Figures:
@@ -238,9 +239,7 @@ class Figures:
         self._bars = {name: ColumnDataSource({"left": [], "right": [], "top": []}) for name in _BARS}
         self.portrait = self._lines("Phase portrait", "x", "y", x, y)
         self.history = self._lines("Time history", "t", "x", "time (s)", x)
-        self.durations = self._histogram("durations", "Stick durations", "duration (s)", "density (1/s)")
-        self.starts = self._histogram("starts", "Stick starts", "start (s)", "density (1/s)")
-        self.numbers = self._histogram("numbers", "Sticks in a realisation", "number of sticks", "probability")
+        self.durations, self.starts, self.numbers = map(self._histogram, _BARS)
 
     @property
     def all(self) -> tuple[Any, ...]:
@@ -269,15 +268,15 @@ class Figures:
 
     def _lines(self, title: str, x: str, y: str, x_label: str, y_label: str) -> Any:
         plot = _figure(title, x_label, y_label, **_ranges())
-        for name in _CURVES:
-            plot.line(x, y, source=self._curves[name], color=_COLORS[name], line_width=_WIDTHS[name], legend_label=name)
+        for name, (color, width) in _CURVES.items():
+            plot.line(x, y, source=self._curves[name], color=color, line_width=width, legend_label=name)
         plot.add_layout(plot.legend[0], "above")
         plot.legend[0].orientation = "horizontal"
         plot.legend[0].padding = plot.legend[0].margin = 2
         return plot
 
-    def _histogram(self, name: str, title: str, x_label: str, y_label: str) -> Any:
-        plot = _figure(title, x_label, y_label, **_ranges())
+    def _histogram(self, name: str) -> Any:
+        plot = _figure(*_BARS[name], **_ranges())
         plot.quad(
             left="left", right="right", top="top", bottom=0, source=self._bars[name], color=_style.STICK,
             line_color="white", line_width=0.5,
@@ -332,26 +331,21 @@ def sheet_of(scene: Scene) -> bytes:
     """A PDF: phase portrait and time history of a realisation, histograms of the sticks of all, a page for each."""
     stored = io.BytesIO()
     with PdfPages(stored) as pages:
-        for page in _pages(scene):
+        for axes in _pages(scene):
+            page = axes.get_figure(root=True)
             pages.savefig(page)
             plt.close(page)
     return stored.getvalue()
 
 
-def _pages(scene: Scene) -> Iterator[Figure]:
+def _pages(scene: Scene) -> Iterator[Axes]:
     motion, many = motion_of(scene), statistics_of(scene).ensemble
     if not motion.problem:
         window = (0.0, min(scene.t1, LONGEST_HISTORY))
         if motion.one.sticks.contact is None:
-            yield _figure_of(phase_portrait(motion.one, window=window))
-        yield _figure_of(time_history(motion.one, window=window)[0])
+            yield phase_portrait(motion.one, window=window)
+        yield time_history(motion.one, window=window)[0]
     of_all = many.statistics
     has_sticks = len(many.finished_sticks().duration) > 0
     for one in (of_all.stick_count, *((of_all.duration, of_all.start) if has_sticks else ())):
-        yield _figure_of(histogram(one))
-
-
-def _figure_of(axes: Axes) -> Figure:
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    return figure
+        yield histogram(one)

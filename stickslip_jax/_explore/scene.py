@@ -78,10 +78,17 @@ def quantity_of(scene: Scene, path: NumberPath) -> Quantity:
 def numbers_of(scene: Scene) -> list[MovableNumber]:
     """The numbers that can be moved: of the system, of what drives it, of the start, and the duration."""
     where = {"system": scene.system, "law": scene.law, "y0": scene.y0}
-    found = [path for path, value in numbers_in(where) if value is not None or _may_be_set(scene, path)]
-    if isinstance(scene.law, RandomPhase):  # which draws it
-        found = [path for path in found if path != ("law", "signal", "phase")]
-    return [_movable(scene, path) for path in [*found, ("t1",)]]
+    paths: list[NumberPath] = []
+    for path, value in numbers_in(where):
+        # A damping that is not set counts as zero.
+        is_set = value is not None or (path[-1] == "damping" and quantity_at(scene, path) != Quantity())
+        is_drawn = isinstance(scene.law, RandomPhase) and path == ("law", "signal", "phase")
+        paths += [path] if is_set and not is_drawn else []
+    values = [(path, float(number_at(scene, path) or 0.0)) for path in [*paths, ("t1",)]]
+    return [
+        MovableNumber(path, shown(path), _label(scene, path), value, *_slider(quantity_of(scene, path), value))
+        for path, value in values
+    ]
 
 
 def read_number(text: str) -> float:
@@ -93,16 +100,6 @@ def read_number(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{checks.show(text)} is not a number; write one such as 0.25 or 1e-3.")
     return value
-
-
-def _may_be_set(scene: Scene, path: NumberPath) -> bool:
-    """Whether a number that is not set counts as zero, as the damping of a mass does."""
-    return path[-1] == "damping" and quantity_at(scene, path) != Quantity()
-
-
-def _movable(scene: Scene, path: NumberPath) -> MovableNumber:
-    value = float(number_at(scene, path) or 0.0)  # no damping is none
-    return MovableNumber(path, shown(path), _label(scene, path), value, *_slider(quantity_of(scene, path), value))
 
 
 def _label(scene: Scene, path: NumberPath) -> str:
@@ -162,12 +159,10 @@ SYSTEMS: Mapping[str, Mapping[str, Any]] = {
 FRICTIONS = ("Coulomb", "Coulomb, static above kinetic", "Stribeck", "VelocityWeakening", "Directional", "Ageing")
 
 
-def _voltages() -> dict[str, Any]:
-    return {"SourceVoltage": SourceVoltage(), "SourceVoltage, random phase": RandomPhase(SourceVoltage())}
-
-
-def _motions() -> dict[str, Any]:
-    spectrum = KanaiTajimiSpectrum(intensity=0.1, ground_frequency=2.0)
+def bases_for(scene: Scene) -> Mapping[str, Any]:
+    """The motions that can drive the system of `scene`, by name."""
+    if any(isinstance(part, SourceVoltage) for part in modules_in(scene.law)):
+        return {"SourceVoltage": SourceVoltage(), "SourceVoltage, random phase": RandomPhase(SourceVoltage())}
     harmonic = Harmonic(amplitude=1.0, angular_frequency=1.0)
     return {
         "PoissonSwitching": PoissonSwitching(speed=1.0, rate=1.0),
@@ -177,15 +172,9 @@ def _motions() -> dict[str, Any]:
         "Constant": Constant(speed=0.5),
         "Harmonic": harmonic,
         "Harmonic, random phase": RandomPhase(harmonic),
-        "GaussianProcess": GaussianProcess(spectrum, cutoff=12.0),
+        "GaussianProcess": GaussianProcess(KanaiTajimiSpectrum(intensity=0.1, ground_frequency=2.0), cutoff=12.0),
         "KanaiTajimi": KanaiTajimi(rms=1.5),
     }
-
-
-def bases_for(scene: Scene) -> Mapping[str, Any]:
-    """The motions that can drive the system of `scene`, by name."""
-    is_voltage = any(isinstance(part, SourceVoltage) for part in modules_in(scene.law))
-    return _voltages() if is_voltage else _motions()
 
 
 def scene_of(config: StudyConfig, samples: int | None = None) -> Scene:

@@ -1,5 +1,6 @@
 """A study or a sweep: the sections of its TOML file as pydantic models, and the way back from objects to a file."""
 
+import dataclasses
 import math
 import re
 from collections.abc import Mapping
@@ -24,26 +25,24 @@ from .._systems.system import System
 from .._uncertainty.families import Uniform
 from ._errors import StudyError
 from ._sections import (
+    FIELDS,
     Section,
     Start,
     UniformConfig,
     kinds_in,
     shown_value,
-    start_value,
     tag_key,
     tag_of,
     toml_blocks,
     toml_value,
+    value_of,
 )
 from ._systems_config import (
     BaseConfig,
     BlockRowConfig,
-    FrictionConfig,
     LinearStructureConfig,
     MassSpringConfig,
     MotorCartConfig,
-    NormalForceConfig,
-    NumberOrForce,
     SourceVoltageConfig,
     StoreysOnBearingConfig,
     StructureSection,
@@ -101,7 +100,7 @@ class PointConfig(Section):
 
     def y0(self) -> tuple[float | Uniform, ...] | None:
         """The initial state as the simulation takes it; None for zeros."""
-        return tuple(start_value(getattr(self, name)) for name in self.initial)
+        return tuple(value_of(getattr(self, name)) for name in self.initial)
 
 
 class RunConfig(PointConfig):
@@ -156,7 +155,7 @@ class StructurePointConfig(PointConfig):
     )
 
     def y0(self) -> tuple[float | Uniform, ...] | None:
-        return None if self.initial_state is None else tuple(map(start_value, self.initial_state))
+        return None if self.initial_state is None else tuple(map(value_of, self.initial_state))
 
 
 class MassSpringRunConfig(MassSpringPointConfig, RunConfig):
@@ -213,22 +212,13 @@ class FileConfig(Section):
         return kind.model_validate(table, context=info.context)
 
     @model_validator(mode="after")
-    def _base_drives_the_system(self) -> "FileConfig":
+    def _sections_fit(self) -> "FileConfig":
         law, model = toml_value(tag_of(type(self.base))), tag_of(type(self.system))
-        voltage = isinstance(self.base, SourceVoltageConfig)
-        if self.system.driven_by_voltage and not voltage:
-            raise ValueError(
-                f'law in [base] must be "SourceVoltage", because model in [system] is {model}, but {law} was given.'
-            )
-        if voltage and not self.system.driven_by_voltage:
-            raise ValueError(
-                f"law in [base] must be a motion of the base, because model in [system] is {model}, but {law} was "
-                "given, which drives a MotorCart."
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _run_fits_the_friction(self) -> "FileConfig":
+        voltage, by_voltage = isinstance(self.base, SourceVoltageConfig), self.system.driven_by_voltage
+        if voltage != by_voltage:
+            needed = '"SourceVoltage"' if by_voltage else "a motion of the base"
+            given = f"{law} was given" + ("" if by_voltage else ", which drives a MotorCart")
+            raise ValueError(f"law in [base] must be {needed}, because model in [system] is {model}, but {given}.")
         run: Any = getattr(self, "run", None)
         for key in ("width", "step"):
             value = getattr(run, key, None)
@@ -237,19 +227,13 @@ class FileConfig(Section):
                     f"{key} in [run] must be left out for friction laws with an inner state, which are smooth by "
                     f"themselves and need adaptive steps, but {value:g} was given."
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _run_fits_a_structure(self) -> "FileConfig":
-        run: Any = getattr(self, "run", None)
-        if not isinstance(self.system, StructureSection) or run is None:
-            return self
-        size, state = self.system.size, run.initial_state
-        if state is not None and len(state) != 2 * size:
-            raise ValueError(
-                f"initial_state in [run] must hold {2 * size} numbers, the positions and then the velocities of {size} "
-                f"masses, but {len(state)} were given."
-            )
+        if isinstance(self.system, StructureSection) and run is not None:
+            size, state = self.system.size, run.initial_state
+            if state is not None and len(state) != 2 * size:
+                raise ValueError(
+                    f"initial_state in [run] must hold {2 * size} numbers, the positions and then the velocities of "
+                    f"{size} masses, but {len(state)} were given."
+                )
         return self
 
     def to_toml(self) -> str:
@@ -320,21 +304,19 @@ def _check_number(points: int) -> None:
 
 
 def _values(name: str, given: object) -> np.ndarray:
-    several = "," in name
+    several, width = "," in name, name.count(",") + 1
     if isinstance(given, dict) and not several:
         return _range(name, given)
     if not isinstance(given, list) or not given:
-        wanted = (
-            "rows such as [[0.5, 1.0], [1.0, 2.0]]" if several else "a list, { linspace = ... } or { logspace = ... }"
-        )
+        wanted = "a list, { linspace = ... } or { logspace = ... }"
+        wanted = "rows such as [[0.5, 1.0], [1.0, 2.0]]" if several else wanted
         raise ValueError(f"{name} must be {wanted}, but {shown_value(given)} was given.")
-    rows = given if several else [[one] for one in given]
-    width = name.count(",") + 1
-    for row in rows:
+    for one in given:
+        row = one if several else [one]
         if not (isinstance(row, list) and len(row) == width and all(map(_is_number, row))):
             wanted = f"rows of {width} numbers" if several else "numbers"
-            raise ValueError(f"{name} must hold {wanted}, but {shown_value(row if several else row[0])} was given.")
-    return np.array(rows if several else given, float)
+            raise ValueError(f"{name} must hold {wanted}, but {shown_value(one)} was given.")
+    return np.array(given, float)
 
 
 def _range(name: str, given: dict[str, object]) -> np.ndarray:
@@ -348,21 +330,13 @@ def _range(name: str, given: dict[str, object]) -> np.ndarray:
             f"{name} must be a list, or a table with {one_of(_RANGES)}, but {shown_value(given)} was given"
             f"{hint or dotted or '.'}"
         )
-    ends = limits if isinstance(limits, list) else []
-    if (
-        len(ends) != 3
-        or not all(_is_number(end) and abs(end) <= LARGEST for end in ends)
-        or not isinstance(ends[2], int)
-        or ends[2] < 1
-    ):
-        raise ValueError(
-            f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], but {shown_value(limits)} "
-            "was given."
-        )
+    but = f"but {shown_value(limits)} was given"
+    ends: list[Any] = limits if isinstance(limits, list) and len(limits) == 3 else [None]
+    are_numbers = all(_is_number(end) and abs(end) <= LARGEST for end in ends)
+    if not are_numbers or not isinstance(ends[2], int) or ends[2] < 1:
+        raise ValueError(f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], {but}.")
     if kind == "logspace" and min(ends[:2]) <= 0:
-        raise ValueError(
-            f"logspace of {name} must go from and to positive numbers, but {shown_value(limits)} was given."
-        )
+        raise ValueError(f"logspace of {name} must go from and to positive numbers, {but}.")
     _check_number(ends[2])  # before there are any values
     return _RANGES[kind](*ends)
 
@@ -419,10 +393,6 @@ class SweepConfig(FileConfig):
 # A study's file from the objects that a simulation takes: the way back of `build`.
 
 
-_KEYS = ("step", "max_steps", "width", "shape")
-"""Of the section [run] that are fields of a method too."""
-
-
 def config_of(
     system: System,
     law: Any,
@@ -439,11 +409,13 @@ def config_of(
         StudyError: For objects that no section of a study's file describes, such as classes of a user's own; so what
             is described is what was given.
     """
-    table = _system_table(system)
-    run: dict[str, Any] = {"t1": float(t1), "samples": samples, "seed": seed, **_method_keys(method)}
-    run["dtype"] = str(jnp.result_type(float))
+    table = _table(system, kinds_in(SystemConfig))
+    run: dict[str, Any] = {"t1": float(t1), "samples": samples, "seed": seed, "dtype": str(jnp.result_type(float))}
+    found = {key: _plain(getattr(method, key, None)) for key in ("step", "max_steps", "width", "shape")}
+    found["solver"] = None if method.solver is None else type(method.solver).__name__
+    run |= {key: value for key, value in found.items() if value is not None}
     if y0 is not None:
-        starts = [_start(one) for one in y0]
+        starts = [{"low": float(v.low), "high": float(v.high)} if isinstance(v, Uniform) else _plain(v) for v in y0]
         kind = StudyConfig.runs[kinds_in(SystemConfig)[table["model"]]]
         run |= dict(zip(kind.initial, starts, strict=True)) if kind.initial else {"initial_state": starts}
     base = _table(law, kinds_in(BaseConfig))
@@ -459,68 +431,32 @@ def config_of(
     return config
 
 
-def _method_keys(method: Exact | Regularized) -> dict[str, Any]:
-    """The keys of the section [run] that say how is simulated."""
-    found = {key: getattr(method, key, None) for key in _KEYS}
-    if method.solver is not None:
-        found["solver"] = type(method.solver).__name__
-    return {key: _plain(value) for key, value in found.items() if value is not None}
-
-
-def _start(value: Any) -> Any:
-    return {"low": float(value.low), "high": float(value.high)} if isinstance(value, Uniform) else _plain(value)
-
-
-def _system_table(system: Any) -> dict[str, Any]:
-    if type(system) is not LinearStructure:
-        return _table(system, kinds_in(SystemConfig))
-    counted = system.counted_track
-    normal_forces, frictions = kinds_in(NormalForceConfig), kinds_in(FrictionConfig)
-    contacts = [
-        {
-            "direction": _plain(one.direction),
-            "normal_force": _table(one.normal_force, normal_forces),
-            "friction": _table(one.friction, frictions),
-            "on_base": _plain(one.on_base),
-        }
-        for one in system.contacts
-    ]
-    table = {
-        "model": "LinearStructure",
-        "mass": _plain(system.mass),
-        "stiffness": _plain(system.stiffness),
-        "rotates": system.rotates,
-        "contact": "all" if counted in (None, -1) else counted,
-        "contacts": contacts,
-    }
-    if system.damping is not None:
-        table["damping"] = _plain(system.damping)
-    if system.force is not None:
-        table["force"] = [0.0 if one is None else _table(one, kinds_in(NumberOrForce)) for one in system.force]
-    return table
-
-
 def _table(value: Any, kinds: Mapping[str, type[Section]]) -> Any:
-    """The section or number that describes `value`. `kinds`: the sections that may stand here, by name."""
+    """The section, number or list that describes `value`. `kinds`: the sections that may stand here, by name."""
     if isinstance(value, RandomPhase):
         table = _table(value.signal, kinds)
         return {key: entry for key, entry in table.items() if key not in ("phase", "phases")} | {"random_phase": True}
+    if isinstance(value, (tuple, list)) and kinds:
+        return [0.0 if one is None else _table(one, kinds) for one in value]
     if not isinstance(value, eqx.Module):
         return _plain(value)
     name = type(value).__name__
     kind = kinds.get(name)
-    if kind is None or getattr(kind, "described_class", type(value)) is not type(value):
+    own = getattr(kind, "described_class", type(value))
+    if kind is None or (own is not type(value) and described(own)):  # others are compared when all is described
         raise StudyError(f"{name} has no section in a study's file; copy it as Python instead.")
     tag = tag_key(kind)
     table: dict[str, Any] = {} if tag is None else {tag: name}
-    known = described(type(value))
+    fields = {field.name for field in dataclasses.fields(value)}
     for key, info in kind.model_fields.items():
-        name_of_field = "law" if key == "slip" else key
-        entry = getattr(value, name_of_field, None) if key in known or key not in ("mu", tag) else None
+        name = FIELDS.get(key, key)
+        entry = getattr(value, name) if name in fields else None
         if entry is not None and key != tag:
             table[key] = _table(entry, kinds_in(info.annotation))
     if "random_phase" in kind.model_fields:
         table["random_phase"] = False
+    if isinstance(value, LinearStructure):
+        table["contact"] = "all" if value.counted_track in (None, -1) else value.counted_track
     return table
 
 

@@ -71,13 +71,9 @@ def _share(
     law: Mapping[str, object], samples: int = 1, keep: str = "totals", *, swept: bool = True
 ) -> dict[str, Mapping[str, object]]:
     over = {"mu": {"linspace": list(papers.SHARE_FRICTIONS)}}
-    if swept:
-        over["r"] = {"linspace": list(papers.SHARE_RATIOS)}
-    return {
-        "base": law,
-        "run": {"samples": samples},
-        "sweep": {"keep": keep, "statistics": ["stick_fraction"], "over": over},
-    }
+    over |= {"r": {"linspace": list(papers.SHARE_RATIOS)}} if swept else {}
+    sweep = {"keep": keep, "statistics": ["stick_fraction"], "over": over}
+    return {"base": law, "run": {"samples": samples}, "sweep": sweep}
 
 
 PAPERS: dict[str, Mapping[str, Mapping[str, object]]] = {
@@ -234,25 +230,26 @@ _File = TypeVar("_File", bound=FileConfig)
 _Tables = Mapping[str, Mapping[str, object]]
 _Options = Mapping[tuple[str, str], str]
 """The option of the command by which a value was given, by section and key."""
+_A_SECTION, _SECTIONS = "a section [{}] of keys", "sections [[{}]] of keys, one or more"
 _NOT_A_SECTION = {
-    "model_type": "a section [{}] of keys",
-    "model_attributes_type": "a section [{}] of keys",
-    "list_type": "sections [[{}]] of keys, one or more",
-    "too_short": "sections [[{}]] of keys, one or more",
+    **dict.fromkeys(("model_type", "model_attributes_type"), _A_SECTION),
+    **dict.fromkeys(("list_type", "too_short"), _SECTIONS),
 }
 """What must be where something else stands, by what pydantic says of it."""
+_NOT_A_VALUE = {
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "bool_type": "must be true or false",
+    "string_type": "must be a text in quotation marks",
+    "list_type": "must be a list in brackets",
+    **dict.fromkeys(("string_too_short", "too_short"), "must not be empty"),
+}
+"""Likewise of the values of keys."""
 _LONGEST = 16 * 10**6  # bytes of a file
 _CHOSEN = None  # the name under which the chosen kind of a section stands
 
-OPTIONS = {
-    "samples": ("run", "samples"),
-    "seed": ("run", "seed"),
-    "t1": ("run", "t1"),
-    "threads": ("run", "threads"),
-    "chunk": ("run", "chunk"),
-    "out": ("output", "directory"),
-    "figures": ("output", "figures"),
-}
+OPTIONS = {name: ("run", name) for name in ("samples", "seed", "t1", "threads", "chunk")}
+OPTIONS |= {"out": ("output", "directory"), "figures": ("output", "figures")}
 """The section and key whose value each option of the command replaces."""
 
 
@@ -338,35 +335,39 @@ def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, sour
     try:
         return kind.model_validate(table, context={"folder": Path() if path is None else path.parent})
     except ValidationError as error:
-        raise StudyError(source + _sentence_for(error, table, options, kind)) from None
+        # A misspelt key shows as unknown and, often, also as missing: the first says more.
+        problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+        system = table.get("system")
+        model = system.get("model") if isinstance(system, dict) else None
+        run = _runs_by_model(kind).get(model if isinstance(model, str) else "", kind.runs[MassSpringConfig])
+        raise StudyError(source + _sentence_for(problem, options, kind, run)) from None
 
 
-def _sentence_for(
-    error: ValidationError, table: Mapping[str, object], options: _Options, file: type[FileConfig]
-) -> str:
-    """One sentence for the first problem that pydantic found in `table`, the content of this kind of `file`."""
-    # A misspelt key shows as unknown and, often, also as missing: the first says more.
-    problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
-    run = _run_kind(table, file)
-    place = _place_of(problem["loc"], file, run)
-    if problem["type"] == "extra_forbidden":
-        return _unknown_key(place, file) if place.section else _unknown_section(place.key, problem["input"], file)
-    if problem["type"] in _NOT_A_SECTION and not place.key:
-        demand = _NOT_A_SECTION[problem["type"]].format(place.section)
-        return f"{place.name} must be {demand}, but {shown_value(problem['input'])} was given."
-    if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
-        return _wrong_tag(place, problem["input"])
-    if problem["type"] == "missing":
-        return _missing(place, _place_of(problem["loc"][:-1], file, run))
-    if problem["type"] == "value_error":
+def _sentence_for(problem: Any, options: _Options, file: type[FileConfig], run: type[Section]) -> str:
+    """What pydantic found in this kind of `file`, with this kind of section ``[run]``."""
+    place, kind, given = _place_of(problem["loc"], file, run), problem["type"], problem.get("input")
+    if kind == "extra_forbidden":
+        return _unknown_key(place, file) if place.section else _unknown_section(place.key, given, file)
+    if kind in _NOT_A_SECTION and not place.key:
+        return f"{place.name} must be {_NOT_A_SECTION[kind].format(place.section)}, but {shown_value(given)} was given."
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        return _wrong_tag(place, given)
+    if kind == "missing":
+        owner = _place_of(problem["loc"][:-1], file, run)
+        about = owner.kind.model_fields[place.key or place.name]
+        name = place.key or (place.name if _takes_a_number(about.annotation) else f"[{place.section}]")
+        return f"[{owner.section}] lacks {name} ({about.description}), which {tag_of(owner.kind)} needs."
+    if kind == "value_error":
         said = str(problem.get("ctx", {})["error"]).removeprefix("Argument ").removeprefix("Arguments ")
         return f"in [{place.section}], {said}" if place.section else said
     option = options.get((place.section, place.key))
     subject = f"{place.key} in [{place.section}]" if option is None else f"option --{option}"
-    demand = _demand(problem["type"], problem["msg"])
-    if problem["loc"][-1] == NUMBER:
-        demand += _in_place_of_a_number(place)
-    return f"{subject} {demand}, but {shown_value(problem['input'])} was given."
+    demand = _NOT_A_VALUE.get(kind) or problem["msg"].replace("Input should be", "must be")
+    if problem["loc"][-1] == NUMBER:  # what else may stand there
+        kinds = kinds_in(place.kind.model_fields[_without_numbers(place.key)].annotation)
+        is_start = UniformConfig in kinds.values()
+        demand += " or { low = ..., high = ... }" if is_start else f" or a section of the law {one_of(kinds)}"
+    return f"{subject} {demand}, but {shown_value(given)} was given."
 
 
 # --- where it is
@@ -407,20 +408,10 @@ def _place_of(location: Iterable[str | int], file: type[FileConfig], run: type[S
                 place = place._replace(key=str(part))
                 continue
             inside = f"{place.section}.{part}".removeprefix(".")
-            outside, place = place, _Place(inside, _kinds_of_place({"run": run} if inside == "run" else kinds))
+            kind, *others = (run,) if inside == "run" else kinds.values()
+            known: dict[Any, type[Section]] = {**kinds} if others or kind is UniformConfig else {_CHOSEN: kind}
+            outside, place = place, _Place(inside, known)
     return place
-
-
-def _kinds_of_place(kinds: Mapping[str, type[Section]]) -> Mapping[str | None, type[Section]]:
-    (kind, *others) = kinds.values()
-    return {**kinds} if others or kind is UniformConfig else {_CHOSEN: kind}
-
-
-def _run_kind(table: Mapping[str, object], file: type[FileConfig]) -> type[Section]:
-    """The kind of the section [run]."""
-    system = table.get("system")
-    model = system.get("model") if isinstance(system, dict) else None
-    return _runs_by_model(file).get(model if isinstance(model, str) else "", file.runs[MassSpringConfig])
 
 
 def _runs_by_model(file: type[FileConfig]) -> dict[str, type[Section]]:
@@ -441,38 +432,9 @@ def _all_sections(
 # --- what is wrong
 
 
-def _demand(kind: str, said: str) -> str:
-    demands = {
-        "float_type": "must be a number",
-        "int_type": "must be a whole number",
-        "bool_type": "must be true or false",
-        "string_type": "must be a text in quotation marks",
-        "list_type": "must be a list in brackets",
-        "string_too_short": "must not be empty",
-        "too_short": "must not be empty",
-    }
-    return demands.get(kind) or said.replace("Input should be", "must be")
-
-
-def _in_place_of_a_number(place: _Place) -> str:
-    """What else may stand where a number was expected."""
-    kinds = kinds_in(place.kind.model_fields[_without_numbers(place.key)].annotation)
-    return (
-        " or { low = ..., high = ... }"
-        if UniformConfig in kinds.values()
-        else f" or a section of the law {one_of(kinds)}"
-    )
-
-
 def _without_numbers(name: str) -> str:
     """The name of a key or section without the number in a list."""
     return re.sub(r"\[\d+\]", "", name)
-
-
-def _missing(place: _Place, owner: _Place) -> str:
-    about = owner.kind.model_fields[place.key or place.name]
-    name = place.key or (place.name if _takes_a_number(about.annotation) else f"[{place.section}]")
-    return f"[{owner.section}] lacks {name} ({about.description}), which {tag_of(owner.kind)} needs."
 
 
 def _takes_a_number(annotation: object) -> bool:
@@ -485,7 +447,7 @@ def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
     if key not in table:
         return f"[{place.section}] lacks {key}, which must be {one_of(kinds)}."
     return (
-        f"{key} in [{place.section}] must be one of {_listed(kinds)}, but {shown_value(table[key])} was given"
+        f"{key} in [{place.section}] must be one of {', '.join(kinds)}, but {shown_value(table[key])} was given"
         f"{_nearest(str(table[key]), kinds, before='; ') or '.'}"
     )
 
@@ -495,11 +457,11 @@ def _unknown_key(place: _Place, file: type[FileConfig]) -> str:
     tag, name = ("model", one_of(models)) if models else (tag_key(place.kind), tag_of(place.kind))
     owner = f"[{place.section}]" if tag is None else f"[{place.section}] of the {tag} {name}"
     hint = _owner_of(key, file, _without_numbers(place.section)) or _nearest(key, place.kind.model_fields)
-    return f"unknown key {key} in {owner}; {hint or f'its keys are {_listed(place.kind.model_fields)}.'}"
+    return f"unknown key {key} in {owner}; " + (hint or f"its keys are {', '.join(place.kind.model_fields)}.")
 
 
 def _unknown_section(name: str, value: object, file: type[FileConfig]) -> str:
-    sections = _listed(file.model_fields)
+    sections = ", ".join(file.model_fields)
     if not isinstance(value, dict):
         return f"unknown key {name} outside every section; {_owner_of(name, file) or f'keys belong in {sections}.'}"
     inner = [section for section, _ in _all_sections(file) if section.endswith(f".{name}")]
@@ -515,14 +477,9 @@ def _owner_of(key: str, file: type[FileConfig], section: str = "") -> str:
         if owners and len(owners) == len(kinds):
             return f"{key} belongs in [{name}]."
         if owners:
-            return (
-                f"{key} belongs in [{name}] of the {'model' if name in ('system', 'run') else 'law'} {one_of(owners)}."
-            )
+            tag = "model" if name in ("system", "run") else "law"
+            return f"{key} belongs in [{name}] of the {tag} {one_of(owners)}."
     return ""
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ", ".join(names)
 
 
 def _nearest(name: str, known: Iterable[str], before: str = "") -> str:

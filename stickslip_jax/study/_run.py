@@ -35,8 +35,7 @@ from .._foundation.types import Ending, Status
 from .._statistics.estimate import Estimate, format_with_error
 from .._statistics.quantities import FirstSticks, first_stick
 from .._statistics.totals import STATISTICS
-from .._systems.system import System
-from ._config import FileConfig, PointConfig, RunConfig, StudyConfig
+from ._config import FileConfig, PointConfig, StudyConfig
 from ._errors import StudyError
 
 # The folder of a result: no file is overwritten without --force, and no result is left incomplete.
@@ -63,9 +62,19 @@ def result_folder(directory: Path, *, force: bool = False) -> Iterator[Path]:
     Raises StudyError, before the block runs, if `directory` holds a result and `force` is False, or cannot be written.
     """
     _refuse_to_overwrite(directory, force)
-    made: list[Path] = []
+    made: list[Path] = []  # what did not exist before
     try:
-        staging = _staging_in(directory, made)
+        try:
+            for folder in reversed([directory, *directory.parents]):
+                if not folder.exists():
+                    folder.mkdir()
+                    made.append(folder)
+            staging = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=directory))
+        except NotADirectoryError:
+            raise StudyError(f"{directory} cannot hold a result, because it is, or lies below, a file.") from None
+        except (OSError, ValueError) as error:  # ValueError: not even a path, because it holds a null character
+            reason = getattr(error, "strerror", None) or error
+            raise StudyError(f"{directory} cannot be written ({reason}); choose another folder.") from None
         try:
             yield staging
             with _uninterrupted():
@@ -90,30 +99,15 @@ def _refuse_to_overwrite(directory: Path, force: bool) -> None:
         )
 
 
-def _staging_in(directory: Path, made: list[Path]) -> Path:
-    """Make `directory` and a temporary folder in it, which is returned; append to `made` what did not exist before."""
-    try:
-        for folder in reversed([directory, *directory.parents]):
-            if not folder.exists():
-                folder.mkdir()
-                made.append(folder)
-        return Path(tempfile.mkdtemp(prefix=".unfinished-", dir=directory))
-    except NotADirectoryError:
-        raise StudyError(f"{directory} cannot hold a result, because it is, or lies below, a file.") from None
-    except (OSError, ValueError) as error:  # ValueError: not even a path, because it holds a null character
-        reason = getattr(error, "strerror", None) or error
-        raise StudyError(f"{directory} cannot be written ({reason}); choose another folder.") from None
-
-
 def _publish(staging: Path, directory: Path) -> None:
     """Move the old files aside and the new ones into place; if that fails, move all of them back."""
     aside = staging / "replaced"
     aside.mkdir()
-    old = [(directory / name, aside / name) for name in reversed(RESULT_FILES)]
-    new = [(staging / name, directory / name) for name in RESULT_FILES]
+    moves = [(directory / name, aside / name) for name in reversed(RESULT_FILES)]
+    moves += [(staging / name, directory / name) for name in RESULT_FILES]
     moved: list[tuple[Path, Path]] = []
     try:
-        for source, target in (*old, *new):
+        for source, target in moves:
             if os.path.lexists(source):
                 source.replace(target)
                 moved.append((source, target))
@@ -159,28 +153,29 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
         plot.save(plot.phase_portrait(one), folder / PHASE_PORTRAIT, title=title)
     if ensemble.accumulator is None:
         return
-    plot.save(
-        plot.histogram(ensemble), folder / STICK_DURATIONS, title=f"Stick durations in {ensemble.samples} samples"
-    )
+    samples = f"{ensemble.samples} samples"
+    plot.save(plot.histogram(ensemble), folder / STICK_DURATIONS, title=f"Stick durations in {samples}")
     if first_sticks is None:
         whose, axes = "sticks", plot.joint_histogram(ensemble.statistics.joint("duration", "position"))
     else:
-        bound = _voltage(ensemble)
+        # The bound of stick durations is known in closed form for a voltage.
+        bound: Any = ensemble.law if isinstance(_signal_of(ensemble.law), SourceVoltage) else None
         whose, axes = "first sticks", plot.stick_map(first_sticks, system=ensemble.system, bound=bound)
-    title = f"Duration and position of {whose} in {ensemble.samples} samples"
-    plot.save(axes, folder / DURATION_AND_POSITION, title=title)
+    plot.save(axes, folder / DURATION_AND_POSITION, title=f"Duration and position of {whose} in {samples}")
 
 
-def _voltage(ensemble: Ensemble) -> SourceVoltage | RandomPhase | None:
-    """The voltage if the bound of its stick durations is known in closed form; else None."""
-    law = ensemble.law
-    known = isinstance(law, SourceVoltage) or (isinstance(law, RandomPhase) and isinstance(law.signal, SourceVoltage))
-    return law if known else None
+def _signal_of(law: Any) -> Any:
+    return law.signal if isinstance(law, RandomPhase) else law
 
 
 def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:
-    """Sample 0 of the ensemble with all its events, from 0 to a time short enough for a figure."""
-    t1 = min(ensemble.t1, _time_shown(ensemble.system, ensemble.law))
+    """Sample 0 of the ensemble with all its events, from 0 to a time whose oscillations a figure can tell apart."""
+    frequency = ensemble.system.natural_frequency
+    if frequency is None or not np.all(np.asarray(frequency) > 0):
+        shown = _VOLTAGE_PERIODS_SHOWN * float(getattr(_signal_of(ensemble.law), "shortest_period", math.inf))
+    else:
+        shown = _PERIODS_SHOWN * 2 * math.pi / float(frequency)
+    t1 = min(ensemble.t1, shown)
     method = dataclasses.replace(config.run.method(config.system.has_inner_states), max_steps=None)
     for covered in (t1, 2 * t1, 4 * t1):
         # A base motion drawn for a shorter time begins in the same way: the beginning is enough, if it covers t1.
@@ -189,15 +184,6 @@ def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation
         if int(one.status) != Status.BASE_TOO_SHORT:
             break
     return one
-
-
-def _time_shown(system: System, law: object) -> float:
-    """The longest time whose oscillations can be distinguished in a figure, s."""
-    frequency = system.natural_frequency
-    if frequency is None or not np.all(np.asarray(frequency) > 0):
-        signal: Any = law.signal if isinstance(law, RandomPhase) else law
-        return _VOLTAGE_PERIODS_SHOWN * float(getattr(signal, "shortest_period", math.inf))
-    return _PERIODS_SHOWN * 2 * math.pi / float(frequency)
 
 
 # Running a study: its ensemble is simulated, its statistics are estimated, both are stored with figures.
@@ -240,29 +226,29 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
             JAX is set to, and for what `simulate_ensemble` refuses.
         OSError: If writing fails.
     """
-    _check_dtype(config.run)
+    run = config.run
+    if str(jnp.result_type(float)) != run.dtype:
+        wanted = run.dtype == "float64"
+        raise StudyError(
+            f"dtype {run.dtype} in [run] needs jax.config.update('jax_enable_x64', {wanted}) before anything else."
+        )
     directory = Path(config.output.directory).expanduser()
     with result_folder(directory, force=force) as folder, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # as the configuration asks
         ensemble = simulate_study(config, progress)
         statistics = {name: estimate(ensemble) for name, estimate in STATISTICS.items()}
-        first = _first_sticks(config, ensemble)
+        first = None
+        if ensemble.flat_sticks is not None and run.maps_first_sticks:
+            first = first_stick(ensemble, count_initial_rest=run.count_initial_rest)
         with writing(directory):
-            _write(folder, config, ensemble, statistics, first)
+            write_netcdf(folder / DATA, config, ensemble, statistics, first)
+            (folder / CONFIG).write_text(config.to_toml(), encoding="utf-8")
+            if ensemble.accumulator is not None:
+                (folder / SUMMARY).write_text(f"{ensemble.summary()}\n", encoding="utf-8")
+            if config.output.figures:
+                draw_figures(config, ensemble, first, folder)
         files = tuple(name for name in RESULT_FILES if (folder / name).exists())
     return StoredStudy(config, ensemble, statistics, first, directory, files)
-
-
-def _write(
-    folder: Path, config: StudyConfig, ensemble: Ensemble, statistics: Mapping[str, Estimate], first: FirstSticks | None
-) -> None:
-    """Write all files of the result into a folder."""
-    write_netcdf(folder / DATA, config, ensemble, statistics, first)
-    (folder / CONFIG).write_text(config.to_toml(), encoding="utf-8")
-    if ensemble.accumulator is not None:
-        (folder / SUMMARY).write_text(f"{ensemble.summary()}\n", encoding="utf-8")
-    if config.output.figures:
-        draw_figures(config, ensemble, first, folder)
 
 
 def simulate_study(config: StudyConfig, progress: bool | None = None) -> Ensemble:
@@ -273,9 +259,7 @@ def simulate_study(config: StudyConfig, progress: bool | None = None) -> Ensembl
     """
     run, arguments = config.run, arguments_of(config, config.run)
     try:
-        return simulate_ensemble(
-            **arguments, keep=run.keep, threads=run.threads, chunk=run.chunk, progress=progress
-        )  # fmt: skip
+        return simulate_ensemble(**arguments, keep=run.keep, threads=run.threads, chunk=run.chunk, progress=progress)
     except ValueError as error:
         raise StudyError(in_words_of_the_file(str(error))) from error
 
@@ -304,35 +288,14 @@ def built(section: Any, name: str) -> Any:
         raise StudyError(f"in [{name}], {said}") from error
 
 
-def _first_sticks(config: StudyConfig, ensemble: Ensemble) -> FirstSticks | None:
-    if ensemble.flat_sticks is None or not config.run.maps_first_sticks:
-        return None
-    return first_stick(ensemble, count_initial_rest=config.run.count_initial_rest)
-
-
-_NAMES = {
-    "base": "[base]",
-    "force": "[system.force]",
-    "keep": "keep in [run]",
-    "law": "[base]",
-    "samples": "samples in [run]",
-    "step": "step in [run]",
-    "t1": "t1 in [run]",
-}
+_NAMES = {"base": "[base]", "law": "[base]", "force": "[system.force]"}
+_NAMES |= {key: f"{key} in [run]" for key in ("keep", "samples", "step", "t1")}
 
 
 def in_words_of_the_file(said: str) -> str:
     """A message of `simulate_ensemble` with the names of its arguments replaced by sections and keys of the file."""
     said = re.sub(r"\AArguments? (\w+)", lambda found: _NAMES.get(found[1], found[1]), said)
     return said.replace("use method=Exact(solver=diffrax.Dopri8())", 'set solver = "Dopri8" in [run]')
-
-
-def _check_dtype(run: RunConfig) -> None:
-    if str(jnp.result_type(float)) != run.dtype:
-        wanted = run.dtype == "float64"
-        raise StudyError(
-            f"dtype {run.dtype} in [run] needs jax.config.update('jax_enable_x64', {wanted}) before anything else."
-        )
 
 
 # --- the data set
@@ -345,24 +308,15 @@ def write_netcdf(
     statistics: Mapping[str, Estimate],
     first_sticks: FirstSticks | None,
 ) -> None:
-    """Write the data set of a study to `path`, a NetCDF 4 file.
-
-    Histograms and all else of ``ensemble.statistics.to_xarray()`` are in the group ``statistics``. `load` makes the
-    ensemble of the file again. Raises OSError if the file cannot be written.
-    """
-    dataset = _dataset_of(config, ensemble, statistics, first_sticks)
-    groups = {} if ensemble.accumulator is None else {"statistics": ensemble.statistics.to_xarray()}
-    write_whole(path, as_netcdf(dataset, compression(dataset), groups))
-
-
-def _dataset_of(
-    config: StudyConfig, ensemble: Ensemble, statistics: Mapping[str, Estimate], first_sticks: FirstSticks | None
-) -> xr.Dataset:
-    """An ``xarray.Dataset`` of the ensemble (``ensemble.to_xarray()``) and of the statistics.
+    """Write the data set of a study to `path`, a NetCDF 4 file of the ensemble (``ensemble.to_xarray()``) and them.
 
     `first_sticks` become variables along ``sample``, ``first_stick_<column>``, NaN where there is none. Each statistic
     is a variable, its standard error another, ``<name>_standard_error``. All have ``units`` and ``long_name``; the
-    attributes say what was simulated, by which versions, and how many samples did not finish.
+    attributes say what was simulated, by which versions, and how many samples did not finish: parameters are called
+    ``<section>_<key>``, in the units of the configuration, which is an attribute itself.
+
+    Histograms and all else of ``ensemble.statistics.to_xarray()`` are in the group ``statistics``. `load` makes the
+    ensemble of the file again. Raises OSError if the file cannot be written.
     """
     dataset = ensemble.to_xarray()
     for name, estimate in statistics.items():
@@ -372,29 +326,16 @@ def _dataset_of(
         about = {"long_name": f"standard error of the {estimate.name}", "units": estimate.unit}
         dataset[error] = ((), estimate.standard_error, about)
     if first_sticks is not None:
-        for name, column in _first_stick_columns(first_sticks).items():
-            dataset[f"first_stick_{name}"] = column
-    dataset.attrs.update({"title": "Ensemble of stick-slip motions", **_provenance(config)})
-    return dataset
-
-
-def _first_stick_columns(first: FirstSticks) -> dict[str, tuple[str, np.ndarray, dict[str, object]]]:
-    endings = {"flag_values": [-1, *map(int, Ending)], "flag_meanings": " ".join(["NONE", *Ending.__members__])}
-    return {
-        "start": ("sample", first.start, {"long_name": "time at which the first stick starts", "units": "s"}),
-        "duration": ("sample", first.duration, {"long_name": "duration of the first stick", "units": "s"}),
-        "angle": ("sample", first.position, {"long_name": "motor angle during the first stick", "units": "rad"}),
-        "ending": ("sample", first.ending, {"long_name": "why the first stick ended", "units": "1", **endings}),
-    }
-
-
-def _provenance(config: StudyConfig) -> dict[str, object]:
-    """Attributes that say how the numbers were computed, besides those of the ensemble; parameters are called
-    ``<section>_<key>``.
-
-    Units are those of the configuration, which is an attribute itself.
-    """
-    attributes: dict[str, object] = {
+        endings = {"flag_values": [-1, *map(int, Ending)], "flag_meanings": " ".join(["NONE", *Ending.__members__])}
+        for name, values, long_name, units, more in (
+            ("start", first_sticks.start, "time at which the first stick starts", "s", {}),
+            ("duration", first_sticks.duration, "duration of the first stick", "s", {}),
+            ("angle", first_sticks.position, "motor angle during the first stick", "rad", {}),
+            ("ending", first_sticks.ending, "why the first stick ended", "1", endings),
+        ):
+            dataset[f"first_stick_{name}"] = ("sample", values, {"long_name": long_name, "units": units, **more})
+    dataset.attrs |= {
+        "title": "Ensemble of stick-slip motions",
         "jax_version": jax.__version__,
         "numpy_version": np.__version__,
         "python_version": platform.python_version(),
@@ -406,8 +347,9 @@ def _provenance(config: StudyConfig) -> dict[str, object]:
         "configuration": config.to_toml(),
     }
     for section in ("system", "base", "run"):
-        attributes |= _flat(section, getattr(config, section).model_dump(exclude_none=True))
-    return attributes
+        dataset.attrs |= _flat(section, getattr(config, section).model_dump(exclude_none=True))
+    groups = {} if ensemble.accumulator is None else {"statistics": ensemble.statistics.to_xarray()}
+    write_whole(path, as_netcdf(dataset, compression(dataset), groups))
 
 
 def _flat(name: str, value: object) -> dict[str, object]:
@@ -428,7 +370,13 @@ def _flat(name: str, value: object) -> dict[str, object]:
 def table(study: StoredStudy) -> str:
     """A table of the statistics with units and standard errors, then samples finished, time taken, and files."""
     run, ensemble = study.config.run, study.ensemble
-    rows = [("statistic", "value", "standard error", "unit"), *(_row(each) for each in study.statistics.values())]
+    samples, grazing = ensemble.samples, ensemble.near_grazing_samples
+    rows = [("statistic", "value", "standard error", "unit")]
+    for one in study.statistics.values():
+        value, error = "not defined", ""
+        if not math.isnan(one.value):
+            value, error = format_with_error(one.value, one.standard_error).split(" +- ")
+        rows.append((one.name, value, error, one.unit))
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
     lines = [
         f"{run.samples} samples of {study.config.system.title}, {study.config.base.title}, on [0, {run.t1:g}] s "
@@ -436,9 +384,23 @@ def table(study: StoredStudy) -> str:
         "",
         *(f"{a:<{widths[0]}}  {b:>{widths[1]}}  {c:>{widths[2]}}  {d}" for a, b, c, d in rows),
         "",
-        *_endings(study),
-        *_first_sticks_row(study),
-        *(["In float32 event times are accurate to about 2e-6 of t1."] if run.dtype == "float32" else []),
+    ]
+    lines += [
+        f"NOT FINISHED: {count} of {samples} samples, because {status.meaning}; they enter no statistic."
+        for status, count in _not_finished(study).items()
+    ] or [f"All {samples} samples reached t1."]
+    if ensemble.keep == "totals" and not run.count_initial_rest:
+        lines.append('With keep = "totals" sticks that begin at t = 0 count in all numbers.')
+    if ensemble.key_data is None and samples > 1:
+        lines.append(f"Nothing is random here: all {samples} samples are the same.")
+    if grazing:
+        lines.append(f"Near-grazing: {grazing} of {samples} samples, in which round-off decides about an event.")
+    if study.first_sticks is not None:
+        rest = "" if run.count_initial_rest else ", rest at t = 0 not counted"
+        lines.append(f"A first stick was found in {study.first_sticks.count} of {samples} samples{rest}.")
+    if run.dtype == "float32":
+        lines.append("In float32 event times are accurate to about 2e-6 of t1.")
+    lines += [
         f"Time: {ensemble.compile_seconds:.3g} s to compile, {ensemble.run_seconds:.3g} s to run "
         f"on {ensemble.threads} thread{'s' if ensemble.threads > 1 else ''}.",
         f"Files in {study.directory}: {', '.join(study.files)}",
@@ -451,12 +413,12 @@ def as_json(study: StoredStudy) -> str:
     ensemble = study.ensemble
     content: dict[str, object] = {
         name: {
-            "value": _number(estimate.value),
-            "standard_error": _number(estimate.standard_error),
-            "unit": estimate.unit,
-            "samples": estimate.samples,
+            "value": one.value if math.isfinite(one.value) else None,
+            "standard_error": one.standard_error if math.isfinite(one.standard_error) else None,
+            "unit": one.unit,
+            "samples": one.samples,
         }
-        for name, estimate in study.statistics.items()
+        for name, one in study.statistics.items()
     }
     content["samples"] = ensemble.samples
     content["not_finished"] = {status.name: count for status, count in _not_finished(study).items()}
@@ -468,42 +430,6 @@ def as_json(study: StoredStudy) -> str:
     return json.dumps(content, indent=2, allow_nan=False)
 
 
-def _row(estimate: Estimate) -> tuple[str, str, str, str]:
-    if math.isnan(estimate.value):
-        return estimate.name, "not defined", "", estimate.unit
-    value, error = format_with_error(estimate.value, estimate.standard_error).split(" +- ")
-    return estimate.name, value, error, estimate.unit
-
-
-def _endings(study: StoredStudy) -> list[str]:
-    samples, near_grazing_samples = study.ensemble.samples, study.ensemble.near_grazing_samples
-    lines = [
-        f"NOT FINISHED: {count} of {samples} samples, because {status.meaning}; they enter no statistic."
-        for status, count in _not_finished(study).items()
-    ] or [f"All {samples} samples reached t1."]
-    if study.ensemble.keep == "totals" and not study.config.run.count_initial_rest:
-        lines.append('With keep = "totals" sticks that begin at t = 0 count in all numbers.')
-    if study.ensemble.key_data is None and samples > 1:
-        lines.append(f"Nothing is random here: all {samples} samples are the same.")
-    if near_grazing_samples:
-        lines.append(
-            f"Near-grazing: {near_grazing_samples} of {samples} samples, in which round-off decides about an event."
-        )
-    return lines
-
-
-def _first_sticks_row(study: StoredStudy) -> list[str]:
-    if study.first_sticks is None:
-        return []
-    run = study.config.run
-    rest = "" if run.count_initial_rest else ", rest at t = 0 not counted"
-    return [f"A first stick was found in {study.first_sticks.count} of {study.ensemble.samples} samples{rest}."]
-
-
 def _not_finished(study: StoredStudy) -> dict[Status, int]:
     counts = study.ensemble.status_counts
     return {status: count for status, count in counts.items() if status is not Status.FINISHED and count}
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

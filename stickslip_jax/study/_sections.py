@@ -44,25 +44,48 @@ class Section(BaseModel):
         """Its name in reports."""
         return tag_of(type(self))
 
+    def arguments(self, *left_out: str) -> dict[str, Any]:
+        """What its keys hold, as the simulation takes it, by the names of fields; without the tag, the keys that are
+        `left_out`, and those without a value.
+        """
+        keys = [key for key in type(self).model_fields if key not in (tag_key(type(self)), *left_out)]
+        given = {key: getattr(self, key) for key in keys}
+        return {FIELDS.get(key, key): value_of(value) for key, value in given.items() if value is not None}
 
-class DescribedSection(Section):
-    """A section whose keys are the fields of the class `described_class` (`section_of`), and are checked by it."""
 
-    described_class: ClassVar[type]
+FIELDS = {"slip": "law"}
+"""The fields that are called otherwise than their keys, by key."""
+
+
+class BuiltSection(Section):
+    """A section whose keys are the fields of the class `described_class` (`section_of`)."""
+
+    described_class: ClassVar[Any]
+
+    def build(self) -> Any:
+        """The system or law as the simulation takes it.
+
+        Raises ValueError for values that do not fit together and unsuitable records, OSError for a file that cannot
+        be read.
+        """
+        return self.described_class(**self.arguments())
+
+
+class DescribedSection(BuiltSection):
+    """The same, whose values are checked by the class."""
 
     @model_validator(mode="after")
     def _accepted(self) -> "DescribedSection":
         self.build()
         return self
 
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """The keys that are fields of the class, with their values."""
-        return {name: getattr(self, name) for name in described(self.described_class)}
 
-    def build(self) -> Any:
-        """The system or law as the simulation takes it. Raises ValueError for values that do not fit together."""
-        return self.described_class(**self.numbers)
+def value_of(value: Any) -> Any:
+    """The value of a key as the simulation takes it: of a section what it describes, else itself.
+
+    Raises ValueError for an unsuitable record, OSError for a file that cannot be read.
+    """
+    return value.build() if hasattr(value, "build") else value
 
 
 def section_of(
@@ -72,6 +95,7 @@ def section_of(
     *,
     signal_unit: str = "",
     base: type[Section] = DescribedSection,
+    **keys: tuple[Any, Any],
 ) -> Any:
     """A section with one key for each field of `described_class` that has a `Quantity` or a `Choice`.
 
@@ -81,14 +105,16 @@ def section_of(
     - `defaults`: those that a study has in place of the fields' own.
     - `signal_unit`: the unit of what is a base velocity or a force, known by the place of the section.
     - `base`: the class of the section.
+    - `keys`: type and meaning (or pydantic field) of further keys, which stand before the fields', or in place of one.
     """
-    keys: dict[str, Any] = {}
-    changed = {name: {"default": value} for name, value in (defaults or {}).items()}
-    if tag:
-        keys[tag] = (Literal[described_class.__name__], described_class.__name__)
-    for name in described(described_class):
-        keys[name] = key_of(described_class, name, signal_unit=signal_unit, **changed.get(name, {}))
-    section: Any = create_model(f"SectionOf{described_class.__name__}", __base__=base, **keys)
+    known, name = described(described_class), described_class.__name__
+    changed = {key: {"default": value} for key, value in (defaults or {}).items()}
+    usual = {key: key_of(described_class, key, signal_unit=signal_unit, **changed.get(key, {})) for key in known}
+    own = {key: (kind, Field(description=of) if isinstance(of, str) else of) for key, (kind, of) in keys.items()}
+    further: dict[str, Any] = {tag: (Literal[name], name)} if tag else {}
+    further |= {key: value for key, value in own.items() if key not in known}
+    all_keys: dict[str, Any] = {**further, **usual, **own}
+    section: Any = create_model(f"{name}Config", __base__=base, **all_keys)
     section.described_class = described_class
     return section
 
@@ -129,11 +155,6 @@ Start = Annotated[
     Discriminator(lambda value: "Uniform" if isinstance(value, (dict, UniformConfig)) else NUMBER),
 ]
 """An initial value: a number, or a `UniformConfig`."""
-
-
-def start_value(start: Start) -> float | Uniform:
-    """An initial value as the simulation takes it."""
-    return start.build() if isinstance(start, UniformConfig) else start
 
 
 def default_tag(key: str, name: str) -> BeforeValidator:

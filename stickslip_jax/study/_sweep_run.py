@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,8 +39,11 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
     """The sweep that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
     run, sweep = config.run, config.sweep
     over: dict[str | tuple[str, ...], np.ndarray] = {}
+    # Initial values, and the slips of `Ageing`, have other names in `Sweep`.
+    starts = {name: f"y0[{number}]" for number, name in enumerate(run.initial)}
     for names, values in sweep.over.parameter_values().items():
-        full = tuple(_full_name(name, run.initial) for name in names)
+        renamed = [starts.get(name) or re.sub(r"\Ainitial_state\[", "y0[", name) for name in names]
+        full = tuple(re.sub(r"\bslip\.", "law.", name) for name in renamed)
         over[full if len(full) > 1 else "".join(full)] = values
     try:
         return Sweep(
@@ -52,43 +55,30 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
     except StudyError as error:
         raise StudyError(f"{source}{error}") from error
     except ValueError as error:
-        raise StudyError(source + _in_words_of_the_sweep(str(error))) from error
+        said = str(error)
+        for pattern, words in _WORDS_OF_THE_FILE.items():
+            said = re.sub(pattern, words, said)
+        # A message that lists the names allowed goes on with the one that was probably meant.
+        found = re.fullmatch(_LISTING, said)
+        if found is not None:
+            given = (re.findall(r"[\w.]+", found[2]) or [""])[0]
+            near = get_close_matches(given, re.findall(r"\w+", found[1]), n=1, cutoff=0.5)
+            said = f"{said.removesuffix('.')}; did you mean {near[0]}?" if near else said
+        raise StudyError(source + in_words_of_the_file(said)) from error
 
 
-def _full_name(name: str, initial: tuple[str, ...]) -> str:
-    """The name in `Sweep` of a parameter of the file: initial values, and the slips of `Ageing`, have others there."""
-    if name in initial:
-        return f"y0[{initial.index(name)}]"
-    return re.sub(r"\bslip\.", "law.", re.sub(r"\Ainitial_state\[", "y0[", name))
-
-
-_SENSITIVITIES = "sensitivities in [sweep] must hold lists of parameters by statistic"
-_OF_SWEEP = ("keep", "statistics", "standard_error", "realizations", "batch")
-
-
-def _in_words_of_the_sweep(said: str) -> str:
-    """A message of `Sweep` with the names of its arguments replaced by sections and keys of the file."""
-    said = re.sub(r"(\bfriction(\.\w+)?)\.law\.", r"\1.slip.", said)
-    said = re.sub(r"\AArgument over\[\(?'(.+?)'\)?\] ", _values_in_the_file, said)
-    said = re.sub(r"\AArgument over ", "[sweep.over] ", said)
-    said = re.sub(r"\AArgument sensitivities must hold .*?, with a statistic", _SENSITIVITIES, said)
-    said = re.sub(rf"\AArgument ({'|'.join(_OF_SWEEP)})\b(\['\w+'\])?", r"\1\2 in [sweep]", said)
-    return in_words_of_the_file(_with_suggestion(said))
-
-
-def _values_in_the_file(argument: re.Match[str]) -> str:
-    names = argument[1].replace("', '", ", ")  # of parameters that change together
-    return f"{names} in [sweep.over] "
-
-
-def _with_suggestion(said: str) -> str:
-    """A message that lists the names allowed, with the one that was probably meant."""
-    found = re.fullmatch(r".*? (?:names? out of|must name one of|statistic out of) (.*), but (.*) was given\.", said)
-    if found is None:
-        return said
-    given = (re.findall(r"[\w.]+", found[2]) or [""])[0]
-    near = get_close_matches(given, re.findall(r"\w+", found[1]), n=1, cutoff=0.5)
-    return f"{said.removesuffix('.')}; did you mean {near[0]}?" if near else said
+_LISTING = r".*? (?:names? out of|must name one of|statistic out of) (.*), but (.*) was given\."
+_WORDS_OF_THE_FILE: dict[str, Any] = {
+    r"(\bfriction(\.\w+)?)\.law\.": r"\1.slip.",
+    # Of parameters that change together there are several.
+    r"\AArgument over\[\(?'(.+?)'\)?\] ": lambda found: found[1].replace("', '", ", ") + " in [sweep.over] ",
+    r"\AArgument over ": "[sweep.over] ",
+    r"\AArgument sensitivities must hold .*?, with a statistic": (
+        "sensitivities in [sweep] must hold lists of parameters by statistic"
+    ),
+    r"\AArgument (keep|statistics|standard_error|realizations|batch)\b(\['\w+'\])?": r"\1\2 in [sweep]",
+}
+"""What stands in place of the names of arguments in messages of `Sweep`, by regular expressions, in their order."""
 
 
 def run_stored(sweep: Sweep, folder: Path, where: ExecutorOptions) -> "xarray.Dataset":
@@ -189,22 +179,26 @@ def chosen_statistics(dataset: "xarray.Dataset", names: Sequence[str] = ()) -> l
 def sweep_table(dataset: "xarray.Dataset", names: Sequence[str]) -> str:
     """A table of the statistics called `names` at all points with standard errors, and what is to be known of them."""
     counts = np.asarray(dataset["samples"]).reshape(-1)
-    stacked = {name: np.asarray(dataset[name]).reshape(-1) for name in [*names, *(f"{name}_error" for name in names)]}
     heads, columns = _coordinates(dataset)
-    if counts.min() != counts.max():
+    is_even = counts.min() == counts.max()
+    if not is_even:
         heads.append("samples")
         columns.append([f"{count:,}" for count in counts])
     for name in names:
-        heads.append(_label(dataset[name]))
-        pairs = zip(stacked[name], stacked[f"{name}_error"], strict=True)
+        heads.append(_with_unit(dataset[name].attrs["long_name"], dataset[name]))
+        values, errors = (np.asarray(dataset[one]).reshape(-1) for one in (name, f"{name}_error"))
+        pairs = zip(values, errors, strict=True)
         columns.append(["-" if math.isnan(value) else format_with_error(value, error) for value, error in pairs])
-    every = f", {counts[0]:,} samples each" if counts.min() == counts.max() else ""
+    classes = [json.loads(dataset.attrs[name]) for name in ("system", "law")]
+    titles = [one["fields"]["name"] if one["class"] == "Unknown" else one["class"] for one in classes]
+    every = f", {counts[0]:,} samples each" if is_even else ""
     counted = {one: f"samples_{one.name.lower()}" for one in Status}
     ending = {one: int(dataset[name].sum()) if name in dataset else 0 for one, name in counted.items()}
     spent = float(np.nansum(dataset["run_seconds"]))
     return "\n".join(
         [
-            f"{_title(dataset)}: {len(counts)} points{every}",
+            f"{', '.join(titles)}, on [0, {dataset.attrs['t1']:g}] s ({dataset.attrs['dtype']}): "
+            f"{len(counts)} points{every}",
             "",
             *_rows(heads, columns, dataset),
             "",
@@ -212,12 +206,6 @@ def sweep_table(dataset: "xarray.Dataset", names: Sequence[str]) -> str:
             f"Each with its standard error. Time spent simulating: {spent:.3g} s, summed over threads.",
         ]
     )
-
-
-def _title(dataset: "xarray.Dataset") -> str:
-    system, law = (json.loads(dataset.attrs[name]) for name in ("system", "law"))
-    names = [one["fields"]["name"] if one["class"] == "Unknown" else one["class"] for one in (system, law)]
-    return f"{', '.join(names)}, on [0, {dataset.attrs['t1']:g}] s ({dataset.attrs['dtype']})"
 
 
 def _coordinates(dataset: "xarray.Dataset") -> tuple[list[str], list[list[str]]]:
@@ -228,15 +216,14 @@ def _coordinates(dataset: "xarray.Dataset") -> tuple[list[str], list[list[str]]]
         of_it = [name for name, one in dataset.coords.items() if one.dims == (dimension,) and name != dimension]
         for name in of_it or [dimension]:
             values = dataset[name].broadcast_like(dataset["samples"]).transpose(*dimensions).values.reshape(-1)
-            unit = dataset[name].attrs.get("units", "1")
-            heads.append(str(name) if unit == "1" else f"{name} ({unit})")
+            heads.append(_with_unit(str(name), dataset[name]))
             columns.append([f"{value:.6g}" for value in values])
     return heads, columns
 
 
-def _label(variable: "xarray.DataArray") -> str:
+def _with_unit(name: str, variable: "xarray.DataArray") -> str:
     unit = variable.attrs.get("units", "1")
-    return variable.attrs["long_name"] + ("" if unit == "1" else f" ({unit})")
+    return name if unit == "1" else f"{name} ({unit})"
 
 
 def _rows(heads: list[str], columns: list[list[str]], dataset: "xarray.Dataset") -> Iterator[str]:
@@ -245,15 +232,8 @@ def _rows(heads: list[str], columns: list[list[str]], dataset: "xarray.Dataset")
     height = max(map(len, wrapped))
     wrapped = [[""] * (height - len(head)) + head for head in wrapped]
     widths = [max(map(len, [*head, *column])) for head, column in zip(wrapped, columns, strict=True)]
-    for row in zip(*wrapped, strict=True):
-        yield _line(row, widths)
-    shape = dataset["samples"].shape
-    block = math.prod(shape[1:]) if len(shape) > 1 else 0
-    for number, row in enumerate(zip(*columns, strict=True)):
-        if block > 1 and number % block == 0:
+    block = math.prod(dataset["samples"].shape[1:])
+    for number, row in enumerate([*zip(*wrapped, strict=True), *zip(*columns, strict=True)], -height):
+        if number >= 0 and block > 1 and number % block == 0:
             yield ""
-        yield _line(row, widths)
-
-
-def _line(row: Sequence[str], widths: Sequence[int]) -> str:
-    return "  ".join(f"{entry:>{width}}" for entry, width in zip(row, widths, strict=True)).rstrip()
+        yield "  ".join(f"{entry:>{width}}" for entry, width in zip(row, widths, strict=True)).rstrip()

@@ -1,44 +1,28 @@
 """Sections ``[system]``, ``[base]`` and those of forces in a study's file."""
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union
 
 import jax.numpy as jnp
 import numpy as np
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
+from .._excitation import gaussian, piecewise_constant
 from .._excitation.excitation import WithJumps
-from .._excitation.gaussian import (
-    CloughPenzienSpectrum,
-    GaussianProcess,
-    KanaiTajimi,
-    KanaiTajimiSpectrum,
-    TabulatedSpectrum,
-    VelocitySpectrum,
-)
 from .._excitation.motion import Harmonic, RandomPhase, Signal, SourceVoltage, SumOfHarmonics
-from .._excitation.piecewise_constant import (
-    Constant,
-    PiecewiseConstant,
-    PiecewiseConstantLaw,
-    PoissonSwitching,
-    RandomSteps,
-    SemiMarkovSwitching,
-    SquareWave,
-)
 from .._excitation.recorded import ForceSteps
-from .._foundation.fields import described
 from .._systems.builders import STANDARD_GRAVITY, block_row, storeys_on_bearing
 from .._systems.composed_friction import Ageing, Directional, ExponentialGrowth, LogarithmicGrowth
 from .._systems.contacts import Contact
 from .._systems.dynamic_friction import BoucWen, Dahl, DieterichRuina, ElastoPlastic, LuGre
-from .._systems.friction import Coulomb, FrictionLaw, Stribeck, VelocityWeakening
+from .._systems.friction import Coulomb, Stribeck, VelocityWeakening
 from .._systems.mass_spring import MassSpring
 from .._systems.motor_cart import USUAL_MU, MotorCart
 from .._systems.structure import MOST_CONTACTS, LinearStructure, check_structure
-from .._uncertainty.families import Discrete, Exponential, LogNormal, Normal, Triangular, Uniform, Weibull
+from .._uncertainty import families
 from ._sections import (
     NUMBER,
+    BuiltSection,
     DescribedSection,
     GroundAccelerationConfig,
     RecordedConfig,
@@ -48,52 +32,68 @@ from ._sections import (
     section_of,
     shown_value,
     tag_of,
+    value_of,
 )
 
-# Section ``[base]`` of a study's file: the excitation.
-#
-# One class for each law, chosen by the key ``law``. The keys are the fields of the law, with their bounds, units and
-# defaults. To offer another law, add its class here and to one of the unions. A distribution or a spectrum is a section
-# of its own, ``[base.gap]`` or ``[base.spectrum]``, chosen by its key ``law``.
+# A law is chosen by the key ``law`` of its section. The keys are the fields of the law, with their bounds, units and
+# defaults. To offer another law, add its class to one of the lists that `_laws` takes; only one whose keys are not its
+# fields needs more. A distribution, a spectrum or a law within a law is a section of its own, ``[base.gap]``.
 
 
-class PoissonSwitchingConfig(section_of(PoissonSwitching, "law", {"speed": 1.0, "rate": 1.0})):
-    """Section ``[base]`` with the law `PoissonSwitching`."""
+def _laws(*classes: type, **options: Any) -> tuple[Any, ...]:
+    """The sections of these classes, which are told apart by the key ``law``."""
+    return tuple(section_of(each, "law", **options) for each in classes)
 
 
-class SquareWaveConfig(section_of(SquareWave, "law")):
-    """Section ``[base]`` with the law `SquareWave`."""
+def _any_of(kinds: tuple[Any, ...], *, tag: str = "law", usual: str = "") -> Any:
+    """The type of a key that holds one of these kinds of section; one without the key `tag` is the `usual` kind."""
+    kind = Annotated[Union[kinds], Field(discriminator=tag)]  # noqa: UP007 - of a tuple
+    return Annotated[kind, default_tag(tag, usual)] if usual else kind
 
 
-class RandomStepsConfig(section_of(RandomSteps, "law")):
-    """Section ``[base]`` with the law `RandomSteps`."""
+# --- distributions and spectra
+
+_POSITIVE = _laws(
+    families.Exponential, families.Weibull, families.LogNormal, families.Uniform, families.Triangular, families.Discrete
+)
+_SPECTRA = _laws(gaussian.KanaiTajimiSpectrum, gaussian.CloughPenzienSpectrum, gaussian.TabulatedSpectrum)
+_VELOCITY_SPECTRUM = section_of(
+    gaussian.VelocitySpectrum,
+    "law",
+    base=BuiltSection,
+    acceleration=(_any_of(_SPECTRA), "spectrum of the acceleration"),
+)
+if TYPE_CHECKING:
+    _GapConfig = Any
+    _SpeedsConfig = Any
+    _SpectrumConfig = Any
+else:
+    _GapConfig, _SpeedsConfig = _any_of(_POSITIVE), _any_of((*_POSITIVE, *_laws(families.Normal)))
+    _SpectrumConfig = _any_of((*_SPECTRA, _VELOCITY_SPECTRUM))
+
+# --- Section ``[base]`` of a study's file: the excitation.
 
 
-class ConstantConfig(section_of(Constant, "law")):
-    """Section ``[base]`` with the law `Constant`."""
-
-
-class PiecewiseConstantConfig(section_of(PiecewiseConstant, "law", base=Section)):
+class PiecewiseConstantConfig(section_of(piecewise_constant.PiecewiseConstant, "law", base=BuiltSection)):
     """Section ``[base]`` with the law `PiecewiseConstant`."""
 
     @model_validator(mode="after")
     def _times_fit(self) -> "PiecewiseConstantConfig":
         # Lists, which the law keeps as NumPy arrays: arrays of JAX would start it before its settings are known.
-        PiecewiseConstant(self.times, self.velocities)
+        piecewise_constant.PiecewiseConstant(self.times, self.velocities)
         return self
 
-    def build(self) -> PiecewiseConstantLaw:
+    def build(self) -> piecewise_constant.PiecewiseConstantLaw:
         """The law as the simulation takes it (starts JAX). Raises ValueError for times that are equal in float32."""
-        return PiecewiseConstant(jnp.asarray(self.times), jnp.asarray(self.velocities))
-
-
-_RANDOM_PHASE = "whether each sample draws its phase; not given: true, unless a phase is given"
+        return piecewise_constant.PiecewiseConstant(jnp.asarray(self.times), jnp.asarray(self.velocities))
 
 
 class _Phased(DescribedSection):
     """A law whose phase may be random."""
 
-    random_phase: bool = Field(default=True, description=_RANDOM_PHASE)
+    random_phase: bool = Field(
+        default=True, description="whether each sample draws its phase; not given: true, unless a phase is given"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -116,72 +116,14 @@ class _Phased(DescribedSection):
 
     def build(self) -> Signal | RandomPhase:
         """The signal as the simulation takes it. Raises ValueError for lists that do not fit."""
-        given = {name: value for name, value in self.numbers.items() if value is not None}
-        signal = self.described_class(**given)
+        signal = self.described_class(**self.arguments("random_phase"))
         return RandomPhase(signal) if self.random_phase else signal
 
 
-_PHASE = Field(default=None, description="rad; not given: 0, or drawn")
-
-
-class HarmonicConfig(section_of(Harmonic, "law", signal_unit="m/s", base=_Phased)):
-    """Section ``[base]`` with the law `Harmonic`."""
-
-    phase: float | None = _PHASE
-
-
-class SumOfHarmonicsConfig(section_of(SumOfHarmonics, "law", signal_unit="m/s", base=_Phased)):
-    """Section ``[base]`` with the law `SumOfHarmonics`."""
-
-    phases: list[float] | None = _PHASE
-
-
-class SourceVoltageConfig(section_of(SourceVoltage, "law", base=_Phased)):
-    """Section ``[base]`` with the law `SourceVoltage`, which drives a `MotorCart`."""
-
-    phase: float | None = _PHASE
-
-
-class KanaiTajimiConfig(section_of(KanaiTajimi, "law")):
-    """Section ``[base]`` with the law `KanaiTajimi`."""
-
-
-# --- laws of distributions and spectra
-
-
-class ExponentialConfig(section_of(Exponential, "law")):
-    """Section of the distribution `Exponential`."""
-
-
-class WeibullConfig(section_of(Weibull, "law")):
-    """Section of the distribution `Weibull`."""
-
-
-class LogNormalConfig(section_of(LogNormal, "law")):
-    """Section of the distribution `LogNormal`."""
-
-
-class UniformDistributionConfig(section_of(Uniform, "law")):
-    """Section of the distribution `Uniform`."""
-
-
-class TriangularConfig(section_of(Triangular, "law")):
-    """Section of the distribution `Triangular`."""
-
-
-class NormalConfig(section_of(Normal, "law")):
-    """Section of the distribution `Normal`."""
-
-
-class DiscreteConfig(section_of(Discrete, "law")):
-    """Section of the distribution `Discrete`."""
-
-
-_Positive = (
-    ExponentialConfig | WeibullConfig | LogNormalConfig | UniformDistributionConfig | TriangularConfig | DiscreteConfig
-)
-_GapConfig = Annotated[_Positive, Field(discriminator="law")]
-_SpeedsConfig = Annotated[_Positive | NormalConfig, Field(discriminator="law")]
+_ABOUT_PHASE = Field(default=None, description="rad; not given: 0, or drawn")
+_PHASED: dict[str, Any] = {"base": _Phased, "phase": (float | None, _ABOUT_PHASE)}
+SourceVoltageConfig = section_of(SourceVoltage, "law", **_PHASED)
+"""Section ``[base]`` with the law `SourceVoltage`, which drives a `MotorCart`."""
 
 
 class SemiMarkovSwitchingConfig(Section):
@@ -203,185 +145,114 @@ class SemiMarkovSwitchingConfig(Section):
         self.build()
         return self
 
-    def build(self) -> SemiMarkovSwitching:
+    def build(self) -> piecewise_constant.SemiMarkovSwitching:
         """The law as the simulation takes it. Raises ValueError for distributions of numbers that do not fit."""
-        speed = (self.speed or 0.0) if self.speeds is None else self.speeds.build()
-        return SemiMarkovSwitching(self.gap.build(), speed, self.alternating, self.first_sign)
-
-
-class KanaiTajimiSpectrumConfig(section_of(KanaiTajimiSpectrum, "law")):
-    """Section of the spectrum `KanaiTajimiSpectrum`."""
-
-
-class CloughPenzienSpectrumConfig(section_of(CloughPenzienSpectrum, "law")):
-    """Section of the spectrum `CloughPenzienSpectrum`."""
-
-
-class TabulatedSpectrumConfig(section_of(TabulatedSpectrum, "law")):
-    """Section of the spectrum `TabulatedSpectrum`."""
-
-
-_Spectrum = KanaiTajimiSpectrumConfig | CloughPenzienSpectrumConfig | TabulatedSpectrumConfig
-
-
-class VelocitySpectrumConfig(Section):
-    """Section of the spectrum `VelocitySpectrum`, and its section ``acceleration``."""
-
-    law: Literal["VelocitySpectrum"]
-    acceleration: Annotated[_Spectrum, Field(discriminator="law")] = Field(description="spectrum of the acceleration")
-
-    def build(self) -> VelocitySpectrum:
-        """The spectrum as the simulation takes it."""
-        return VelocitySpectrum(self.acceleration.build())
+        speed = value_of(self.speed if self.speeds is None else self.speeds)
+        return piecewise_constant.SemiMarkovSwitching(speed=speed, **self.arguments("speed", "speeds"))
 
 
 class _WithSpectrum(DescribedSection):
     """A law with a spectrum."""
 
     harmonics: int = Field(default=128, description="number of harmonics of a sample", ge=1)
-    spectrum: Annotated[_Spectrum | VelocitySpectrumConfig, Field(discriminator="law")] = Field(
-        description="one-sided power spectral density over angular frequency"
-    )
-
-    def build(self) -> GaussianProcess:
-        """The law as the simulation takes it. Raises ValueError for a spectrum that does not fit."""
-        return GaussianProcess(self.spectrum.build(), **self.numbers, harmonics=self.harmonics)
+    spectrum: _SpectrumConfig = Field(description="one-sided power spectral density over angular frequency")
 
 
-class GaussianProcessConfig(section_of(GaussianProcess, "law", base=_WithSpectrum)):
-    """Section ``[base]`` with the law `GaussianProcess`, and its section ``[base.spectrum]``."""
-
-
-# --- any law
-
-_Jumps = (
-    PoissonSwitchingConfig
-    | SemiMarkovSwitchingConfig
-    | SquareWaveConfig
-    | RandomStepsConfig
-    | ConstantConfig
-    | PiecewiseConstantConfig
+_JUMPS = (
+    section_of(piecewise_constant.PoissonSwitching, "law", {"speed": 1.0, "rate": 1.0}),
+    SemiMarkovSwitchingConfig,
+    *_laws(piecewise_constant.SquareWave, piecewise_constant.RandomSteps, piecewise_constant.Constant),
+    PiecewiseConstantConfig,
 )
-_Motions = HarmonicConfig | SumOfHarmonicsConfig | GaussianProcessConfig | RecordedConfig
-_JumpsConfig = Annotated[_Jumps, Field(discriminator="law"), default_tag("law", "PoissonSwitching")]
-_MotionConfig = Annotated[_Motions, Field(discriminator="law")]
+_MOTIONS = (
+    section_of(Harmonic, "law", signal_unit="m/s", **_PHASED),
+    section_of(SumOfHarmonics, "law", signal_unit="m/s", base=_Phased, phases=(list[float] | None, _ABOUT_PHASE)),
+    section_of(gaussian.GaussianProcess, "law", base=_WithSpectrum),
+    RecordedConfig,
+)
 
 
-class WithJumpsConfig(Section):
-    """Section ``[base]`` with the law `WithJumps`, and its sections ``[base.motion]`` and ``[base.jumps]``."""
+class _WithJumps(BuiltSection):
+    """A motion and jumps."""
 
-    law: Literal["WithJumps"]
-    motion: _MotionConfig = Field(description="the continuous part")
-    jumps: _JumpsConfig = Field(description="the part that jumps")
+    if TYPE_CHECKING:
+        motion: Section
+        jumps: Section
 
     @property
     def title(self) -> str:
         """Its name in reports."""
         return f"{self.motion.title} with jumps by {self.jumps.title}"
 
-    def build(self) -> WithJumps:
-        """The law as the simulation takes it. Raises ValueError for an unsuitable record, OSError for a file that
-        cannot be read.
-        """
-        return WithJumps(self.motion.build(), self.jumps.build())
 
-
-BaseConfig = Annotated[
-    _Jumps | _Motions | WithJumpsConfig | GroundAccelerationConfig | KanaiTajimiConfig | SourceVoltageConfig,
-    Field(discriminator="law"),
-]
-
-
-# Sections of forces in a study's file: friction laws, external forces and normal forces.
-#
-# One class for each law, chosen by the key ``law``. To offer another, add its class here and to the union.
-
-
-class CoulombConfig(section_of(Coulomb, "law")):
-    """Section of the friction law `Coulomb`."""
-
-
-class VelocityWeakeningConfig(section_of(VelocityWeakening, "law")):
-    """Section of the friction law `VelocityWeakening`."""
-
-
-class StribeckConfig(section_of(Stribeck, "law")):
-    """Section of the friction law `Stribeck`."""
-
-
-class LuGreConfig(section_of(LuGre, "law")):
-    """Section of the friction law `LuGre`."""
-
-
-class ElastoPlasticConfig(section_of(ElastoPlastic, "law")):
-    """Section of the friction law `ElastoPlastic`."""
-
-
-class DahlConfig(section_of(Dahl, "law")):
-    """Section of the friction law `Dahl`."""
-
-
-class BoucWenConfig(section_of(BoucWen, "law")):
-    """Section of the friction law `BoucWen`."""
-
-
-class DieterichRuinaConfig(section_of(DieterichRuina, "law")):
-    """Section of the friction law `DieterichRuina`."""
-
-
-class ExponentialGrowthConfig(section_of(ExponentialGrowth, "law")):
-    """Section of the growth `ExponentialGrowth`."""
-
-
-class LogarithmicGrowthConfig(section_of(LogarithmicGrowth, "law")):
-    """Section of the growth `LogarithmicGrowth`."""
-
-
-_USUAL_LAW = default_tag("law", "Coulomb")
-_OfSpeed = CoulombConfig | VelocityWeakeningConfig | StribeckConfig
-
-
-class AgeingConfig(Section):
-    """Section of the friction law `Ageing`, and its sections ``slip`` and ``growth``."""
-
-    law: Literal["Ageing"]
-    slip: Annotated[_OfSpeed, Field(discriminator="law"), _USUAL_LAW] = Field(
-        description="friction law of slips, and of sticks that have just begun"
-    )
-    growth: Annotated[ExponentialGrowthConfig | LogarithmicGrowthConfig, Field(discriminator="law")] = Field(
-        description="what is added to static friction while a stick lasts"
+_WITH_JUMPS = section_of(
+    WithJumps,
+    "law",
+    base=_WithJumps,
+    motion=(_any_of(_MOTIONS), "the continuous part"),
+    jumps=(_any_of(_JUMPS, usual="PoissonSwitching"), "the part that jumps"),
+)
+if TYPE_CHECKING:
+    BaseConfig = Any
+else:
+    BaseConfig = _any_of(
+        (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(gaussian.KanaiTajimi), SourceVoltageConfig)
     )
 
-    def build(self) -> Ageing:
-        """The law as the simulation takes it."""
-        return Ageing(self.slip.build(), self.growth.build())
+
+# --- sections of forces: friction laws, external forces and normal forces
+
+_OF_SPEED = _laws(Coulomb, VelocityWeakening, Stribeck)
+_GROWTHS = _laws(ExponentialGrowth, LogarithmicGrowth)
+_WITH_INNER_STATE = _laws(LuGre, ElastoPlastic, Dahl, BoucWen, DieterichRuina)
+_AGEING = section_of(
+    Ageing,
+    "law",
+    base=BuiltSection,
+    slip=(_any_of(_OF_SPEED, usual="Coulomb"), "friction law of slips, and of sticks that have just begun"),
+    growth=(_any_of(_GROWTHS), "what is added to static friction while a stick lasts"),
+)
+_ONE_WAY = _any_of((*_OF_SPEED, _AGEING), usual="Coulomb")
+_DIRECTIONAL = section_of(
+    Directional,
+    "law",
+    base=BuiltSection,
+    forward=(_ONE_WAY, "friction law of slips with a positive relative velocity"),
+    backward=(_ONE_WAY, "that of negative ones"),
+)
+_FORCES = (*_laws(Harmonic, SumOfHarmonics, signal_unit="N"), RecordedConfig)
 
 
-_OneWay = Annotated[_OfSpeed | AgeingConfig, Field(discriminator="law"), _USUAL_LAW]
+def _number_or(number: Any, kinds: tuple[Any, ...]) -> Any:
+    """The type of a key that holds a `number`, or one of these kinds of section."""
+
+    def which(value: object) -> str | None:
+        if isinstance(value, dict):
+            return value.get("law")
+        return tag_of(type(value)) if isinstance(value, Section) else NUMBER
+
+    tagged = (Annotated[number, Tag(NUMBER)], *(Annotated[kind, Tag(tag_of(kind))] for kind in kinds))
+    return Annotated[Union[tagged], Discriminator(which)]  # noqa: UP007 - of a tuple
 
 
-class DirectionalConfig(Section):
-    """Section of the friction law `Directional`, and its sections ``forward`` and ``backward``."""
-
-    law: Literal["Directional"]
-    forward: _OneWay = Field(description="friction law of slips with a positive relative velocity")
-    backward: _OneWay = Field(description="that of negative ones")
-
-    def build(self) -> Directional:
-        """The law as the simulation takes it."""
-        return Directional(self.forward.build(), self.backward.build())
-
-
-_Composed = DirectionalConfig | AgeingConfig
-_WithInnerState = LuGreConfig | ElastoPlasticConfig | DahlConfig | BoucWenConfig | DieterichRuinaConfig
-FrictionConfig = Annotated[_OfSpeed | _Composed | _WithInnerState, Field(discriminator="law"), _USUAL_LAW]
-
+if TYPE_CHECKING:
+    FrictionConfig = Any
+    ForceConfig = Any
+    NumberOrForce = Any
+    NormalForceConfig = Any
+else:
+    FrictionConfig = _any_of((*_OF_SPEED, _DIRECTIONAL, _AGEING, *_WITH_INNER_STATE), usual="Coulomb")
+    ForceConfig = _any_of(_FORCES)
+    NumberOrForce = _number_or(float, _FORCES)
+    """An external force, N: a number, or a function of time."""
+    NormalForceConfig = _number_or(Annotated[float, Field(gt=0)], (*_FORCES, *_laws(ForceSteps)))
+    """A normal force, N: a number, or a function of time."""
 
 _, MU = key_of(Coulomb, "mu", default=None, description="friction coefficient (Coulomb), or a section friction")
 FRICTION = Field(default=None, description="friction law in place of mu")
 
 
-class WithFriction(Section):
+class WithFriction(BuiltSection):
     """A section with keys ``mu`` and ``friction``, a section called `friction_section`, of which one is given."""
 
     friction_section: ClassVar[str] = "[system.friction]"
@@ -405,62 +276,16 @@ class WithFriction(Section):
         return self
 
     @property
-    def law_of_friction(self) -> FrictionLaw:
-        """The friction law as the simulation takes it."""
-        return Coulomb(self.mu or 0.0) if self.friction is None else self.friction.build()
-
-    @property
     def has_inner_states(self) -> bool:
         """Whether the friction law has one."""
-        return isinstance(self.friction, _WithInnerState)
+        return isinstance(self.friction, _WITH_INNER_STATE)
+
+    def arguments(self, *left_out: str) -> dict[str, Any]:
+        given = super().arguments("mu", *left_out)
+        return given if self.mu is None else {**given, "friction": Coulomb(self.mu)}
 
 
-class HarmonicForceConfig(section_of(Harmonic, "law", signal_unit="N")):
-    """Section of a force with the law `Harmonic`."""
-
-
-class SumOfHarmonicsForceConfig(section_of(SumOfHarmonics, "law", signal_unit="N")):
-    """Section of a force with the law `SumOfHarmonics`."""
-
-
-class ForceStepsConfig(section_of(ForceSteps, "law")):
-    """Section of a normal force with the law `ForceSteps`."""
-
-
-ForceConfig = Annotated[HarmonicForceConfig | SumOfHarmonicsForceConfig | RecordedConfig, Field(discriminator="law")]
-
-
-def _number_or_law(value: object) -> str | None:
-    """What tells a number from the laws."""
-    if isinstance(value, dict):
-        return value.get("law")
-    return tag_of(type(value)) if isinstance(value, Section) else NUMBER
-
-
-_Harmonic = Annotated[HarmonicForceConfig, Tag("Harmonic")]
-_SumOfHarmonics = Annotated[SumOfHarmonicsForceConfig, Tag("SumOfHarmonics")]
-_Recorded = Annotated[RecordedConfig, Tag("Recorded")]
-_ForceSteps = Annotated[ForceStepsConfig, Tag("ForceSteps")]
-NumberOrForce = Annotated[
-    Annotated[float, Tag(NUMBER)] | _Harmonic | _SumOfHarmonics | _Recorded, Discriminator(_number_or_law)
-]
-"""An external force, N: a number, or a function of time."""
-NormalForceConfig = Annotated[
-    Annotated[float, Field(gt=0), Tag(NUMBER)] | _Harmonic | _SumOfHarmonics | _Recorded | _ForceSteps,
-    Discriminator(_number_or_law),
-]
-"""A normal force, N: a number, or a function of time."""
-
-
-def force_of(config: Any) -> Any:
-    """A force as the simulation takes it.
-
-    Raises ValueError for an unsuitable record, OSError for a file that cannot be read.
-    """
-    return config.build() if isinstance(config, (DescribedSection, RecordedConfig)) else config
-
-
-# Section ``[system]`` of structures with several contacts: by their matrices, or by a builder.
+# --- section ``[system]`` of structures with several contacts: by their matrices, or by a builder
 #
 # The contacts of a structure are sections ``[[system.contacts]]``, one for each. The key ``contact`` says whose sticks
 # are counted.
@@ -530,36 +355,36 @@ class ContactConfig(WithFriction):
         """Its direction in a structure of `size` masses. Raises ValueError for a mass that is none of them."""
         if self.direction is not None:
             return np.array(self.direction)
-        for number in (self.mass,) if self.between is None else self.between:
+        masses: Any
+        key, masses = ("mass", (self.mass,)) if self.between is None else ("between", self.between)
+        for number in masses:
             if number is None or not 0 <= number < size:
-                key = "mass" if self.between is None else "between"
-                masses = f"a mass from 0 to {size - 1}" if size > 1 else "mass 0, the only one"
-                raise ValueError(f"{key} must name {masses}, but {number} was given.")
-        first, *second = (self.mass,) if self.between is None else self.between
-        units = np.eye(size)
-        return units[first] - units[second[0]] if second else units[first]
+                allowed = f"a mass from 0 to {size - 1}" if size > 1 else "mass 0, the only one"
+                raise ValueError(f"{key} must name {allowed}, but {number} was given.")
+        first, *second = np.eye(size)[list(masses)]
+        return first - second[0] if second else first
 
-    @property
-    def base_share(self) -> float:
-        """How much of the base velocity is subtracted."""
-        if self.on_base is None:
-            return 1.0 if self.between is None else 0.0
-        return self.on_base
-
-    def build(self, size: int) -> Contact:
+    def contact_in(self, size: int) -> Contact:
         """The contact as the simulation takes it, in a structure of `size` masses."""
-        return Contact(self.direction_in(size), force_of(self.normal_force), self.law_of_friction, self.base_share)
+        usual: dict[str, Any] = {"on_base": 1.0 if self.between is None else 0.0}
+        return Contact(self.direction_in(size), **usual | self.arguments("mass", "between", "direction"))
 
 
 class StructureSection(Section):
-    """A structure, one of whose contacts is counted, or all at once."""
+    """A structure, one of whose contacts is counted, or all at once. `maker`: the class or function that makes it."""
 
+    maker: ClassVar[Any]
     driven_by_voltage: ClassVar[bool] = False
 
     @property
     def size(self) -> int:
         """The number of its masses."""
         raise NotImplementedError("each kind has its own")
+
+    def build(self) -> LinearStructure:
+        structure = self.maker(**self.arguments("contact"))
+        contact = getattr(self, "contact", 0)  # of storeys the bearing
+        return structure.of_contact(contact) if isinstance(contact, int) else structure.of_all_contacts()
 
 
 def _check_counted(contact: object, contacts: int) -> None:
@@ -568,12 +393,10 @@ def _check_counted(contact: object, contacts: int) -> None:
         raise ValueError(f'contact must name {which}, or be "all", but {contact} was given.')
 
 
-def _counting(structure: LinearStructure, contact: object) -> LinearStructure:
-    return structure.of_contact(contact) if isinstance(contact, int) else structure.of_all_contacts()
-
-
 class LinearStructureConfig(StructureSection):
     """Section ``[system]`` with the model `LinearStructure`, and its sections ``[[system.contacts]]``."""
+
+    maker: ClassVar[Any] = LinearStructure
 
     model: Literal["LinearStructure"]
     mass: _Matrix = Field(description="kg (or kg m^2): the diagonal, or rows")
@@ -610,18 +433,17 @@ class LinearStructureConfig(StructureSection):
         _check_counted(self.contact, len(self.contacts))
         return self
 
-    def build(self) -> LinearStructure:
-        """The system as the simulation takes it. Raises ValueError for an unsuitable record, OSError for a file that
-        cannot be read.
-        """
-        contacts = tuple(contact.build(self.size) for contact in self.contacts)
-        force = None if self.force is None else tuple(map(force_of, self.force))
-        structure = LinearStructure(self.mass, self.stiffness, self.damping, contacts, force, rotates=self.rotates)
-        return _counting(structure, self.contact)
+    def arguments(self, *left_out: str) -> dict[str, Any]:
+        given = super().arguments("contacts", "force", *left_out)
+        if self.force is not None:
+            given["force"] = tuple(map(value_of, self.force))
+        return {**given, "contacts": tuple(contact.contact_in(self.size) for contact in self.contacts)}
 
 
 class BlockRowConfig(StructureSection, WithFriction):
     """Section ``[system]`` with the model `block_row`: equal blocks in a row on the base."""
+
+    maker: ClassVar[Any] = staticmethod(block_row)
 
     model: Literal["block_row"]
     blocks: int = Field(ge=1, le=MOST_CONTACTS, description="number of blocks, each with a contact")
@@ -643,24 +465,11 @@ class BlockRowConfig(StructureSection, WithFriction):
         _check_counted(self.contact, self.blocks)
         return self
 
-    def build(self) -> LinearStructure:
-        """The system as the simulation takes it. Raises ValueError for an unsuitable record, OSError for a file that
-        cannot be read.
-        """
-        row = block_row(
-            self.blocks,
-            mass=self.mass,
-            between=self.between,
-            to_ground=self.to_ground,
-            normal_force=force_of(self.normal_force),
-            friction=self.law_of_friction,
-            damping=self.damping,
-        )
-        return _counting(row, self.contact)
-
 
 class StoreysOnBearingConfig(StructureSection, WithFriction):
     """Section ``[system]`` with the model `storeys_on_bearing`: a building whose base mat slides on the ground."""
+
+    maker: ClassVar[Any] = staticmethod(storeys_on_bearing)
 
     model: Literal["storeys_on_bearing"]
     mass: list[float] = Field(description="of the base mat, then of the storeys, kg")
@@ -680,19 +489,8 @@ class StoreysOnBearingConfig(StructureSection, WithFriction):
         self.build()
         return self
 
-    def build(self) -> LinearStructure:
-        """The system as the simulation takes it, with the bearing's sticks counted."""
-        return storeys_on_bearing(
-            self.mass,
-            self.stiffness,
-            friction=self.law_of_friction,
-            damping=self.damping,
-            bearing_stiffness=self.bearing_stiffness,
-            gravity=self.gravity,
-        ).of_contact(0)
 
-
-# Section ``[system]`` of a study's file: the system, its friction law, and the force on it.
+# --- section ``[system]`` of a study's file: the system, its friction law, and the force on it
 #
 # One class for each system, chosen by the key ``model``. The keys are the fields of the system, with their bounds,
 # units and defaults. To offer another, add its class here and to the union.
@@ -710,14 +508,6 @@ class MassSpringConfig(section_of(MassSpring, "model", _USUAL, base=WithFriction
     friction: FrictionConfig | None = FRICTION
     force: ForceConfig | None = Field(default=None, description="external force on the mass")
 
-    def build(self) -> MassSpring:
-        """The system as the simulation takes it. Raises ValueError for an unsuitable record of the force, OSError for
-        a file that cannot be read.
-        """
-        numbers = {name: getattr(self, name) for name in described(MassSpring)}
-        force = None if self.force is None else self.force.build()
-        return MassSpring(friction=self.law_of_friction, force=force, **numbers)
-
 
 _, _CART_MU = key_of(MotorCart, "mu", default=USUAL_MU)
 
@@ -729,14 +519,15 @@ class MotorCartConfig(section_of(MotorCart, "model", base=WithFriction)):
     mu: float | None = _CART_MU
     friction: FrictionConfig | None = FRICTION
 
-    def build(self) -> MotorCart:
-        """The system as the simulation takes it. Raises ValueError for values that do not fit together."""
-        numbers = {name: getattr(self, name) for name in described(MotorCart)}
-        return MotorCart(friction=None if self.friction is None else self.friction.build(), **numbers)
+    def arguments(self, *left_out: str) -> dict[str, Any]:
+        return Section.arguments(self, *left_out)  # mu is one of the cart itself
 
 
-SystemConfig = Annotated[
-    MassSpringConfig | MotorCartConfig | LinearStructureConfig | BlockRowConfig | StoreysOnBearingConfig,
-    Field(discriminator="model"),
-    default_tag("model", "MassSpring"),
-]
+if TYPE_CHECKING:
+    SystemConfig = Any
+else:
+    SystemConfig = _any_of(
+        (MassSpringConfig, MotorCartConfig, LinearStructureConfig, BlockRowConfig, StoreysOnBearingConfig),
+        tag="model",
+        usual="MassSpring",
+    )
