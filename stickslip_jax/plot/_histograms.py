@@ -166,8 +166,8 @@ def histogram(
         edges, heights, errors = drawn.edges - 0.5 * is_whole, drawn.density, drawn.error
         color, mean = _style.STICK if "stick" in name else _style.SERIES[0], result.mean if number else None
         text = _style.counted(number, "value") if number else "no values"
-        text += f" in {_style.counted(result.samples, 'sample')}"
-        text += "; bars: standard error" if np.any(np.isfinite(errors)) else ""
+        more = "; bars: standard error" if np.any(np.isfinite(errors)) else ""
+        text = f"{text} in {_style.counted(result.samples, 'sample')}{more}"
     else:
         sticks = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
         number, name, unit, color = len(sticks.duration), "stick duration", "s", _style.STICK
@@ -178,8 +178,7 @@ def histogram(
         text = outside(sticks.label, number - int(counts.sum()))
     checks.text("label", label, or_none=True)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    earlier = _outlines(ax)
-    ylabel = "probability" if is_whole else _style.density_label(unit)
+    earlier, ylabel = _outlines(ax), "probability" if is_whole else _style.density_label(unit)
     for axis, named in ((ax.xaxis, _style.quantity_label(name, unit)), (ax.yaxis, ylabel)):
         before = axis.get_label_text() if earlier else ""
         if named not in before:  # each name once
