@@ -390,11 +390,9 @@ def stick_fraction_curve(
 
 
 def _fractions_of(
-    fractions: Sequence[Distribution] | Sequence[Estimate] | Numbers,
-    number: int,
-    errors: Numbers | Sequence[Numbers] | None,
-    level: float,
-) -> tuple[np.ndarray, str | None, str | None]:
+    fractions: Sequence[Distribution] | Sequence[Estimate] | Numbers, number: int,
+    errors: Numbers | Sequence[Numbers] | None, level: float,
+) -> tuple[np.ndarray, str | None, str | None]:  # fmt: skip
     """Stick fractions with the ends of their band, NaN if not known, (3, `number`); their label, and that of the band.
 
     Raises ValueError for bad input.
@@ -449,11 +447,7 @@ _LONG = 20  # letters: three columns of longer labels are wider than the axes
 
 
 def stick_bounds(
-    system: MotorCart,
-    voltage: Voltage,
-    *,
-    mu: Sequence[float] | np.ndarray | None = None,
-    ax: Axes | None = None,
+    system: MotorCart, voltage: Voltage, *, mu: Sequence[float] | np.ndarray | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw the longest possible duration of a stick of a `MotorCart` against its angle, a curve for each `mu`.
 

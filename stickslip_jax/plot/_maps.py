@@ -33,13 +33,9 @@ _SURE = 4  # standard errors of a slope: chance exceeds them in one of 3000 cell
 
 
 def draw_contours(
-    ax: Axes,
-    centers: tuple[np.ndarray, np.ndarray],
-    values: np.ndarray,
-    errors: np.ndarray | None,
-    levels: list[float],
-    texts: list[str],
-) -> None:
+    ax: Axes, centers: tuple[np.ndarray, np.ndarray], values: np.ndarray, errors: np.ndarray | None,
+    levels: list[float], texts: list[str],
+) -> None:  # fmt: skip
     """Draw lines of equal values, interpolated between the centres of the cells, and label them.
 
     Short lines are left out, and those that run through flat regions, where their course is chance. Labels do not lie
