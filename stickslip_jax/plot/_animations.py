@@ -573,11 +573,7 @@ def _draw_clock(ax: Axes, times: np.ndarray, speed: float) -> Move:
     text = ax.text(0.01, 0.98, "", transform=ax.transAxes, va="top", zorder=5)
     told = "real time" if f"{speed:.3g}" == "1" else f"{speed:.3g} \u00d7 real time"
     ax.text(0.99, 0.98, told, transform=ax.transAxes, va="top", ha="right", zorder=5)
-
-    def move(frame: int) -> None:
-        text.set_text(f"t = {times[frame]:.{digits}f} s")
-
-    return move
+    return lambda frame: text.set_text(f"t = {times[frame]:.{digits}f} s")
 
 
 def _draw_history(

@@ -156,17 +156,31 @@ def curve(
     for name, text in (("xlabel", xlabel), ("ylabel", ylabel), ("label", label)):
         checks.text(name, text, or_none=True)
     if is_labeled(x):
-        curves = _of_labeled(labeled(x, y, errors, (1, 2), along), level, label)
+        found = _of_labeled(labeled(x, y, errors, (1, 2), along), level, label)
     else:
-        curves = _of_numbers(x, y, errors, level, label)
+        found = _of_numbers(x, y, errors, level, label)
+    places, curves, own_xlabel, own_ylabel = found
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     # The ordinate is named after all quantities, unless it has a name that the user gave.
-    before, there, known = _quantities(ax), ax.get_ylabel(), curves.ylabel
-    named_here = not there or there == _style.wrapped(",\n".join(before))
-    known = ",\n".join(dict.fromkeys([*before, known])) if known is not None and named_here else None
-    ax.set_xlabel(_name("xlabel", xlabel or ax.get_xlabel() or curves.xlabel))
+    before, there, known = _quantities(ax), ax.get_ylabel(), None
+    if own_ylabel is not None and (not there or there == _style.wrapped(",\n".join(before))):
+        known = ",\n".join(dict.fromkeys([*before, own_ylabel]))
+    ax.set_xlabel(_name("xlabel", xlabel or ax.get_xlabel() or own_xlabel))
     ax.set_ylabel(_name("ylabel", ylabel or known or there))
-    _draw_all(ax, curves, uncertainty, level, (xlog, ylog))
+    if xlog and np.any(places <= 0):
+        raise checks.refused("x", "hold positive numbers on a logarithmic axis", places)
+    if xlog:
+        ax.set_xscale("log")
+    elif np.all(places == np.round(places)):
+        _style.whole_numbers(ax.xaxis)
+    if ylog:
+        ax.set_yscale("log")
+    drawn = [_draw(ax, places, one, uncertainty, ylog, own_ylabel) for one in curves]
+    if not any(drawn) and not any(np.size(line.get_xdata(orig=False)) for line in ax.lines):
+        _style.note(ax, "no values")
+    for axis in (ax.xaxis,) * xlog + (ax.yaxis,) * ylog:
+        _style.log_axis(axis)
+    _legend(ax, uncertainty, level, any(np.any(np.isfinite(one.low)) for one in curves))
     return ax
 
 
@@ -188,13 +202,8 @@ class _Curve(NamedTuple):
     label: str | None
 
 
-class _Curves(NamedTuple):
-    """Curves over the same `x`, (points,) and increasing, and the names of the axes where they are known."""
-
-    x: np.ndarray
-    curves: list[_Curve]
-    xlabel: str | None = None
-    ylabel: str | None = None
+_Curves: TypeAlias = tuple[np.ndarray, list[_Curve], str | None, str | None]
+"""The abscissas of curves, (points,) and increasing, the curves, and the names of the axes where they are known."""
 
 
 def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curves:
@@ -208,7 +217,7 @@ def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curve
         own = [f"{name} = {value:.4g}{unit}" for value in data.coordinates[1]]
         labels = own if label is None else [f"{label}, {text}" for text in own]
     curves = list(map(_Curve, values.T, low.T, high.T, labels))
-    return _Curves(data.coordinates[0], curves, data.axis_labels[0], data.label)
+    return data.coordinates[0], curves, data.axis_labels[0], data.label
 
 
 def _of_numbers(x: object, y: object, errors: object, level: float | None, label: str | None) -> _Curves:
@@ -234,7 +243,7 @@ def _of_numbers(x: object, y: object, errors: object, level: float | None, label
             low, high = np.array([one.interval(level) for one in estimates], float).T
     if len(values) != len(places):
         raise ValueError(f"Argument y must have the length {len(places)} of x, but it has {len(values)}.")
-    return _Curves(places[order], [_Curve(values[order], low[order], high[order], label)], ylabel=name)
+    return places[order], [_Curve(values[order], low[order], high[order], label)], None, name
 
 
 def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.ndarray, np.ndarray]:
@@ -257,30 +266,13 @@ def _name(argument: str, name: str | None) -> str:
     return _style.wrapped(name)
 
 
-def _draw_all(
-    ax: Axes, curves: _Curves, uncertainty: Uncertainty, level: float | None, logs: tuple[bool, bool]
-) -> None:
-    """Draw the curves, and set the scales and the legend."""
-    xlog, ylog = logs
-    if xlog and np.any(curves.x <= 0):
-        raise checks.refused("x", "hold positive numbers on a logarithmic axis", curves.x)
-    if xlog:
-        ax.set_xscale("log")
-    elif np.all(curves.x == np.round(curves.x)):
-        _style.whole_numbers(ax.xaxis)
-    if ylog:
-        ax.set_yscale("log")
-    drawn = [_draw(ax, curves.x, one, uncertainty, ylog, curves.ylabel) for one in curves.curves]
+def _legend(ax: Axes, uncertainty: Uncertainty, level: float | None, has_errors: bool) -> None:
+    """The legend: what curves show where they show several quantities, and at its end what bars or bands are."""
     if len(_quantities(ax)) > 1:
         for line in ax.lines:
             if line in _QUANTITIES and str(line.get_label()).startswith("_"):
                 line.set_label(_QUANTITIES[line])
-    if not any(drawn) and not any(np.size(line.get_xdata(orig=False)) for line in ax.lines):
-        _style.note(ax, "no values")
-    for axis in (ax.xaxis,) * xlog + (ax.yaxis,) * ylog:
-        _style.log_axis(axis)
-    if any(np.any(np.isfinite(one.low)) for one in curves.curves):
-        # At the end of the legend stands what bars or bands are.
+    if has_errors:
         text = f"{uncertainty}: {'one standard error' if level is None else _style.interval_name(level)}"
         for line in [line for line in ax.lines if line.get_label() == text]:
             line.remove()

@@ -348,7 +348,18 @@ def joint_histogram(
             hint = 'it is drawn of a joint distribution: ensemble.statistics.joint("position", "duration")'
             raise checks.refused("conditional_mean", "be False for sticks", True, hint)
         cells = cells_of_sticks(sticks, bins)
-    panels = _panels(axes)
+    if axes is None:
+        figure = plt.figure(figsize=(6.4, 5.4), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 4))
+        main = figure.add_subplot(grid[1, 0])
+        # Neighbours share their scales.
+        others = [figure.add_subplot(grid[0, 0], sharex=main), figure.add_subplot(grid[1, 1], sharey=main)]
+        others[0].tick_params(labelbottom=False)
+        others[1].tick_params(labelleft=False)
+        panels = (main, *others)
+    elif len(panels := _style.axes_in(axes)) not in (1, 3):
+        demand = "hold three matplotlib Axes (joint histogram, above it, to the right of it), or be one"
+        raise checks.refused("axes", demand, axes)
     main, *others = panels
     _draw_density(panels, cells, log)
     if isinstance(result, JointDistribution):
@@ -363,24 +374,6 @@ def joint_histogram(
     for ax in others[1:]:
         plain_numbers(ax.xaxis)
     return panels
-
-
-def _panels(axes: Axes | SeveralAxes | None) -> tuple[Axes, ...]:
-    """The axes given, one or three, or those of a new figure, in which neighbours share their scales."""
-    if axes is None:
-        figure = plt.figure(figsize=(6.4, 5.4), layout="constrained")
-        grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 4))
-        main = figure.add_subplot(grid[1, 0])
-        above = figure.add_subplot(grid[0, 0], sharex=main)
-        right = figure.add_subplot(grid[1, 1], sharey=main)
-        above.tick_params(labelbottom=False)
-        right.tick_params(labelleft=False)
-        return main, above, right
-    given = _style.axes_in(axes)
-    if len(given) not in (1, 3):
-        demand = "hold three matplotlib Axes (joint histogram, above it, to the right of it), or be one"
-        raise checks.refused("axes", demand, axes)
-    return given
 
 
 def _draw_density(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:

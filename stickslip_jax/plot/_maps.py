@@ -192,7 +192,13 @@ def parameter_map(
     if np.all(unknown):
         _style.note(ax, "no values")
     else:
-        _draw_values(ax, (centers, edges), array, spread, norm, _style.wrapped(str(names[2])), contours)
+        bar = _style.draw_cells(ax, edges, np.ma.masked_invalid(array), norm, _style.wrapped(str(names[2])), ax)
+        lowest, highest = np.nanmin(array), np.nanmax(array)
+        levels = np.array([level for level in bar.get_ticks() if lowest < level < highest] if contours else [])
+        if len(levels):
+            texts = [f"{level:g}" for level in levels]
+            heights, sides = (np.log(array), None if spread is None else spread / array) if log else (array, spread)
+            draw_contours(ax, centers, heights, sides, list(np.log(levels) if log else levels), texts)
     if spread is not None:
         uncertain = ~(spread <= error_share * np.abs(array)) & ~unknown
         text = f"standard error above {100 * error_share:.4g} % of the value"
@@ -246,23 +252,6 @@ def _hatch(ax: Axes, edges: _Pair, chosen: np.ndarray, label: str, look: dict[st
         x, y = edges
         corners = _style.rectangles(x[across], x[across + 1], y[up], y[up + 1])
         _style.draw_polygons(ax, corners, label=label, **look)
-
-
-def _draw_values(
-    ax: Axes, places: tuple[_Pair, _Pair], values: np.ndarray, errors: np.ndarray | None, norm: Normalize, label: str,
-    contours: bool,
-) -> None:  # fmt: skip
-    """The colours, their scale, and lines of equal values; `places`: the centres and edges of the cells."""
-    centers, edges = places
-    bar = _style.draw_cells(ax, edges, np.ma.masked_invalid(values), norm, label, ax)
-    lowest, highest = np.nanmin(values), np.nanmax(values)
-    levels = [level for level in bar.get_ticks() if lowest < level < highest] if contours else []
-    if levels:
-        texts = [f"{level:g}" for level in levels]
-        if isinstance(norm, LogNorm):
-            values, errors = np.log(values), None if errors is None else errors / values
-            levels = list(np.log(levels))
-        draw_contours(ax, centers, values, errors, levels, texts)
 
 
 # The statistics of a parameter sweep: curves, or maps.

@@ -1,7 +1,5 @@
 """Figures of many samples: when their sticks happen, one stick after the other, and how estimates converge."""
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -46,8 +44,7 @@ def stick_raster(
         contact_rows(ax, result, shown)
         legend_above(ax)
         return ax
-    require_ensemble(result)
-    assert isinstance(result, Ensemble)
+    result = require_ensemble(result)
     checks.whole_number("samples", samples)
     begin, end = check_window(window, result.t1)
     every = result.finished_sticks()
@@ -176,47 +173,39 @@ def convergence(
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     ax.set_xscale("log")
     look = {"color": _style.SERIES[0], "lw": _style.SLIP_WIDTH, "marker": "o"}
+    reference = {"color": _style.MASS, "lw": _style.SLIP_WIDTH, "ls": "--"}
     if isinstance(result, Convergence):
-        _draw_estimates(ax, result, level, look | {"ms": 3})
+        ax.set(xlabel="number of samples", ylabel=_style.quantity_label(result.name, result.unit))
+        known, nothing = np.isfinite(result.values), f"not defined in {result.numbers[-1]:,} samples"
     else:
-        _draw_distances(ax, result, look | {"ms": 4})
+        ax.set_yscale("log")
+        xlabel = "number of samples of each of the two histograms"
+        ax.set(xlabel=xlabel, ylabel="distance of the histograms\n(total variation)")
+        known, nothing = np.isfinite(result.distances) & (result.distances > 0), "no distance is known"
+    numbers = result.numbers[known]
+    if not np.any(known):
+        _style.note(ax, nothing)
+    elif isinstance(result, Convergence):
+        values = result.values[known]
+        low, high = (ends[known] for ends in result.band(level))
+        label = f"from all {result.final.samples:,} samples: {_style.with_error(result.final)}"
+        ax.axhline(result.final.value, label=label, **reference)
+        _style.shade_between(ax, numbers, low, high, _style.SERIES[0], _style.interval_name(level))
+        ax.plot(numbers, values, ms=3, label="from the first samples", **look)
+        resolved = np.isfinite(low) & (numbers >= min(_FEWEST, numbers[-1]))
+        shown = np.concatenate([values, low[resolved], high[resolved], [result.final.value]])
+        margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
+        ax.set_ylim(shown.min() - margin, shown.max() + margin)
+    else:
+        distances = result.distances[known]
+        fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
+        ax.plot(numbers, distances, ms=4, label=f"distance in {result.cells:,} cells with pairs{fitted}", **look)
+        # The line begins at a distance of 1, the largest that there is.
+        ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
+        line = distances[-1] * np.sqrt(numbers[-1] / ends)
+        ax.plot(ends, line, label="slope -1/2 through the last", **reference)
     if ax.has_data():
         for axis in (ax.xaxis, ax.yaxis)[: 1 if isinstance(result, Convergence) else 2]:
             _style.log_axis(axis)
     legend_above(ax, columns=1)
     return ax
-
-
-def _draw_estimates(ax: Axes, result: Convergence, level: float, look: dict[str, Any]) -> None:
-    ax.set(xlabel="number of samples", ylabel=_style.quantity_label(result.name, result.unit))
-    known = np.isfinite(result.values)
-    if not np.any(known):
-        _style.note(ax, f"not defined in {result.numbers[-1]:,} samples")
-        return
-    numbers, values = result.numbers[known], result.values[known]
-    low, high = (ends[known] for ends in result.band(level))
-    label = f"from all {result.final.samples:,} samples: {_style.with_error(result.final)}"
-    ax.axhline(result.final.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label=label)
-    _style.shade_between(ax, numbers, low, high, look["color"], _style.interval_name(level))
-    ax.plot(numbers, values, label="from the first samples", **look)
-    resolved = np.isfinite(low) & (numbers >= min(_FEWEST, numbers[-1]))
-    shown = np.concatenate([values, low[resolved], high[resolved], [result.final.value]])
-    margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
-    ax.set_ylim(shown.min() - margin, shown.max() + margin)
-
-
-def _draw_distances(ax: Axes, result: HistogramConvergence, look: dict[str, Any]) -> None:
-    ax.set_yscale("log")
-    xlabel = "number of samples of each of the two histograms"
-    ax.set(xlabel=xlabel, ylabel="distance of the histograms\n(total variation)")
-    known = np.isfinite(result.distances) & (result.distances > 0)
-    if not np.any(known):
-        _style.note(ax, "no distance is known")
-        return
-    numbers, distances = result.numbers[known], result.distances[known]
-    fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
-    ax.plot(numbers, distances, label=f"distance in {result.cells:,} cells with pairs{fitted}", **look)
-    # The line begins at a distance of 1, the largest that there is.
-    ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
-    line = distances[-1] * np.sqrt(numbers[-1] / ends)
-    ax.plot(ends, line, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label="slope -1/2 through the last")

@@ -269,10 +269,11 @@ class CompleteSticks(NamedTuple):
         return (f"{len(self.duration):,} sticks" if len(self.duration) else "no sticks") + self.part + more
 
 
-def require_ensemble(result: Ensemble | Simulation) -> None:
-    """Raise ValueError unless `result` is an ensemble."""
+def require_ensemble(result: Ensemble | Simulation) -> Ensemble:
+    """`result` itself. Raises ValueError unless it is an ensemble."""
     if not isinstance(result, Ensemble):
         raise checks.refused("result", "be an Ensemble", result, "give the result of simulate_ensemble")
+    return result
 
 
 def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteSticks:
