@@ -585,16 +585,14 @@ def _draw_history(
     times = np.union1d(line_times(one, window), np.concatenate([frames, events]))
     values = state_at(one, times)[number]
     name = one.system.body_name
-    label = None if stuck is None else name
-    lines = [(ax.plot([], [], color=_style.MASS, lw=_style.SLIP_WIDTH, label=label)[0], values)]
+    lines = [(ax.plot([], [], label=None if stuck is None else name, **_style.MASS_LINE)[0], values)]
     if one.system.sticks_at_base_velocity and number == 1:
-        base = velocity_at(one, times)
-        lines.append((ax.plot([], [], color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--")[0], base))
+        lines.append((ax.plot([], [], **_style.BASE_LINE)[0], velocity_at(one, times)))
     if stuck is not None:
         # Both ends belong to the line.
         lasts = stuck.lasts_at(times) | np.isin(times, stuck.end)
-        look = {"color": _style.STICK, "lw": _style.STICK_WIDTH, "solid_capstyle": "butt", "label": f"{name}, stick"}
-        lines.append((ax.plot([], [], **look)[0], np.where(lasts, values, np.nan)))
+        (thick,) = ax.plot([], [], label=f"{name}, stick", **_style.STICK_LINE)
+        lines.append((thick, np.where(lasts, values, np.nan)))
     (now,) = ax.plot([], [], "o", color=_style.MASS, ms=4)
     drawn = np.concatenate([line_values[np.isfinite(line_values)] for _, line_values in lines])
     ax.update_datalim(np.column_stack([np.full(len(drawn), window[0]), drawn]))

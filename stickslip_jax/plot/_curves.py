@@ -165,8 +165,8 @@ def curve(
     before, there, known = _quantities(ax), ax.get_ylabel(), None
     if own_ylabel is not None and (not there or there == _style.wrapped(",\n".join(before))):
         known = ",\n".join(dict.fromkeys([*before, own_ylabel]))
-    ax.set_xlabel(_name("xlabel", xlabel or ax.get_xlabel() or own_xlabel))
-    ax.set_ylabel(_name("ylabel", ylabel or known or there))
+    ax.set_xlabel(_named("xlabel", xlabel or ax.get_xlabel() or own_xlabel))
+    ax.set_ylabel(_named("ylabel", ylabel or known or there))
     if xlog and np.any(places <= 0):
         raise checks.refused("x", "hold positive numbers on a logarithmic axis", places)
     if xlog:
@@ -256,13 +256,11 @@ def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.n
     return values - sides, values + sides
 
 
-def _name(argument: str, name: str | None) -> str:
+def _named(argument: str, name: str | None) -> str:
     """The name of an axis, which must be known."""
     if not name:
-        raise ValueError(
-            f"Argument {argument} must be given, the name of the axis with its unit, because what is drawn does not "
-            "say it."
-        )
+        what = "the name of the axis with its unit, because what is drawn does not say it"
+        raise ValueError(f"Argument {argument} must be given, {what}.")
     return _style.wrapped(name)
 
 

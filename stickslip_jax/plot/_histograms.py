@@ -419,7 +419,7 @@ def _draw_pairs(main: Axes, joint: JointDistribution, cells: Cells, bins: Any) -
 # The durations of sticks against the positions at which they begin.
 
 
-_DOTS = (9, 0.6), (3, 0.35)  # area (square points) and opacity of points: of few, of many
+_DOTS = (9.0, 0.6), (3.0, 0.35)  # area (square points) and opacity of points: of few, of many
 
 
 def stick_map(

@@ -84,7 +84,7 @@ def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | 
             label = named[place] if is_named else None
             panel.plot(times, np.asarray(state[number]), color=color, lw=_style.SLIP_WIDTH, label=label)
         if unit in ("m/s", "rad/s") and np.any(base != 0):
-            panel.plot(times, base, label="base", **_BASE)
+            panel.plot(times, base, label="base", **_style.BASE_LINE)
         kinds = {re.sub(r"\s*\d+$", "", name) for name in named}  # "position 1", "position 2", ...
         panel.set_ylabel(_style.quantity_label(kinds.pop() if len(kinds) == 1 else "coordinates", unit))
         _style.time_axis(panel, shown)
@@ -111,7 +111,6 @@ def line_times(one: Simulation, window: Window) -> np.ndarray:
 _VELOCITIES = {"m/s", "rad/s"}
 _MOST_SWINGS = 40  # of the band by more than its width: more are needles without a meaning to the eye
 _LONG = 12  # letters: after a longer name the symbol goes into a second line
-_BASE = {"color": _style.BASE, "lw": _style.SLIP_WIDTH, "ls": "--"}
 
 
 def time_history(
@@ -167,13 +166,12 @@ def time_history(
             np.concatenate([values_of(phase, key)[points] for phase, points in zip(phases, kept, strict=True)])
             for key in ("times", "base_velocity")
         )
-        panels[base_panel].plot(base_times, velocities, label="ground" if on_ground else "base", **_BASE)
+        panels[base_panel].plot(base_times, velocities, label="ground" if on_ground else "base", **_style.BASE_LINE)
     sticks, name = [phase for phase in phases if phase.sticks], result.system.body_name
-    look = {"color": _style.STICK, "lw": _style.STICK_WIDTH, "solid_capstyle": "butt"}
     for number, (panel, coordinate) in enumerate(zip(panels, coordinates, strict=False)):
         values = np.concatenate([phase.state[number] for phase in phases])
-        panel.plot(times, values, color=_style.MASS, lw=_style.SLIP_WIDTH, label=name)
-        panel.plot(joined(sticks, "times"), joined(sticks, number), label=f"{name}, stick", **look)
+        panel.plot(times, values, label=name, **_style.MASS_LINE)
+        panel.plot(joined(sticks, "times"), joined(sticks, number), label=f"{name}, stick", **_style.STICK_LINE)
         holds_base = result.system.sticks_at_base_velocity and number == 1  # which has no symbol then
         label = coordinate._replace(symbol="" if holds_base else coordinate.symbol).label
         label = label.replace(" $", "\n$", 1) if len(coordinate.name) > _LONG else label
@@ -270,7 +268,7 @@ def energies(result: Simulation, *, window: Window | None = None, axes: SeveralA
         look = {"color": _style.SERIES[number], "ls": ("-", "-.")[number % 2], "lw": _style.SLIP_WIDTH}
         upper.plot(times, values, label=name, **look)
     total = np.sum([np.asarray(values) for values in found.stored.values()], axis=0)
-    upper.plot(times, total, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label="sum")
+    upper.plot(times, total, label="sum", **_style.REFERENCE)
     # What the load consists of: an external force, the inertia of a mass on moving ground, or both.
     parts = ["force"] * (getattr(result.system, "force", None) is not None)
     parts += ["ground motion"] * isinstance(result.base, GroundMotion)

@@ -173,7 +173,6 @@ def convergence(
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     ax.set_xscale("log")
     look = {"color": _style.SERIES[0], "lw": _style.SLIP_WIDTH, "marker": "o"}
-    reference = {"color": _style.MASS, "lw": _style.SLIP_WIDTH, "ls": "--"}
     if isinstance(result, Convergence):
         ax.set(xlabel="number of samples", ylabel=_style.quantity_label(result.name, result.unit))
         known, nothing = np.isfinite(result.values), f"not defined in {result.numbers[-1]:,} samples"
@@ -189,7 +188,7 @@ def convergence(
         values = result.values[known]
         low, high = (ends[known] for ends in result.band(level))
         label = f"from all {result.final.samples:,} samples: {_style.with_error(result.final)}"
-        ax.axhline(result.final.value, label=label, **reference)
+        ax.axhline(result.final.value, label=label, **_style.REFERENCE)
         _style.shade_between(ax, numbers, low, high, _style.SERIES[0], _style.interval_name(level))
         ax.plot(numbers, values, ms=3, label="from the first samples", **look)
         resolved = np.isfinite(low) & (numbers >= min(_FEWEST, numbers[-1]))
@@ -203,7 +202,7 @@ def convergence(
         # The line begins at a distance of 1, the largest that there is.
         ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
         line = distances[-1] * np.sqrt(numbers[-1] / ends)
-        ax.plot(ends, line, label="slope -1/2 through the last", **reference)
+        ax.plot(ends, line, label="slope -1/2 through the last", **_style.REFERENCE)
     if ax.has_data():
         for axis in (ax.xaxis, ax.yaxis)[: 1 if isinstance(result, Convergence) else 2]:
             _style.log_axis(axis)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 _RETURNS = ("cycle", "event")
-_DOTS = (6, 0.8), (1.5, 0.4)  # area (square points) and opacity of points: of few, of many
+_DOTS = (6.0, 0.8), (1.5, 0.4)  # area (square points) and opacity of points: of few, of many
 
 
 def section(

@@ -88,6 +88,12 @@ SHADES = LinearSegmentedColormap.from_list("shades", mpl.colormaps["YlGnBu"](np.
 STICK_WIDTH = 3.2
 SLIP_WIDTH = 1.2
 
+MASS_LINE = {"color": MASS, "lw": SLIP_WIDTH}
+BASE_LINE = {"color": BASE, "lw": SLIP_WIDTH, "ls": "--"}
+STICK_LINE = {"color": STICK, "lw": STICK_WIDTH, "solid_capstyle": "butt"}
+REFERENCE = {"color": MASS, "lw": SLIP_WIDTH, "ls": "--"}
+"""How a value looks that curves are compared with."""
+
 
 def axes_or_new(ax: Axes | None, size: tuple[float, float]) -> Axes:
     """`ax` itself, or the axes of a new figure of `size` (inches). Raises ValueError if `ax` is no matplotlib Axes."""
