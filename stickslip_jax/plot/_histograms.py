@@ -163,6 +163,7 @@ def histogram(
             raise checks.refused("bins", demand, bins, hint)
         drawn = result.histogram(None if bins is None else checks.whole_number("bins", bins))
         number, name, unit, is_whole = result.number, result.name, result.unit, result.is_whole
+        # A bin of whole numbers is centred on its number.
         edges, heights, errors = drawn.edges - 0.5 * is_whole, drawn.density, drawn.error
         color, mean = _style.STICK if "stick" in name else _style.SERIES[0], result.mean if number else None
         text = _style.counted(number, "value") if number else "no values"

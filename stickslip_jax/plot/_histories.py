@@ -437,8 +437,6 @@ def _wrapped(angle: np.ndarray, speed: np.ndarray, period: float) -> tuple[np.nd
     between = speed[at] + part * (speed[at + 1] - speed[at])
     forward = count[at + 1] > count[at]
     leaving, entering = np.where(forward, period, 0), np.where(forward, 0, period)
-    x = np.insert(
-        angle - period * count, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
-    )
-    y = np.insert(speed, np.repeat(at + 1, 3), np.ravel([between, np.full(len(at), np.nan), between], "F"))
-    return x, y
+    places, gap = np.repeat(at + 1, 3), np.full(len(at), np.nan)
+    x = np.insert(angle - period * count, places, np.ravel([leaving, gap, entering], "F"))
+    return x, np.insert(speed, places, np.ravel([between, gap, between], "F"))

@@ -38,9 +38,8 @@ def sensitivity_curve(
     points, width = _checked(results), _style.errors_in_half(level)
     parameters = {point.parameter for point in points}
     if len(parameters) > 1:
-        raise ValueError(
-            f"Argument results must be of one parameter, but those of {', '.join(sorted(parameters))} were given."
-        )
+        given = ", ".join(sorted(parameters))
+        raise ValueError(f"Argument results must be of one parameter, but those of {given} were given.")
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     points.sort(key=lambda point: point.parameter_value)
     values, derivatives, errors, paths = (
