@@ -23,6 +23,7 @@ from ._trajectory import (
     joined,
     phases_in,
     phases_of,
+    sticks_in,
     turns_of,
     values_of,
 )
@@ -40,7 +41,7 @@ def contact_rows(ax: Axes, one: Simulation, window: Window) -> None:
     rows = [*(one.of_contact(number) for number in range(contacts)), one.of_all_contacts()]
     found = 0
     for row, part in enumerate(rows):
-        start, end = _sticks_in(part, window)
+        start, end = sticks_in(part, window)
         found += len(start)
         label = {0: "stick", contacts: "all closed contacts stick"}.get(row)
         corners = _style.sticks_in_rows(np.full(len(start), float(row)), start, end)
@@ -53,14 +54,6 @@ def contact_rows(ax: Axes, one: Simulation, window: Window) -> None:
     ax.set_yticks([*numbers, contacts], [*map(str, numbers), "all"])
     ax.set_ylabel("contact")
     _style.time_axis(ax, window)
-
-
-def _sticks_in(one: Simulation, window: Window) -> tuple[np.ndarray, np.ndarray]:
-    """When the sticks that a window shows start and end, s."""
-    mask = np.asarray(one.sticks.mask)
-    start, end = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
-    shown = (end > window[0]) & (start < window[1])
-    return start[shown], end[shown]
 
 
 def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | None) -> tuple[Axes, ...]:
@@ -260,7 +253,7 @@ def energies(result: Simulation, *, window: Window | None = None, axes: SeveralA
     check_simulation(result)
     _, (begin, end) = phases_in(result, window)
     upper, lower = _style.axes_below_or_new(axes, ("stored", "supplied and dissipated"), (6.4, 5.2))
-    starts, ends = _sticks_in(result, (begin, end))
+    starts, ends = sticks_in(result, (begin, end))
     events = np.clip(np.concatenate([starts, ends]), begin, end)
     times = np.union1d(np.linspace(begin, end, _ENERGY_POINTS), events)
     found = result.energies(times)

@@ -97,10 +97,17 @@ def has_steady_base(one: Simulation) -> bool:
     return one.system.sticks_at_base_velocity and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
 
 
+def sticks_in(one: Simulation, window: Window) -> tuple[np.ndarray, np.ndarray]:
+    """When the sticks start and end that last at some time inside the window, s."""
+    mask = np.asarray(one.sticks.mask)
+    start, end = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
+    shown = (end > window[0]) & (start < window[1])
+    return start[shown], end[shown]
+
+
 def phases_of(one: Simulation, window: Window) -> list[Phase]:
     """The phases of the trajectory inside the window (s), in order of time."""
-    mask = np.asarray(one.sticks.mask)
-    starts, ends = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
+    starts, ends = sticks_in(one, (-math.inf, math.inf))
     knots, round_off = _knots(one, window, np.concatenate([starts, ends]))
     middles = (knots[:-1] + knots[1:]) / 2
     sticks = np.searchsorted(starts, middles, side="right") > np.searchsorted(ends, middles, side="right")
