@@ -214,26 +214,21 @@ _BASE_MARKS = 6
 
 def check_mechanism(mechanism: object, whose: str, frames: int, contacts: int) -> None:
     """Raise ValueError for what a user's `System.mechanism` must not return; `whose`: the class of the system."""
-    called = f"The method mechanism of {whose}"
+    must = f"The method mechanism of {whose} must return"
     if not isinstance(mechanism, Mechanism) or not all(isinstance(part, Part) for part in mechanism.parts):
-        raise ValueError(
-            f"{called} must return a plot.Mechanism of Body, Spring, Rod, Disk and Belt, but {checks.show(mechanism)} "
-            "was returned."
-        )
+        shown = checks.show(mechanism)
+        raise ValueError(f"{must} a plot.Mechanism of Body, Spring, Rod, Disk and Belt, but {shown} was returned.")
     for part in mechanism.parts:
+        kind = type(part).__name__
         for value in numbers_of(part):
             array = checks.numbers("mechanism", value)
             if array.shape not in ((), (frames,)) or not np.all(np.isfinite(array)):
-                raise ValueError(
-                    f"{called} must return finite numbers or arrays of {frames} of them, one for each frame, but a "
-                    f"{type(part).__name__} has {checks.show(value)}."
-                )
+                what = f"finite numbers or arrays of {frames} of them, one for each frame"
+                raise ValueError(f"{must} {what}, but a {kind} has {checks.show(value)}.")
         touched = () if isinstance(part, (Belt, Spring)) else part.contacts
         if not set(touched) <= set(range(contacts)):
-            raise ValueError(
-                f"{called} must return numbers of contacts from 0 to {contacts - 1}, but a {type(part).__name__} has "
-                f"the contacts {touched}."
-            )
+            what = f"numbers of contacts from 0 to {contacts - 1}"
+            raise ValueError(f"{must} {what}, but a {kind} has the contacts {touched}.")
 
 
 def numbers_of(part: Part) -> tuple[OverTime, ...]:

@@ -69,16 +69,16 @@ def labeled(
         elif isinstance(errors, str) and errors not in data:
             raise checks.refused("errors", "be the name of a variable of the Dataset", errors)
         errors = data[errors] if isinstance(errors, str) else errors
+    dims = ", ".join(map(str, values.dims))
     if values.ndim not in dimensions:
         allowed = " or ".join(map(str, dimensions))
         raise ValueError(
             f"Argument x must have {allowed} dimensions, but an array with {values.ndim} was given "
-            f"({', '.join(map(str, values.dims)) or 'none'}); choose values of the others with .sel(...)."
+            f"({dims or 'none'}); choose values of the others with .sel(...)."
         )
     if along is not None:
         if along not in values.dims:
-            known = ", ".join(map(str, values.dims))
-            raise checks.refused("along", f"be one of the dimensions {known}", along)
+            raise checks.refused("along", f"be one of the dimensions {dims}", along)
         values = values.transpose(along, ...)
     coordinates = [values[dimension] for dimension in values.dims]
     for one in coordinates:
@@ -395,15 +395,10 @@ def _fractions_of(
     if of_numbers:
         checks.numeric("fractions", fractions, ndim=1)
     elif len(given) not in (len(distributions), len(estimates)):
-        demand = (
-            "hold stick fractions, either all ensemble.statistics.stick_fraction, or all Estimates such as "
-            "stick_fraction(ensemble), or all numbers"
-        )
-        raise checks.refused("fractions", demand, fractions)
-    if len(fractions) != number:
-        raise ValueError(
-            f"Argument fractions must have the length {number} of parameter_values, but it has {len(fractions)}."
-        )
+        kinds = "all ensemble.statistics.stick_fraction, or all Estimates such as stick_fraction(ensemble)"
+        raise checks.refused("fractions", f"hold stick fractions, either {kinds}, or all numbers", fractions)
+    if (length := len(fractions)) != number:
+        raise ValueError(f"Argument fractions must have the length {number} of parameter_values, but it has {length}.")
     if not of_numbers and errors is not None:
         demand, hint = "be left out with distributions and estimates", "choose its level instead"
         raise checks.refused("errors", f"{demand}, which have a band of their own", errors, hint)

@@ -225,15 +225,12 @@ def _checked(
     across, up = np.asarray(x, float), np.asarray(y, float)
     array = _style.numbers_or_gaps("values", values, 2)
     if array.shape != (len(across), len(up)):
-        raise ValueError(
-            f"Argument values must have the shape (len(x), len(y)) = ({len(across)}, {len(up)}), but an array of shape "
-            f"{array.shape} was given."
-        )
+        shape = f"the shape (len(x), len(y)) = ({len(across)}, {len(up)})"
+        raise ValueError(f"Argument values must have {shape}, but an array of shape {array.shape} was given.")
     for name, centers, is_log in (("x", across, logs[0]), ("y", up, logs[1])):
         if is_log and centers[0] <= 0:
-            raise ValueError(
-                f"Argument {name} must hold positive numbers on a logarithmic axis, but {centers[0]:g} is the first."
-            )
+            demand = "hold positive numbers on a logarithmic axis"
+            raise ValueError(f"Argument {name} must {demand}, but {centers[0]:g} is the first.")
     return (across, up), array, None if errors is None else _style.checked_errors(errors, array)
 
 
