@@ -4,10 +4,10 @@ import base64
 import io
 import math
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import jax
 import matplotlib as mpl
@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.animation import FFMpegWriter
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
@@ -28,7 +28,7 @@ from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import Ending
-from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Point, Rod, Spring
+from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring
 from . import _style
 from ._histories import line_times
 from ._style import Window, legend_above
@@ -43,23 +43,10 @@ _COLORS = 64  # of a frame of a GIF: a drawing of few colours, and their edges
 def gif(figure: Figure, draw: Callable[[int], object], frames: int, fps: float, dpi: float) -> bytes:
     """The frames that `draw` draws into `figure`, as a GIF that begins anew at its end.
 
-    A GIF counts hundredths of a second: frames last one more or less, so that the film keeps its speed.
+    A GIF counts hundredths of a second: frames last one more or less, so that the film keeps its speed. Axes and
+    legends, which take most of the time, are drawn once and what is in the axes over them.
     """
-    images = [_with_few_colors(image) for image in _images(figure, draw, frames, dpi)]
-    ends = np.round(100 * np.arange(frames + 1) / fps).astype(int)
-    written = io.BytesIO()
-    lasting = (10 * np.diff(ends)).tolist()  # ms
-    images[0].save(written, "GIF", save_all=True, append_images=images[1:], duration=lasting, loop=0)
-    return written.getvalue()
-
-
-def _with_few_colors(image: Image.Image) -> Image.Image:
-    return image.quantize(_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-
-
-def _images(figure: Figure, draw: Callable[[int], object], frames: int, dpi: float) -> Iterator[Image.Image]:
-    """The frames; axes and legends, which take most of the time, are drawn once and what is in the axes over them."""
-    usual, canvas = figure.dpi, FigureCanvasAgg(figure)
+    usual, canvas, images = figure.dpi, FigureCanvasAgg(figure), []
     moving = [one for ax in figure.axes for one in (*ax.patches, *ax.lines, *ax.collections, *ax.texts)]
     moving.sort(key=lambda one: one.get_zorder())
     figure.dpi = dpi
@@ -74,11 +61,17 @@ def _images(figure: Figure, draw: Callable[[int], object], frames: int, dpi: flo
             for one in moving:
                 assert one.axes is not None
                 one.axes.draw_artist(one)
-            yield Image.fromarray(np.array(canvas.buffer_rgba())).convert("RGB")
+            image = Image.fromarray(np.array(canvas.buffer_rgba())).convert("RGB")
+            images.append(image.quantize(_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
     finally:
         for one in moving:
             one.set_animated(False)
         figure.dpi = usual
+    ends = np.round(100 * np.arange(frames + 1) / fps).astype(int)
+    written = io.BytesIO()
+    lasting = (10 * np.diff(ends)).tolist()  # ms
+    images[0].save(written, "GIF", save_all=True, append_images=images[1:], duration=lasting, loop=0)
+    return written.getvalue()
 
 
 def mp4(figure: Figure, draw: Callable[[int], object], frames: int, fps: float, dpi: float) -> bytes:
@@ -204,18 +197,7 @@ def velocity_at(one: Simulation, times: np.ndarray) -> np.ndarray:
     return np.asarray(_velocity(one, padded(one, times)), float)[: len(times)]
 
 
-@jax.jit
-def _velocity(one: Simulation, times: jax.Array) -> jax.Array:
-    return one.base_velocity(times)
-
-
-def checked_speed(speed: float | int | None, fps: float | int) -> None:
-    """Raises ValueError for a speed that is not positive, or a number of frames per second that no GIF can show."""
-    if speed is not None:
-        checks.positive("speed", speed, "s of motion per s of film")
-    checks.positive("fps", fps, "frames per second")
-    if fps > 50:
-        raise checks.refused("fps", "be at most 50 (frames per second), the most that players of GIFs show", fps)
+_velocity = jax.jit(Simulation.base_velocity)
 
 
 # The parts of a mechanism as artists of matplotlib that move from frame to frame.
@@ -232,30 +214,25 @@ _BASE_MARKS = 6
 
 def check_mechanism(mechanism: object, whose: str, frames: int, contacts: int) -> None:
     """Raise ValueError for what a user's `System.mechanism` must not return; `whose`: the class of the system."""
-    called = f"The method mechanism of {whose}"
+    must = f"The method mechanism of {whose} must return"
     if not isinstance(mechanism, Mechanism) or not all(isinstance(part, Part) for part in mechanism.parts):
-        raise ValueError(
-            f"{called} must return a plot.Mechanism of Body, Spring, Rod, Disk and Belt, but {checks.show(mechanism)} "
-            "was returned."
-        )
+        shown = checks.show(mechanism)
+        raise ValueError(f"{must} a plot.Mechanism of Body, Spring, Rod, Disk and Belt, but {shown} was returned.")
     for part in mechanism.parts:
-        for value in _numbers_of(part):
+        kind = type(part).__name__
+        for value in numbers_of(part):
             array = checks.numbers("mechanism", value)
             if array.shape not in ((), (frames,)) or not np.all(np.isfinite(array)):
-                raise ValueError(
-                    f"{called} must return finite numbers or arrays of {frames} of them, one for each frame, but a "
-                    f"{type(part).__name__} has {checks.show(value)}."
-                )
+                what = f"finite numbers or arrays of {frames} of them, one for each frame"
+                raise ValueError(f"{must} {what}, but a {kind} has {checks.show(value)}.")
         touched = () if isinstance(part, (Belt, Spring)) else part.contacts
         if not set(touched) <= set(range(contacts)):
-            raise ValueError(
-                f"{called} must return numbers of contacts from 0 to {contacts - 1}, but a {type(part).__name__} has "
-                f"the contacts {touched}."
-            )
+            what = f"numbers of contacts from 0 to {contacts - 1}"
+            raise ValueError(f"{must} {what}, but a {kind} has the contacts {touched}.")
 
 
-def _numbers_of(part: Part) -> tuple[OverTime, ...]:
-    """All numbers of a part."""
+def numbers_of(part: Part) -> tuple[OverTime, ...]:
+    """All numbers of a part: its places, then its lengths."""
     if isinstance(part, Body):
         return *part.center, part.width, part.height
     if isinstance(part, Disk):
@@ -271,7 +248,21 @@ def draw_parts(ax: Axes, mechanism: Mechanism, sticking: np.ndarray) -> Move:
     `sticking`: whether each contact sticks in each frame, (frames, contacts).
     """
     ax.set(xlim=mechanism.x_range, ylim=mechanism.y_range)
-    moves = [_draw_parts(ax, part, sticking, 2 + 0.01 * order) for order, part in enumerate(mechanism.parts)]
+    moves = []
+    for number, part in enumerate(mechanism.parts):
+        order = 2 + 0.01 * number  # each part is above those before it
+        if isinstance(part, Belt):
+            moves.append(_belt(ax, part, order))
+            continue
+        places = np.array([np.broadcast_to(np.asarray(value, float), len(sticking)) for value in numbers_of(part)])
+        stuck = np.any(sticking[:, [] if isinstance(part, Spring) else list(part.contacts)], axis=1)
+        draw = _body if isinstance(part, Body) else _disk if isinstance(part, Disk) else _link
+        moves.append(draw(ax, cast(Any, part), places.T, stuck, order))
+    return together(moves)
+
+
+def together(moves: Sequence[Move]) -> Move:
+    """What makes all of these moves."""
 
     def move(frame: int) -> None:
         for one in moves:
@@ -280,28 +271,19 @@ def draw_parts(ax: Axes, mechanism: Mechanism, sticking: np.ndarray) -> Move:
     return move
 
 
-def _draw_parts(ax: Axes, part: Part, sticking: np.ndarray, order: float) -> Move:
-    """One part, above all of a lower `order`."""
-    if isinstance(part, Body):
-        return _body(ax, part, sticking, order)
-    if isinstance(part, Disk):
-        return _disk(ax, part, sticking, order)
-    if isinstance(part, Belt):
-        return _belt(ax, part, order)
-    return _link(ax, part, sticking, order)
+# Each part by its numbers and whether it sticks in each frame, (frames, numbers) and (frames,).
 
 
-def _body(ax: Axes, body: Body, sticking: np.ndarray, order: float) -> Move:
+def _body(ax: Axes, body: Body, places: np.ndarray, stuck: np.ndarray, order: float) -> Move:
     look = {"hatch": "////", "edgecolor": "0.5", "facecolor": _FIXED, "lw": 0} if body.fixed else {
         "edgecolor": _style.MASS, "facecolor": _FILL, "lw": _style.SLIP_WIDTH
     }  # fmt: skip
     patch = Rectangle((0, 0), 0, 0, zorder=order, **look)
     ax.add_patch(patch)
     text = ax.text(0, 0, body.label, ha="center", va="center", zorder=order, clip_on=True, fontsize="small")
-    stuck = _any_of(sticking, body.contacts)
 
     def move(frame: int) -> None:
-        (x, y), width, height = _at(body.center, frame), _number(body.width, frame), _number(body.height, frame)
+        x, y, width, height = places[frame]
         patch.set_bounds(x - width / 2, y - height / 2, width, height)
         text.set_position((x, y))
         if not body.fixed:
@@ -310,7 +292,7 @@ def _body(ax: Axes, body: Body, sticking: np.ndarray, order: float) -> Move:
     return move
 
 
-def _disk(ax: Axes, disk: Disk, sticking: np.ndarray, order: float) -> Move:
+def _disk(ax: Axes, disk: Disk, places: np.ndarray, stuck: np.ndarray, order: float) -> Move:
     color = _style.BASE if disk.is_base else _style.MASS
     look = {"fill": not disk.is_base, "facecolor": _FILL, "edgecolor": color, "lw": 1.4, "zorder": order}
     circle = Circle((0, 0), disk.radius, **look)
@@ -318,20 +300,18 @@ def _disk(ax: Axes, disk: Disk, sticking: np.ndarray, order: float) -> Move:
     marks = LineCollection([], colors=color, lw=1.8, zorder=order)
     ax.add_collection(marks, autolim=False)
     text = ax.text(0, 0, disk.label, ha="center", va="top", fontsize="small", zorder=order)
-    stuck = _any_of(sticking, disk.contacts)
     # A ring has short marks all around it, the first a long one.
     turns = 2 * np.pi * np.arange(_BASE_MARKS) / _BASE_MARKS if disk.is_base else np.zeros(1)
     inner = np.where(turns == 0, 0.82, 0.92) if disk.is_base else np.zeros(1)
 
     def move(frame: int) -> None:
-        center = np.array(_at(disk.center, frame))
+        center, (radius, *angle) = places[frame, :2], places[frame, 2:]
         circle.set_center((center[0], center[1]))
-        text.set_position((center[0], center[1] - 1.35 * disk.radius))
+        text.set_position((center[0], center[1] - 1.35 * radius))
         if not disk.is_base:
             circle.set_facecolor(_style.STICK if stuck[frame] else _FILL)
-        if disk.angle is not None:
-            angles = _number(disk.angle, frame) + turns
-            ways = disk.radius * np.stack([np.cos(angles), np.sin(angles)], -1)
+        if angle:
+            ways = radius * np.stack([np.cos(angle[0] + turns), np.sin(angle[0] + turns)], -1)
             marks.set_segments(list(np.stack([center + inner[:, None] * ways, center + ways], 1)))
 
     return move
@@ -342,8 +322,7 @@ def _belt(ax: Axes, belt: Belt, order: float) -> Move:
     marks = LineCollection([], colors=_style.BASE, lw=1.6, zorder=order)
     ax.add_collection(marks, autolim=False)
     places = belt.mark_places
-    height = abs(np.diff(ax.get_ylim())[0])
-    lengths = np.where(np.arange(belt.marks) == 0, 0.11, 0.05) * height
+    lengths = np.where(np.arange(belt.marks) == 0, 0.11, 0.05) * abs(np.diff(ax.get_ylim())[0])
     below = np.column_stack([np.full(belt.marks, belt.y), belt.y - lengths])
 
     def move(frame: int) -> None:
@@ -353,7 +332,7 @@ def _belt(ax: Axes, belt: Belt, order: float) -> Move:
     return move
 
 
-def _link(ax: Axes, link: Spring | Rod, sticking: np.ndarray, order: float) -> Move:
+def _link(ax: Axes, link: Spring | Rod, places: np.ndarray, stuck: np.ndarray, order: float) -> Move:
     figure = _style.figure_of(ax)
     # Coils have the same width in every direction and on every scale, so they are drawn in inches.
     is_spring = isinstance(link, Spring)
@@ -362,11 +341,10 @@ def _link(ax: Axes, link: Spring | Rod, sticking: np.ndarray, order: float) -> M
         line.set_transform(figure.dpi_scale_trans)
     ax.add_artist(line)
     line.set_clip_path(ax.patch)
-    stuck = _any_of(sticking, () if is_spring else link.contacts)
-    usual = np.array([[np.mean(place) for place in point] for point in (link.start, link.end)])
+    usual = np.array([np.mean(value) for value in numbers_of(link)]).reshape(2, 2)
 
     def move(frame: int) -> None:
-        ends = np.array([_at(link.start, frame), _at(link.end, frame)])
+        ends = places[frame].reshape(2, 2)
         if is_spring:
             first, last = ax.transData.transform(usual) / figure.dpi
             coils = int(np.clip(np.hypot(*(last - first)) / _COIL_LENGTH, 2, _MOST_COILS))
@@ -387,19 +365,6 @@ def zigzag(start: np.ndarray, end: np.ndarray, coils: int) -> np.ndarray:
     side = np.zeros(len(along))
     side[2:-2] = np.where(np.arange(2 * coils - 1) % 2, -0.5, 0.5)
     return start + along[:, None] * way + _COIL_WIDTH * side[:, None] * across
-
-
-def _any_of(sticking: np.ndarray, contacts: Sequence[int]) -> np.ndarray:
-    """Whether any of these contacts sticks, in each frame."""
-    return np.asarray(sticking[:, list(contacts)].any(axis=1))
-
-
-def _number(value: OverTime, frame: int) -> float:
-    return float(np.asarray(value)[frame]) if np.ndim(value) else float(value)
-
-
-def _at(point: Point, frame: int) -> tuple[float, float]:
-    return _number(point[0], frame), _number(point[1], frame)
 
 
 # A moving picture of one trajectory: its mechanism, and below it the history that grows.
@@ -523,12 +488,18 @@ def animate(
     check_simulation(result, of_one_contact=False)
     names = [one.name for one in result.system.coordinates]
     shown = 0 if coordinate is None else names.index(checks.chosen("coordinate", coordinate, names))
-    checked_speed(speed, fps)
+    if speed is not None:
+        checks.positive("speed", speed, "s of motion per s of film")
+    checks.positive("fps", fps, "frames per second")
+    if fps > 50:
+        raise checks.refused("fps", "be at most 50 (frames per second), the most that players of GIFs show", fps)
     size = checks.state("figsize", figsize, ("width", "height"))
     for name, length in zip(("figsize[0]", "figsize[1]"), size, strict=True):
         checks.bounded(name, length, "inches", at_least=2)
     sticks = sticks_of(result)
-    window = check_window(window, float(result.t1)) if _has_rows(result) else phases_in(result, window)[1]
+    # Sticks of several contacts have a row each.
+    rows = result.sticks.contact is not None and result.system.contact_count != 1
+    window = check_window(window, float(result.t1)) if rows else phases_in(result, window)[1]
     times, speed = frame_times(window, None if speed is None else float(speed), float(fps), result.sticks.start.dtype)
     mechanism = result.system.mechanism(state_at(result, times), base_displacement(result, times))
     contacts = result.system.contact_count or 1
@@ -539,16 +510,6 @@ def animate(
 
     figure = Figure(figsize=(float(size[0]), float(size[1])), layout="constrained")
     FigureCanvasAgg(figure)
-    move = _draw(figure, result, mechanism, sticking, sticks, shown, window, times, speed)
-    return Animation(figure, move, times, speed, float(fps))
-
-
-def _draw(
-    figure: Figure, result: Simulation, mechanism: Mechanism, sticking: np.ndarray, sticks: dict[int, Stuck],
-    shown: int, window: Window, times: np.ndarray, speed: float,
-) -> Move:  # fmt: skip
-    """Draw all of a film into its figure; `shown`: the number of the coordinate in the history."""
-    rows = _has_rows(result)
     ratios = (2.2, 1.0, 0.3 + 0.08 * min(len(sticks), _MOST_NAMES)) if rows else (1.9, 1.0)
     above, below, *others = figure.subplots(len(ratios), 1, height_ratios=ratios)
     moves = [
@@ -562,44 +523,23 @@ def _draw(
         moves.append(_draw_rows(others[0], sticks, window, times))
     _style.time_axis(below, window)
     legend_above(above, below, *others, columns=5)
-
-    def move(frame: int) -> None:
-        for one in moves:
-            one(frame)
-
-    _fix_layout(figure, move, mechanism if mechanism.equal else None)
-    return move
-
-
-def _has_rows(one: Simulation) -> bool:
-    """Whether there are sticks of several contacts, each with a row of its own."""
-    return one.sticks.contact is not None and one.system.contact_count != 1
-
-
-def _fix_layout(figure: Figure, move: Move, equal: Mechanism | None) -> None:
-    """Find the layout once: frames must not differ in it. The second time, springs know where the axes are.
-
-    `equal`: the mechanism in the first axes if lengths there are to be alike in both directions.
-    """
+    move = together(moves)
+    # Frames must not differ in the layout. The second time that it is found, springs know where the axes are.
     for _ in range(2):
         move(0)
         figure.draw_without_rendering()
-        if equal is not None:
-            _make_equal(figure.axes[0], equal)
+        if mechanism.equal:
+            _make_equal(above, mechanism)
     figure.set_layout_engine("none")
+    return Animation(figure, move, times, speed, float(fps))
 
 
 def _make_equal(ax: Axes, mechanism: Mechanism) -> None:
     """Widen one of the ranges about its middle until lengths are drawn alike in both directions."""
     box = ax.get_window_extent()
-    wide, high = np.ptp(mechanism.x_range), np.ptp(mechanism.y_range)
-    scale = max(wide / box.width, high / box.height)
-    for limits, size, setter in (
-        (mechanism.x_range, box.width, ax.set_xlim),
-        (mechanism.y_range, box.height, ax.set_ylim),
-    ):
-        middle = sum(limits) / 2
-        setter(middle - scale * size / 2, middle + scale * size / 2)
+    middles, sizes = np.mean([mechanism.x_range, mechanism.y_range], axis=1), np.array([box.width, box.height])
+    half = max(np.ptp(mechanism.x_range) / box.width, np.ptp(mechanism.y_range) / box.height) * sizes / 2
+    ax.set(xlim=(middles[0] - half[0], middles[0] + half[0]), ylim=(middles[1] - half[1], middles[1] + half[1]))
 
 
 def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: np.ndarray) -> Move:
@@ -628,11 +568,7 @@ def _draw_clock(ax: Axes, times: np.ndarray, speed: float) -> Move:
     text = ax.text(0.01, 0.98, "", transform=ax.transAxes, va="top", zorder=5)
     told = "real time" if f"{speed:.3g}" == "1" else f"{speed:.3g} \u00d7 real time"
     ax.text(0.99, 0.98, told, transform=ax.transAxes, va="top", ha="right", zorder=5)
-
-    def move(frame: int) -> None:
-        text.set_text(f"t = {times[frame]:.{digits}f} s")
-
-    return move
+    return lambda frame: text.set_text(f"t = {times[frame]:.{digits}f} s")
 
 
 def _draw_history(
@@ -644,16 +580,14 @@ def _draw_history(
     times = np.union1d(line_times(one, window), np.concatenate([frames, events]))
     values = state_at(one, times)[number]
     name = one.system.body_name
-    label = None if stuck is None else name
-    lines = [(ax.plot([], [], color=_style.MASS, lw=_style.SLIP_WIDTH, label=label)[0], values)]
+    lines = [(ax.plot([], [], label=None if stuck is None else name, **_style.MASS_LINE)[0], values)]
     if one.system.sticks_at_base_velocity and number == 1:
-        base = velocity_at(one, times)
-        lines.append((ax.plot([], [], color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--")[0], base))
+        lines.append((ax.plot([], [], **_style.BASE_LINE)[0], velocity_at(one, times)))
     if stuck is not None:
         # Both ends belong to the line.
         lasts = stuck.lasts_at(times) | np.isin(times, stuck.end)
-        look = {"color": _style.STICK, "lw": _style.STICK_WIDTH, "solid_capstyle": "butt", "label": f"{name}, stick"}
-        lines.append((ax.plot([], [], **look)[0], np.where(lasts, values, np.nan)))
+        (thick,) = ax.plot([], [], label=f"{name}, stick", **_style.STICK_LINE)
+        lines.append((thick, np.where(lasts, values, np.nan)))
     (now,) = ax.plot([], [], "o", color=_style.MASS, ms=4)
     drawn = np.concatenate([line_values[np.isfinite(line_values)] for _, line_values in lines])
     ax.update_datalim(np.column_stack([np.full(len(drawn), window[0]), drawn]))
@@ -674,8 +608,7 @@ def _draw_rows(ax: Axes, sticks: dict[int, Stuck], window: Window, frames: np.nd
     """A row for each contact with its sticks until the time of the frame."""
     start, end = (np.concatenate([getattr(one, name) for one in sticks.values()]) for name in ("start", "end"))
     row = np.repeat(np.array(list(sticks), float), [len(one.start) for one in sticks.values()])
-    bars = PolyCollection([], facecolor=_style.STICK, lw=0, label="stick")
-    ax.add_collection(bars, autolim=False)
+    bars = _style.draw_polygons(ax, [], facecolor=_style.STICK, label="stick")
     ax.set_ylim(max(sticks) + 0.5, -0.5)
     ax.set_yticks(range(0, max(sticks) + 1, -(-len(sticks) // 6)))
     ax.set_ylabel("contact")
@@ -684,6 +617,6 @@ def _draw_rows(ax: Axes, sticks: dict[int, Stuck], window: Window, frames: np.nd
     def move(frame: int) -> None:
         begun = (start < frames[frame]) & (end > window[0])
         until = np.minimum(end[begun], frames[frame])
-        bars.set_verts(_style.rectangles(start[begun], until, row[begun] - 0.4, row[begun] + 0.4))
+        bars.set_verts(_style.sticks_in_rows(row[begun], start[begun], until))
 
     return move

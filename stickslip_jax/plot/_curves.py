@@ -3,7 +3,7 @@
 import dataclasses
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeGuard, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, TypeGuard, get_args
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,10 +17,6 @@ from .._systems.motor_cart import MotorCart, stick_duration_bound
 from .._systems.system import unphased
 from . import _style
 from ._style import LabeledData, Numbers, Voltage, legend_above
-
-if TYPE_CHECKING:
-    import xarray
-
 
 # What figures read from labelled arrays of xarray: values, their standard errors, coordinates, names and units.
 
@@ -57,19 +53,32 @@ def labeled(
 
     Raises ValueError for anything else.
     """
-    values, errors = _variables(data, name, errors)
+    values: Any = data
+    if not hasattr(data, "data_vars"):
+        if name is not None:
+            hint = "of a Dataset it is the name of a variable"
+            raise checks.refused("y", "be left out with a DataArray", name, hint)
+    elif not (isinstance(name, str) and name in data.data_vars):
+        known = ", ".join(map(str, data.data_vars))
+        raise checks.refused("y", f"be the name of a variable of the Dataset, one of {known}", name)
+    else:
+        values = data[name]
+        if errors is None:
+            named = str(values.attrs.get("ancillary_variables", "")).split()
+            errors = next((one for one in (*named, f"{name}_error", f"{name}_standard_error") if one in data), None)
+        elif isinstance(errors, str) and errors not in data:
+            raise checks.refused("errors", "be the name of a variable of the Dataset", errors)
+        errors = data[errors] if isinstance(errors, str) else errors
+    dims = ", ".join(map(str, values.dims))
     if values.ndim not in dimensions:
         allowed = " or ".join(map(str, dimensions))
         raise ValueError(
             f"Argument x must have {allowed} dimensions, but an array with {values.ndim} was given "
-            f"({', '.join(map(str, values.dims)) or 'none'}); choose values of the others with .sel(...)."
+            f"({dims or 'none'}); choose values of the others with .sel(...)."
         )
     if along is not None:
         if along not in values.dims:
-            raise ValueError(
-                f"Argument along must be one of the dimensions {', '.join(map(str, values.dims))}, but "
-                f"{checks.show(along)} was given."
-            )
+            raise checks.refused("along", f"be one of the dimensions {dims}", along)
         values = values.transpose(along, ...)
     coordinates = [values[dimension] for dimension in values.dims]
     for one in coordinates:
@@ -83,41 +92,10 @@ def labeled(
         array[np.ix_(*order)],
         errors[np.ix_(*order)] if errors is not None and errors.shape == array.shape else errors,
         tuple(np.asarray(one, float)[place] for one, place in zip(coordinates, order, strict=True)),
-        tuple(map(_label, coordinates)),
-        _label(values),
-        tuple(map(_unit, coordinates)),
+        tuple(map(_style.label_of, coordinates)),
+        _style.label_of(values),
+        tuple(map(_style.unit_of, coordinates)),
     )
-
-
-def _variables(data: Any, name: object, errors: object) -> "tuple[xarray.DataArray, object]":
-    """The array of values, and that of errors or None."""
-    if not hasattr(data, "data_vars"):
-        if name is not None:
-            raise ValueError(
-                f"Argument y must be left out with a DataArray, but {checks.show(name)} was given; of a Dataset it is "
-                "the name of a variable."
-            )
-        return data, errors
-    if not (isinstance(name, str) and name in data.data_vars):
-        raise ValueError(
-            f"Argument y must be the name of a variable of the Dataset, one of {', '.join(map(str, data.data_vars))}, "
-            f"but {checks.show(name)} was given."
-        )
-    if errors is None:
-        named = str(data[name].attrs.get("ancillary_variables", "")).split()
-        errors = next((one for one in (*named, f"{name}_error", f"{name}_standard_error") if one in data), None)
-    elif isinstance(errors, str) and errors not in data:
-        raise ValueError(f"Argument errors must be the name of a variable of the Dataset, but {errors!r} was given.")
-    return data[name], data[errors] if isinstance(errors, str) else errors
-
-
-def _unit(one: "xarray.DataArray") -> str:
-    return str(one.attrs.get("units", "")) or "1"
-
-
-def _label(one: "xarray.DataArray") -> str:
-    name = one.attrs.get("long_name", one.name)
-    return _style.quantity_label("" if name is None else str(name), _unit(one))
 
 
 # Any statistic against a parameter.
@@ -169,15 +147,40 @@ def curve(
     Raises:
         ValueError: For arguments of another kind, length or unit.
     """
-    _check_options(level, uncertainty, xlog, ylog, {"xlabel": xlabel, "ylabel": ylabel, "label": label})
+    if level is not None:
+        check_level(level)
+    if uncertainty not in get_args(Uncertainty):
+        raise checks.refused("uncertainty", 'be "bars" or "band"', uncertainty)
+    checks.truth("xlog", xlog)
+    checks.truth("ylog", ylog)
+    for name, text in (("xlabel", xlabel), ("ylabel", ylabel), ("label", label)):
+        checks.text(name, text, or_none=True)
     if is_labeled(x):
-        curves = _of_labeled(labeled(x, y, errors, (1, 2), along), level, label)
+        found = _of_labeled(labeled(x, y, errors, (1, 2), along), level, label)
     else:
-        curves = _of_numbers(x, y, errors, level, label)
+        found = _of_numbers(x, y, errors, level, label)
+    places, curves, own_xlabel, own_ylabel = found
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    ax.set_xlabel(_name("xlabel", xlabel, None if ax.get_xlabel() else curves.xlabel, ax.get_xlabel()))
-    ax.set_ylabel(_name("ylabel", ylabel, _ylabel(ax, curves.ylabel), ax.get_ylabel()))
-    _draw_all(ax, curves, uncertainty, level, (xlog, ylog))
+    # The ordinate is named after all quantities, unless it has a name that the user gave.
+    before, there, known = _quantities(ax), ax.get_ylabel(), None
+    if own_ylabel is not None and (not there or there == _style.wrapped(",\n".join(before))):
+        known = ",\n".join(dict.fromkeys([*before, own_ylabel]))
+    ax.set_xlabel(_named("xlabel", xlabel or ax.get_xlabel() or own_xlabel))
+    ax.set_ylabel(_named("ylabel", ylabel or known or there))
+    if xlog and np.any(places <= 0):
+        raise checks.refused("x", "hold positive numbers on a logarithmic axis", places)
+    if xlog:
+        ax.set_xscale("log")
+    elif np.all(places == np.round(places)):
+        _style.whole_numbers(ax.xaxis)
+    if ylog:
+        ax.set_yscale("log")
+    drawn = [_draw(ax, places, one, uncertainty, ylog, own_ylabel) for one in curves]
+    if not any(drawn) and not any(np.size(line.get_xdata(orig=False)) for line in ax.lines):
+        _style.note(ax, "no values")
+    for axis in (ax.xaxis,) * xlog + (ax.yaxis,) * ylog:
+        _style.log_axis(axis)
+    _legend(ax, uncertainty, level, any(np.any(np.isfinite(one.low)) for one in curves))
     return ax
 
 
@@ -190,14 +193,6 @@ def _quantities(ax: Axes) -> list[str]:
     return list(dict.fromkeys(_QUANTITIES[line] for line in ax.lines if line in _QUANTITIES))
 
 
-def _ylabel(ax: Axes, known: str | None) -> str | None:
-    """The name of the ordinate with another curve, of the `known` quantity; None for the name that there is."""
-    before, there = _quantities(ax), ax.get_ylabel()
-    if known is None or (there and there != _style.wrapped(",\n".join(before))):
-        return None
-    return ",\n".join(dict.fromkeys([*before, known]))
-
-
 class _Curve(NamedTuple):
     """Values with the ends of their intervals, NaN where not known, (points,) each."""
 
@@ -207,24 +202,8 @@ class _Curve(NamedTuple):
     label: str | None
 
 
-class _Curves(NamedTuple):
-    """Curves over the same `x`, (points,) and increasing, and the names of the axes where they are known."""
-
-    x: np.ndarray
-    curves: list[_Curve]
-    xlabel: str | None = None
-    ylabel: str | None = None
-
-
-def _check_options(level: float | None, uncertainty: str, xlog: bool, ylog: bool, texts: dict[str, str | None]) -> None:
-    if level is not None:
-        check_level(level)
-    if uncertainty not in get_args(Uncertainty):
-        raise ValueError(f'Argument uncertainty must be "bars" or "band", but {checks.show(uncertainty)} was given.')
-    checks.truth("xlog", xlog)
-    checks.truth("ylog", ylog)
-    for name, text in texts.items():
-        checks.text(name, text, or_none=True)
+_Curves: TypeAlias = tuple[np.ndarray, list[_Curve], str | None, str | None]
+"""The abscissas of curves, (points,) and increasing, the curves, and the names of the axes where they are known."""
 
 
 def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curves:
@@ -233,12 +212,12 @@ def _of_labeled(data: Labeled, level: float | None, label: str | None) -> _Curve
     low, high = (ends.reshape(values.shape) for ends in _ends(data.values, data.errors, level))
     labels = [label]
     if data.values.ndim == 2:
-        name, unit = data.axis_labels[1].removesuffix(f" ({data.units[1]})"), _style.unit_after(data.units[1])
+        name = data.axis_labels[1].removesuffix(f" ({data.units[1]})")
+        unit = "" if data.units[1] == "1" else f" {data.units[1]}"
         own = [f"{name} = {value:.4g}{unit}" for value in data.coordinates[1]]
         labels = own if label is None else [f"{label}, {text}" for text in own]
-    columns = zip(values.T, low.T, high.T, labels, strict=True)
-    curves = [_Curve(one, its_low, its_high, text) for one, its_low, its_high, text in columns]
-    return _Curves(data.coordinates[0], curves, data.axis_labels[0], data.label)
+    curves = list(map(_Curve, values.T, low.T, high.T, labels))
+    return data.coordinates[0], curves, data.axis_labels[0], data.label
 
 
 def _of_numbers(x: object, y: object, errors: object, level: float | None, label: str | None) -> _Curves:
@@ -250,34 +229,21 @@ def _of_numbers(x: object, y: object, errors: object, level: float | None, label
         values, name = _style.numbers_or_gaps("y", y, 1), None
         low, high = _ends(values, errors, level)
     else:
-        name = _name_of(estimates)
+        if not all(isinstance(one, Estimate) for one in estimates):
+            raise checks.refused("y", "hold estimates or numbers only", estimates)
+        units, names = {one.unit for one in estimates}, {one.name for one in estimates}
+        if len(units) > 1:
+            raise ValueError(f"Argument y must hold estimates of one unit, but {', '.join(sorted(units))} were given.")
+        name = _style.quantity_label(*names, *units) if len(names) == 1 else None
         if errors is not None:
-            raise ValueError(
-                f"Argument errors must be left out with estimates, but {checks.show(errors)} was given; estimates "
-                "have their own."
-            )
-        values = np.array([one.value for one in estimates], float)
-        ends = [_interval(one, level) for one in estimates]
-        low, high = np.array(ends, float).reshape(-1, 2).T
+            raise checks.refused("errors", "be left out with estimates", errors, "estimates have their own")
+        values, sides = np.array([(one.value, one.standard_error) for one in estimates], float).T
+        low, high = values - sides, values + sides
+        if level is not None:
+            low, high = np.array([one.interval(level) for one in estimates], float).T
     if len(values) != len(places):
         raise ValueError(f"Argument y must have the length {len(places)} of x, but it has {len(values)}.")
-    return _Curves(places[order], [_Curve(values[order], low[order], high[order], label)], ylabel=name)
-
-
-def _name_of(estimates: list[Estimate]) -> str | None:
-    """The name and unit of all estimates; None if they have several names."""
-    if not all(isinstance(one, Estimate) for one in estimates):
-        raise ValueError(f"Argument y must hold estimates or numbers only, but {checks.show(estimates)} was given.")
-    units, names = {one.unit for one in estimates}, {one.name for one in estimates}
-    if len(units) > 1:
-        raise ValueError(f"Argument y must hold estimates of one unit, but {', '.join(sorted(units))} were given.")
-    return _style.quantity_label(*names, *units) if len(names) == 1 else None
-
-
-def _interval(one: Estimate, level: float | None) -> tuple[float, float]:
-    if level is not None:
-        return one.interval(level)
-    return one.value - one.standard_error, one.value + one.standard_error
+    return places[order], [_Curve(values[order], low[order], high[order], label)], None, name
 
 
 def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.ndarray, np.ndarray]:
@@ -286,49 +252,30 @@ def _ends(values: np.ndarray, errors: object, level: float | None) -> tuple[np.n
         return np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     sides = _style.checked_errors(errors, values)
     if level is not None:
-        from scipy import special  # noqa: PLC0415 - adds a filter of warnings
-
-        sides = sides * special.ndtri((1 + level) / 2)
+        sides = sides * _style.errors_in_half(level)
     return values - sides, values + sides
 
 
-def _name(argument: str, given: str | None, known: str | None, before: str) -> str:
-    """The name of an axis: what is given, else what is known, else what it has already."""
-    name = given or known or before
+def _named(argument: str, name: str | None) -> str:
+    """The name of an axis, which must be known."""
     if not name:
-        raise ValueError(
-            f"Argument {argument} must be given, the name of the axis with its unit, because what is drawn does not "
-            "say it."
-        )
+        what = "the name of the axis with its unit, because what is drawn does not say it"
+        raise ValueError(f"Argument {argument} must be given, {what}.")
     return _style.wrapped(name)
 
 
-def _draw_all(
-    ax: Axes, curves: _Curves, uncertainty: Uncertainty, level: float | None, logs: tuple[bool, bool]
-) -> None:
-    """Draw the curves, and set the scales and the legend."""
-    xlog, ylog = logs
-    if xlog and np.any(curves.x <= 0):
-        raise ValueError(
-            f"Argument x must hold positive numbers on a logarithmic axis, but {checks.show(curves.x)} was given."
-        )
-    if xlog:
-        ax.set_xscale("log")
-    elif np.all(curves.x == np.round(curves.x)):
-        _style.whole_numbers(ax.xaxis)
-    if ylog:
-        ax.set_yscale("log")
-    drawn = [_draw(ax, curves.x, one, uncertainty, ylog, curves.ylabel) for one in curves.curves]
+def _legend(ax: Axes, uncertainty: Uncertainty, level: float | None, has_errors: bool) -> None:
+    """The legend: what curves show where they show several quantities, and at its end what bars or bands are."""
     if len(_quantities(ax)) > 1:
         for line in ax.lines:
             if line in _QUANTITIES and str(line.get_label()).startswith("_"):
                 line.set_label(_QUANTITIES[line])
-    if not any(drawn) and not any(np.size(line.get_xdata(orig=False)) for line in ax.lines):
-        _style.note(ax, "no values")
-    for axis in (ax.xaxis,) * xlog + (ax.yaxis,) * ylog:
-        _style.log_axis(axis)
-    if any(np.any(np.isfinite(one.low)) for one in curves.curves):
-        _explain(ax, uncertainty, level)
+    if has_errors:
+        text = f"{uncertainty}: {'one standard error' if level is None else _style.interval_name(level)}"
+        for line in [line for line in ax.lines if line.get_label() == text]:
+            line.remove()
+        marker = "|" if uncertainty == "bars" else "s"
+        ax.plot([], [], ls="none", marker=marker, ms=9, color=_style.FORWARD, mew=1.5, label=text)
     legend_above(ax, columns=2)
 
 
@@ -344,33 +291,22 @@ def _draw(ax: Axes, x: np.ndarray, one: _Curve, uncertainty: Uncertainty, ylog: 
         low = np.where(low <= 0, values * 1e-12, low)
     if not np.any(np.isfinite(values)):
         return False
-    color, style = _style.free_look(ax)
+    look = _style.next_look(ax, x)
     known = np.isfinite(low) & np.isfinite(values)
     if np.any(known) and uncertainty == "band":
         limits = ax.dataLim.frozen()
-        ax.fill_between(x, low, high, where=known, color=color, alpha=0.25, lw=0)
+        _style.shade_between(ax, x, low, high, look["color"], where=known)
         if ylog:  # the axis need not reach down to where the band ends for want of a logarithm
             ax.dataLim.set(limits)
             ax.update_datalim(np.column_stack([x, np.where(low > 1e-6 * values, low, values)])[known])
             ax.update_datalim(np.column_stack([x, high])[known])
     elif np.any(known):
         sides = np.stack([values - low, high - values])[:, known]
-        ax.errorbar(x[known], values[known], sides, ls="none", ecolor=color, elinewidth=1.0, capsize=2.0)
-    look = {"color": color, "ls": style, "lw": _style.SLIP_WIDTH, "marker": _style.marker_of(x), "ms": 3.5}
+        ax.errorbar(x[known], values[known], sides, ls="none", ecolor=look["color"], elinewidth=1.0, capsize=2.0)
     (line,) = ax.plot(x, values, label=label, **look)
     if quantity is not None:
         _QUANTITIES[line] = quantity
     return True
-
-
-def _explain(ax: Axes, uncertainty: Uncertainty, level: float | None) -> None:
-    """Say at the end of the legend what bars or bands are."""
-    text = "one standard error" if level is None else _style.interval_name(level)
-    text, marker = f"{uncertainty}: {text}", "|" if uncertainty == "bars" else "s"
-    for line in list(ax.lines):
-        if line.get_label() == text:
-            line.remove()
-    ax.plot([], [], ls="none", marker=marker, ms=9, color=_style.FORWARD, mew=1.5, label=text)
 
 
 # The stick fraction against a parameter.
@@ -418,109 +354,74 @@ def stick_fraction_curve(
     Raises:
         ValueError: For arguments of another kind or length.
     """
-    values = _checked_values(parameter_values, xlabel)
-    curve = _curve(fractions, len(values), errors, level)
+    checks.numeric("parameter_values", parameter_values, ndim=1)
+    values = np.asarray(parameter_values, float)
+    if len(values) == 0:
+        raise ValueError("Argument parameter_values must hold one or more numbers, but it holds none.")
+    if xlabel is None and np.any(values <= 0):
+        hint = "xlabel names another parameter"
+        raise checks.refused("parameter_values", "hold positive frequency ratios", parameter_values, hint)
+    points, own_label, own_band_label = _fractions_of(fractions, len(values), errors, level)
     for name, text in (("xlabel", xlabel), ("label", label), ("band_label", band_label)):
         checks.text(name, text, or_none=True)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    color, style = _style.free_look(ax)
     order = np.argsort(values, kind="stable")
-    values, mean, low, high = (column[order] for column in (values, *100 * curve.points))
+    values, mean, low, high = (column[order] for column in (values, *100 * points))
+    look = _style.next_look(ax, values)
     if np.any(np.isfinite(low)):
-        band_label = curve.band_label if band_label is None else band_label
-        ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label=band_label)
+        band_label = own_band_label if band_label is None else band_label
+        _style.shade_between(ax, values, low, high, look["color"], band_label)
     known = np.isfinite(mean)
-    label = curve.label if label is None else label
-    marker = _style.marker_of(values)
-    look = {"color": color, "ls": style, "lw": _style.SLIP_WIDTH, "marker": marker, "ms": 3.5}
-    ax.plot(values[known], mean[known], label=label, **look)
+    ax.plot(values[known], mean[known], label=own_label if label is None else label, **look)
     ax.set_xlabel(_FREQUENCY_RATIO if xlabel is None else xlabel)
     ax.set_ylabel("stick fraction $T_s$ (%)")
     legend_above(ax, columns=2, lines_first=True)
     return ax
 
 
-class _FractionCurve(NamedTuple):
-    """Stick fractions with the ends of their band, NaN if not known, (3, points); and their default labels."""
+def _fractions_of(
+    fractions: Sequence[Distribution] | Sequence[Estimate] | Numbers, number: int,
+    errors: Numbers | Sequence[Numbers] | None, level: float,
+) -> tuple[np.ndarray, str | None, str | None]:  # fmt: skip
+    """Stick fractions with the ends of their band, NaN if not known, (3, `number`); their label, and that of the band.
 
-    points: np.ndarray
-    label: str | None = None
-    band_label: str | None = None
-
-
-def _checked_values(values: Numbers, xlabel: str | None) -> np.ndarray:
-    """The parameter's values as an array."""
-    checks.numeric("parameter_values", values, ndim=1)
-    array = np.asarray(values, float)
-    if len(array) == 0:
-        raise ValueError("Argument parameter_values must hold one or more numbers, but it holds none.")
-    if xlabel is None and np.any(array <= 0):
-        raise ValueError(
-            f"Argument parameter_values must hold positive frequency ratios, but {checks.show(values)} was given; "
-            "xlabel names another parameter."
-        )
-    return array
-
-
-def _curve(
-    fractions: Sequence[Distribution] | Sequence[Estimate] | Numbers,
-    number: int,
-    errors: Numbers | Sequence[Numbers] | None,
-    level: float,
-) -> _FractionCurve:
-    """The points of the curve, one for each of `number` values of the parameter. Raises ValueError for bad input."""
+    Raises ValueError for bad input.
+    """
     check_level(level)
     given = list(fractions) if isinstance(fractions, (tuple, list)) else []
     distributions = [one for one in given if isinstance(one, Distribution) and one.unit == "1"]
     estimates = [one for one in given if isinstance(one, Estimate) and one.unit == "1"]
-    if not any(isinstance(one, (Distribution, Estimate)) for one in given):
-        return _curve_of_numbers(fractions, number, errors)
-    if len(given) not in (len(distributions), len(estimates)):
-        raise ValueError(
-            "Argument fractions must hold stick fractions, either all ensemble.statistics.stick_fraction, or all "
-            "Estimates such as stick_fraction(ensemble), or all numbers, but "
-            f"{checks.show(fractions)} was given."
-        )
-    _check_length(len(given), number)
-    if errors is not None:
-        raise ValueError(
-            "Argument errors must be left out with distributions and estimates, which have a band of their own, but "
-            f"{checks.show(errors)} was given; choose its level instead."
-        )
+    of_numbers = not any(isinstance(one, (Distribution, Estimate)) for one in given)
+    if of_numbers:
+        checks.numeric("fractions", fractions, ndim=1)
+    elif len(given) not in (len(distributions), len(estimates)):
+        kinds = "all ensemble.statistics.stick_fraction, or all Estimates such as stick_fraction(ensemble)"
+        raise checks.refused("fractions", f"hold stick fractions, either {kinds}, or all numbers", fractions)
+    if (length := len(fractions)) != number:
+        raise ValueError(f"Argument fractions must have the length {number} of parameter_values, but it has {length}.")
+    if not of_numbers and errors is not None:
+        demand, hint = "be left out with distributions and estimates", "choose its level instead"
+        raise checks.refused("errors", f"{demand}, which have a band of their own", errors, hint)
     if estimates:
         points = [(one.value, *one.interval(level)) for one in estimates]
-        name = f"{_style.interval_name(level)} of the mean"
-    else:
+        return np.array(points).T, "mean", f"{_style.interval_name(level)} of the mean"
+    if distributions:
         rest = (1 - level) / 2
         points = [(one.mean.value, one.quantile(rest).value, one.quantile(1 - rest).value) for one in distributions]
-        name = f"{100 * level:.4g} % of the realisations"
-    return _FractionCurve(np.array(points).T, "mean", name)
-
-
-def _curve_of_numbers(fractions: object, number: int, errors: Numbers | Sequence[Numbers] | None) -> _FractionCurve:
-    checks.numeric("fractions", fractions, ndim=1)
+        return np.array(points).T, "mean", f"{100 * level:.4g} % of the realisations"
     values = np.asarray(fractions, float)
-    _check_length(len(values), number)
     if np.any((values < 0) | (values > 1)):
-        raise ValueError(
-            f"Argument fractions must hold fractions between 0 and 1, but {checks.show(fractions)} was given."
-        )
-    if errors is None:
-        return _FractionCurve(np.stack([values, *np.full((2, number), np.nan)]))
-    checks.numeric("errors", errors, ndim=None)
-    sides = np.asarray(errors, float)
+        raise checks.refused("fractions", "hold fractions between 0 and 1", fractions)
+    if errors is not None:
+        checks.numeric("errors", errors, ndim=None)
+    sides = np.asarray(np.full(number, np.nan) if errors is None else errors, float)
     if sides.shape not in ((number,), (2, number)) or np.any(sides < 0):
         raise ValueError(
             f"Argument errors must hold numbers of zero or more, in the shape ({number},) or (2, {number}), but an "
             f"array of shape {sides.shape} with smallest entry {sides.min(initial=np.inf):g} was given."
         )
     below, above = np.broadcast_to(sides, (2, number))
-    return _FractionCurve(np.stack([values, values - below, values + above]))
-
-
-def _check_length(length: int, number: int) -> None:
-    if length != number:
-        raise ValueError(f"Argument fractions must have the length {number} of parameter_values, but it has {length}.")
+    return np.stack([values, values - below, values + above]), None, None
 
 
 # The longest possible stick of a motor against the angle at which it stops.
@@ -531,11 +432,7 @@ _LONG = 20  # letters: three columns of longer labels are wider than the axes
 
 
 def stick_bounds(
-    system: MotorCart,
-    voltage: Voltage,
-    *,
-    mu: Sequence[float] | np.ndarray | None = None,
-    ax: Axes | None = None,
+    system: MotorCart, voltage: Voltage, *, mu: Sequence[float] | np.ndarray | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw the longest possible duration of a stick of a `MotorCart` against its angle, a curve for each `mu`.
 
@@ -556,7 +453,12 @@ def stick_bounds(
     """
     signal: Any = unphased(voltage)
     stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind
-    systems = _by_label(system, mu)
+    if mu is None and system.friction is not None:
+        systems = {type(system.friction).__name__: system}
+    else:
+        given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
+        checks.numeric("mu", given, ndim=1)
+        systems = {rf"$\mu$ = {one:g}": dataclasses.replace(system, mu=float(one), friction=None) for one in given}
     ax = _style.axes_or_new(ax, (5.6, 4.0))
     period = system.coordinates[0].period
     assert period is not None
@@ -564,13 +466,12 @@ def stick_bounds(
     for name, one in systems.items():
         longest = np.asarray(stick_duration_bound(one, signal, angles), float)
         endless = np.isinf(longest)
-        color, line = _style.free_look(ax)
         none = not np.any(longest > 0)
         label = f"{name}, no limit at {100 * endless.mean():.0f} % of the angles" if endless.any() else name
-        # A curve that is zero throughout lies on the axis, below the ends of the others.
-        look: dict[str, Any] = {"lw": (2.5 if none else 1) * _style.SLIP_WIDTH, "zorder": 3 if none else 2}
-        label += ": no stick" if none else ""
-        ax.plot(angles, np.where(endless, np.nan, longest), color=color, ls=line, label=label, clip_on=not none, **look)
+        look = _style.next_look(ax, angles)
+        if none:  # a curve that is zero throughout lies on the axis, below the ends of the others
+            label, look = f"{label}: no stick", look | {"lw": 2.5 * _style.SLIP_WIDTH, "zorder": 3, "clip_on": False}
+        ax.plot(angles, np.where(endless, np.nan, longest), label=label, **look)
     _style.angle_axis(ax, period)
     ax.set_xlabel(system.coordinates[0].labeled(" of the stick"))
     ax.set_ylabel(_style.quantity_label("longest possible stick duration", "s"))
@@ -579,12 +480,3 @@ def stick_bounds(
     longest_label = max(map(len, ax.get_legend_handles_labels()[1]))
     legend_above(ax, columns=2 if longest_label > _LONG else 3)
     return ax
-
-
-def _by_label(system: MotorCart, mu: Sequence[float] | np.ndarray | None) -> dict[str, MotorCart]:
-    """The systems of which to draw the bound, by what legends call them."""
-    if mu is None and system.friction is not None:
-        return {type(system.friction).__name__: system}
-    given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
-    checks.numeric("mu", given, ndim=1)
-    return {rf"$\mu$ = {one:g}": dataclasses.replace(system, mu=float(one), friction=None) for one in given}

@@ -5,14 +5,12 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import StepPatch
 
 from .._excitation.motion import Signal
 from .._foundation import checks
 from .._statistics.distribution import DEFAULT_BINS, Distribution, bin_of
-from .._statistics.estimate import Estimate
 from .._statistics.joint import JointDistribution
 from .._statistics.quantities import FirstSticks
 from .._systems.system import System, require_system, unphased
@@ -43,12 +41,7 @@ class PlacedSticks(NamedTuple):
 
 
 def placed_sticks(
-    result: SimulatedSticks,
-    system: System | None,
-    bound: Voltage | None,
-    period: float | None,
-    *,
-    also: str = "",
+    result: SimulatedSticks, system: System | None, bound: Voltage | None, period: float | None, *, also: str = ""
 ) -> PlacedSticks:
     """The complete sticks of `result`, and what else to draw with them, checked.
 
@@ -58,7 +51,17 @@ def placed_sticks(
         ValueError: For unsuitable arguments.
     """
     sticks = complete_sticks(result, also=also)
-    system = _checked_system(system, None if isinstance(result, FirstSticks) else result.system)
+    known = None if isinstance(result, FirstSticks) else result.system
+    if system is None and known is None:
+        raise ValueError(
+            "Argument system must be given with FirstSticks, which do not say whether their positions are lengths or "
+            "angles: system=ensemble.system."
+        )
+    system = known if system is None else system
+    require_system(system)
+    assert system is not None
+    if known is not None and type(known) is not type(system):
+        raise checks.refused("system", f"be the {type(known).__name__} that was simulated", system)
     if np.any(np.isnan(sticks.position)):
         raise ValueError(
             "Argument result must hold sticks with positions, but those of these sticks were not measured; draw "
@@ -72,9 +75,9 @@ def placed_sticks(
             f"{np.shape(getattr(system, 'mu', 0.0))} was simulated."
         )
     if voltage is not None and not (whole and system.longest_stick(voltage, np.zeros(1)) is not None):
+        demand = "be a SourceVoltage, or RandomPhase(SourceVoltage(...)), and be given for a MotorCart only"
         raise ValueError(
-            "Argument bound must be a SourceVoltage, or RandomPhase(SourceVoltage(...)), and be given for a MotorCart "
-            f"only, but {checks.show(bound)} was given for a {type(system).__name__}."
+            f"Argument bound must {demand}, but {checks.show(bound)} was given for a {type(system).__name__}."
         )
     if period is None:
         period = whole
@@ -89,29 +92,17 @@ def placed_sticks(
     return PlacedSticks(sticks.duration, position, sticks.label, system, voltage, period)
 
 
-def _checked_system(system: System | None, known: System | None) -> System:
-    """`system`, or what the result is `known` to be of."""
-    if system is None and known is None:
-        raise ValueError(
-            "Argument system must be given with FirstSticks, which do not say whether their positions are lengths or "
-            "angles: system=ensemble.system."
-        )
-    if system is None:
-        system = known
-    require_system(system)
-    assert system is not None
-    if known is not None and type(known) is not type(system):
-        raise ValueError(
-            f"Argument system must be the {type(known).__name__} that was simulated, but {checks.show(system)} was "
-            "given."
-        )
-    return system
-
-
 def finish(ax: Axes, sticks: PlacedSticks) -> None:
     """Draw the bound, name the axes and set their limits; with a note where there are no sticks."""
-    if sticks.voltage is not None:
-        _draw_bound(ax, sticks)
+    if sticks.voltage is not None and sticks.period is not None:
+        angles = np.linspace(0, sticks.period, _BOUND_POINTS)
+        longest = np.asarray(sticks.system.longest_stick(sticks.voltage, angles), float)
+        endless = np.isinf(longest)
+        drawn = np.where(endless, np.nan, longest)
+        ax.plot(angles, drawn, color=_style.MASS, lw=1.5, label="longest possible, closed form")
+        if np.any(endless):  # shaded where there is no limit
+            look = {"color": _style.BAND, "alpha": 0.3, "lw": 0, "zorder": 0, "label": "sticks of any duration"}
+            ax.fill_between(angles, 0, 1, where=endless, transform=ax.get_xaxis_transform(), **look)
     if len(sticks.duration) == 0:
         _style.note(ax, sticks.label)
     first = sticks.system.coordinates[0]
@@ -122,20 +113,6 @@ def finish(ax: Axes, sticks: PlacedSticks) -> None:
         ax.set_xlabel(first.labeled(f" of the stick, modulo {name}"))
     ax.set_ylabel(_style.quantity_label("stick duration", "s"))
     ax.set_ylim(bottom=0)
-
-
-def _draw_bound(ax: Axes, sticks: PlacedSticks) -> None:
-    """The longest duration at each angle; shaded where there is no limit."""
-    assert sticks.period is not None
-    assert sticks.voltage is not None
-    angles = np.linspace(0, sticks.period, _BOUND_POINTS)
-    longest = np.asarray(sticks.system.longest_stick(sticks.voltage, angles), float)
-    endless = np.isinf(longest)
-    drawn = np.where(endless, np.nan, longest)
-    ax.plot(angles, drawn, color=_style.MASS, lw=1.5, label="longest possible, closed form")
-    if np.any(endless):
-        look = {"color": _style.BAND, "alpha": 0.3, "lw": 0, "zorder": 0, "label": "sticks of any duration"}
-        ax.fill_between(angles, 0, 1, where=endless, transform=ax.get_xaxis_transform(), **look)
 
 
 # The distribution of one quantity.
@@ -178,26 +155,57 @@ def histogram(
         ValueError: For an ensemble with ``keep="totals"``, for edges given with a distribution, and for arguments of
             another kind.
     """
-    bars = _bars_of_distribution(result, bins) if isinstance(result, Distribution) else _bars_of_sticks(result, bins)
+    mean, is_whole = None, False
+    if isinstance(result, Distribution):
+        if bins is not None and np.ndim(bins) > 0:
+            demand = "be a whole number for a distribution, whose bins were fixed while it was summed"
+            hint = "edges of your own go with the sticks: histogram(ensemble, bins=edges)"
+            raise checks.refused("bins", demand, bins, hint)
+        drawn = result.histogram(None if bins is None else checks.whole_number("bins", bins))
+        number, name, unit, is_whole = result.number, result.name, result.unit, result.is_whole
+        # A bin of whole numbers is centred on its number.
+        edges, heights, errors = drawn.edges - 0.5 * is_whole, drawn.density, drawn.error
+        color, mean = _style.STICK if "stick" in name else _style.SERIES[0], result.mean if number else None
+        text = _style.counted(number, "value") if number else "no values"
+        more = "; bars: standard error" if np.any(np.isfinite(errors)) else ""
+        text = f"{text} in {_style.counted(result.samples, 'sample')}{more}"
+    else:
+        sticks = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
+        number, name, unit, color = len(sticks.duration), "stick duration", "s", _style.STICK
+        span = (0.0, sticks.duration.max(initial=0) or 1.0)
+        edges = edges_of_bins("bins", DEFAULT_BINS if bins is None else bins, span, "s")
+        counts, _ = np.histogram(sticks.duration, edges)
+        heights, errors = counts / (max(number, 1) * np.diff(edges)), np.full(len(counts), np.nan)
+        text = outside(sticks.label, number - int(counts.sum()))
     checks.text("label", label, or_none=True)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    earlier = _outlines(ax)
-    _name_axis(ax.xaxis, bars.xlabel, earlier)
-    _name_axis(ax.yaxis, bars.ylabel, earlier)
-    text = bars.label if label is None else f"{label}: {bars.label}"
-    if bars.empty:
-        _say_empty(ax, text, earlier)
+    earlier, ylabel = _outlines(ax), "probability" if is_whole else _style.density_label(unit)
+    for axis, named in ((ax.xaxis, _style.quantity_label(name, unit)), (ax.yaxis, ylabel)):
+        before = axis.get_label_text() if earlier else ""
+        if named not in before:  # each name once
+            axis.set_label_text(f"{before}, {named}" if before else named)
+    text = text if label is None else f"{label}: {text}"
+    if not number and not earlier:
+        _style.note(ax, text)
         return ax
-    if bars.is_whole:
-        _style.whole_numbers(ax.xaxis)
-    color = _style.free_color(bars.color, [outline.get_edgecolor() for outline in earlier])
-    _style.draw_histogram(ax, bars.edges, bars.heights, bars.errors, color, label=text)
-    if bars.mean is not None:
-        _draw_mean(ax, bars.mean, color if earlier or label else _style.MASS)
-    edges = np.concatenate([outline.get_data()[1] for outline in _outlines(ax)])
-    ax.set_xlim(edges.min(), edges.max())
-    ax.autoscale(axis="y")
-    ax.set_ylim(bottom=0)
+    if number:
+        if is_whole:
+            _style.whole_numbers(ax.xaxis)
+        color = _style.free_color(color, [outline.get_edgecolor() for outline in earlier])
+        _style.draw_histogram(ax, edges, heights, errors, color, label=text)
+        if mean is not None:
+            named, color = f"mean {_style.with_error(mean)}", color if earlier or label else _style.MASS
+            if np.isfinite(mean.standard_error):
+                ends = (mean.value - mean.standard_error, mean.value + mean.standard_error)
+                ax.axvspan(*ends, color=color, alpha=0.25, lw=0)
+                named += " (shaded: ±)"
+            ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=named)
+        edges = np.concatenate([outline.get_data()[1] for outline in _outlines(ax)])
+        ax.set_xlim(edges.min(), edges.max())
+        ax.autoscale(axis="y")
+        ax.set_ylim(bottom=0)
+    else:
+        ax.plot([], [], ls="none", label=text)
     legend_above(ax, columns=1)
     return ax
 
@@ -207,101 +215,7 @@ def _outlines(ax: Axes) -> list[StepPatch]:
     return [patch for patch in ax.patches if isinstance(patch, StepPatch) and not patch.get_fill()]
 
 
-def _name_axis(axis: Axis, name: str, earlier: list[StepPatch]) -> None:
-    """Name an axis, after the names that it has from `earlier` histograms."""
-    before = axis.get_label_text() if earlier else ""
-    if name not in before:
-        axis.set_label_text(f"{before}, {name}" if before else name)
-
-
-def _say_empty(ax: Axes, text: str, earlier: list[StepPatch]) -> None:
-    """Say that there is nothing to draw: in empty axes, or in the legend where there are others."""
-    if not earlier:
-        _style.note(ax, text)
-        return
-    ax.plot([], [], ls="none", label=text)
-    legend_above(ax, columns=1)
-
-
-class _Bars(NamedTuple):
-    """The histogram to draw: `edges` (bins + 1,), `heights` and their `errors` (bins,), NaN where not known."""
-
-    edges: np.ndarray
-    heights: np.ndarray
-    errors: np.ndarray
-    color: str
-    xlabel: str
-    ylabel: str
-    label: str
-    empty: bool = False
-    is_whole: bool = False
-    mean: Estimate | None = None
-
-
-def _bars_of_distribution(distribution: Distribution, bins: Bins | None) -> _Bars:
-    if bins is not None and np.ndim(bins) > 0:
-        raise ValueError(
-            "Argument bins must be a whole number for a distribution, whose bins were fixed while it was summed, but "
-            f"{checks.show(bins)} was given; edges of your own go with the sticks: histogram(ensemble, bins=edges)."
-        )
-    drawn = distribution.histogram(None if bins is None else checks.whole_number("bins", bins))
-    samples = _style.counted(distribution.samples, "sample")
-    empty = distribution.number == 0
-    label = f"no values in {samples}" if empty else f"{_style.counted(distribution.number, 'value')} in {samples}"
-    if np.any(np.isfinite(drawn.error)):
-        label += "; bars: standard error"
-    whole = distribution.is_whole
-    return _Bars(
-        edges=drawn.edges - 0.5 if whole else drawn.edges,
-        heights=drawn.density,
-        errors=drawn.error,
-        color=_style.color_of(distribution.name),
-        xlabel=_style.quantity_label(distribution.name, distribution.unit),
-        ylabel="probability" if whole else _style.density_label(distribution.unit),
-        label=label,
-        empty=empty,
-        is_whole=whole,
-        mean=None if empty else distribution.mean,
-    )
-
-
-def _bars_of_sticks(result: SimulatedSticks, bins: Bins | None) -> _Bars:
-    sticks = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
-    number = len(sticks.duration)
-    edges = edges_of_bins(
-        "bins", DEFAULT_BINS if bins is None else bins, (0.0, sticks.duration.max(initial=0) or 1.0), "s"
-    )
-    counts, _ = np.histogram(sticks.duration, edges)
-    return _Bars(
-        edges=edges,
-        heights=counts / (max(number, 1) * np.diff(edges)),
-        errors=np.full(len(counts), np.nan),
-        color=_style.STICK,
-        xlabel=_style.quantity_label("stick duration", "s"),
-        ylabel=_style.density_label("s"),
-        label=outside(sticks.label, number - int(counts.sum())),
-        empty=number == 0,
-    )
-
-
-def _draw_mean(ax: Axes, mean: Estimate, color: str) -> None:
-    """The mean, with its standard error to both sides."""
-    label = f"mean {_style.with_error(mean)}"
-    if np.isfinite(mean.standard_error):
-        ends = (mean.value - mean.standard_error, mean.value + mean.standard_error)
-        ax.axvspan(*ends, color=color, alpha=0.25, lw=0)
-        label += " (shaded: ±)"
-    ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=label)
-
-
 # A joint histogram of two quantities, ready to draw: from the pairs of an ensemble, or from sticks one by one.
-
-
-class Side(NamedTuple):
-    """The histogram of one of the two quantities: `density` and its standard `error`, NaN if not known, (bins,)."""
-
-    density: np.ndarray
-    error: np.ndarray
 
 
 class Cells(NamedTuple):
@@ -309,89 +223,69 @@ class Cells(NamedTuple):
 
     - `edges`: of the bins along x (m + 1,) and y (n + 1,). `density`: masked where no pair fell, (m, n).
       Of pairs, atoms are not in it.
-    - `sides`: the histograms of x and of y.
+    - `sides`: the histograms of x and of y: density and its standard error, NaN if not known, (bins,) each.
     - `units`: of x and y. `label`: how many pairs there are, or a note that there are none. `empty`: whether there are
       none.
     """
 
     edges: tuple[np.ndarray, np.ndarray]
     density: np.ma.MaskedArray
-    sides: tuple[Side, Side]
+    sides: list[tuple[np.ndarray, np.ndarray]]
     units: tuple[str, str]
     label: str
     empty: bool
 
 
-def number_of_bins(bins: JointBins) -> int:
-    """`bins` of a joint distribution along each axis. Raises ValueError unless it is a whole number of at least 1."""
-    if isinstance(bins, (tuple, list, np.ndarray)):
-        raise ValueError(
-            "Argument bins must be a whole number for a joint distribution, whose bins were fixed while it was summed, "
-            f"but {checks.show(bins)} was given; bins of your own go with the sticks: "
-            "joint_histogram(ensemble, bins=(edges, edges))."
-        )
-    return checks.whole_number("bins", bins)
-
-
-def cells_of_pairs(joint: JointDistribution, bins: int) -> Cells:
+def cells_of_pairs(joint: JointDistribution, bins: JointBins) -> Cells:
     """The joint histogram of all pairs, with the standard errors of its sides.
 
     Raises:
-        ValueError: For more than 128 bins.
+        ValueError: Unless `bins` is a whole number of 1 to 128.
     """
-    drawn = joint.histogram(bins)
-    edges = (drawn.x_edges, drawn.y_edges)
-    sides = []
-    for axis, own in ((0, joint.x), (1, joint.y)):
+    if isinstance(bins, (tuple, list, np.ndarray)):
+        demand = "be a whole number for a joint distribution, whose bins were fixed while it was summed"
+        hint = "bins of your own go with the sticks: joint_histogram(ensemble, bins=(edges, edges))"
+        raise checks.refused("bins", demand, bins, hint)
+    drawn = joint.histogram(checks.whole_number("bins", bins))
+    edges, sides = (drawn.x_edges, drawn.y_edges), []
+    for axis, own in enumerate((joint.x, joint.y)):
         width = np.diff(edges[axis])
         share = drawn.counts.sum(axis=1 - axis) / max(drawn.number, 1)
         errors = own.errors_of_shares(bin_of(own.values, edges[axis]), len(width))
-        sides.append(Side(share / width, errors / width))
-    atoms = joint.share_of_atoms(bins)
+        sides.append((share / width, errors / width))
+    atoms = joint.share_of_atoms(int(bins))
     density = np.ma.masked_where((drawn.counts == 0) | (atoms == 1), drawn.density * (1 - atoms))
     label = _style.counted(drawn.number, "pair") if drawn.number else "no pairs"
-    return Cells(edges, density, (sides[0], sides[1]), joint.units, label, drawn.number == 0)
+    return Cells(edges, density, sides, joint.units, label, drawn.number == 0)
 
 
 def cells_of_sticks(sticks: PlacedSticks, bins: JointBins) -> Cells:
-    """The joint histogram of position and duration of complete sticks.
+    """The joint histogram of position (m or rad) and duration (s) of complete sticks.
 
     `bins`: as in `joint_histogram`.
 
     Raises:
         ValueError: For anything else.
     """
-    edges, number = _edges(bins, sticks), len(sticks.duration)
+    pair = (bins, bins) if isinstance(bins, (int, np.integer)) else bins
+    if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+        demand = "be a whole number, or two of them or of edges (of position, then of duration)"
+        raise checks.refused("bins", demand, bins)
+    low, high = (sticks.position.min(), sticks.position.max()) if len(sticks.position) else (0.0, 0.0)
+    span = (low, high) if low < high else (low - 0.5, low + 0.5)
+    units, number = (sticks.system.coordinates[0].unit, "s"), len(sticks.duration)
+    edges = (
+        edges_of_bins("bins[0]", pair[0], span if sticks.period is None else (0.0, sticks.period), units[0]),
+        edges_of_bins("bins[1]", pair[1], (0.0, sticks.duration.max(initial=0) or 1.0), units[1]),
+    )
     counts, *_ = np.histogram2d(sticks.position, sticks.duration, edges)
     widths = (np.diff(edges[0]), np.diff(edges[1]))
     density = np.ma.masked_equal(counts, 0) / (max(number, 1) * np.outer(*widths))
     sides = [
-        Side(counts.sum(axis=1 - axis) / max(number, 1) / widths[axis], np.full(len(widths[axis]), np.nan))
-        for axis in (0, 1)
+        (counts.sum(axis=1 - axis) / max(number, 1) / width, np.full(len(width), np.nan))
+        for axis, width in enumerate(widths)
     ]
-    label = outside(sticks.label, number - int(counts.sum()))
-    units = (sticks.system.coordinates[0].unit, "s")
-    return Cells(edges, density, (sides[0], sides[1]), units, label, number == 0)
-
-
-def _edges(bins: JointBins, sticks: PlacedSticks) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of the bins of position (m or rad) and of duration (s)."""
-    pair = (bins, bins) if isinstance(bins, (int, np.integer)) else bins
-    if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-        raise ValueError(
-            "Argument bins must be a whole number, or two of them or of edges (of position, then of duration), but "
-            f"{checks.show(bins)} was given."
-        )
-    if sticks.period is not None:
-        span = (0.0, sticks.period)
-    else:
-        low, high = (sticks.position.min(), sticks.position.max()) if len(sticks.position) else (0.0, 0.0)
-        span = (low, high) if low < high else (low - 0.5, low + 0.5)
-    longest = sticks.duration.max(initial=0) or 1.0
-    return (
-        edges_of_bins("bins[0]", pair[0], span, sticks.system.coordinates[0].unit),
-        edges_of_bins("bins[1]", pair[1], (0.0, longest), "s"),
-    )
+    return Cells(edges, density, sides, units, outside(sticks.label, number - int(counts.sum())), number == 0)
 
 
 # The joint distribution of two quantities, and of each by itself.
@@ -444,64 +338,52 @@ def joint_histogram(
     checks.truth("log", log)
     checks.truth("conditional_mean", conditional_mean)
     if isinstance(result, JointDistribution):
-        _refuse_options_of_sticks(system=system, bound=bound, period=period)
-        number = number_of_bins(bins)
-        cells, panels = cells_of_pairs(result, number), _panels(axes)
-        _draw(panels, cells, log)
-        _finish_pairs(panels[0], result, cells)
-        _draw_atoms(panels[0], result)
-        if conditional_mean and not cells.empty:
-            _draw_conditional_mean(panels[0], result, min(number, _MEANS))
+        for name, value in (("system", system), ("bound", bound), ("period", period)):
+            if value is not None:
+                hint = "it goes with the sticks: joint_histogram(ensemble)"
+                raise checks.refused(name, "be left out with a joint distribution", value, hint)
+        sticks, cells = None, cells_of_pairs(result, bins)
     else:
         sticks = placed_sticks(result, system, bound, period, also=_ALSO)
         if conditional_mean:
-            raise ValueError(
-                "Argument conditional_mean must be False for sticks, but True was given; it is drawn of a joint "
-                'distribution: ensemble.statistics.joint("position", "duration").'
-            )
-        cells, panels = cells_of_sticks(sticks, bins), _panels(axes)
-        _draw(panels, cells, log)
-        finish(panels[0], sticks)
-    return _finished(panels, cells)
-
-
-def _refuse_options_of_sticks(**options: object) -> None:
-    for name, value in options.items():
-        if value is not None:
-            raise ValueError(
-                f"Argument {name} must be left out with a joint distribution, but {checks.show(value)} was given; it "
-                "goes with the sticks: joint_histogram(ensemble)."
-            )
-
-
-def _panels(axes: Axes | SeveralAxes | None) -> tuple[Axes, ...]:
-    """The axes given, one or three, or those of a new figure, in which neighbours share their scales."""
+            hint = 'it is drawn of a joint distribution: ensemble.statistics.joint("position", "duration")'
+            raise checks.refused("conditional_mean", "be False for sticks", True, hint)
+        cells = cells_of_sticks(sticks, bins)
     if axes is None:
         figure = plt.figure(figsize=(6.4, 5.4), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 4))
         main = figure.add_subplot(grid[1, 0])
-        above = figure.add_subplot(grid[0, 0], sharex=main)
-        right = figure.add_subplot(grid[1, 1], sharey=main)
-        above.tick_params(labelbottom=False)
-        right.tick_params(labelleft=False)
-        return main, above, right
-    given = (axes,) if isinstance(axes, Axes) else _style.axes_in(axes)
-    if len(given) not in (1, 3):
-        raise ValueError(
-            "Argument axes must hold three matplotlib Axes (joint histogram, above it, to the right of it), or be one, "
-            f"but {checks.show(axes)} was given."
-        )
-    return given
+        # Neighbours share their scales.
+        others = [figure.add_subplot(grid[0, 0], sharex=main), figure.add_subplot(grid[1, 1], sharey=main)]
+        others[0].tick_params(labelbottom=False)
+        others[1].tick_params(labelleft=False)
+        panels = (main, *others)
+    elif len(panels := _style.axes_in(axes)) not in (1, 3):
+        demand = "hold three matplotlib Axes (joint histogram, above it, to the right of it), or be one"
+        raise checks.refused("axes", demand, axes)
+    main, *others = panels
+    _draw_density(panels, cells, log)
+    if isinstance(result, JointDistribution):
+        _draw_pairs(main, result, cells, bins if conditional_mean else 0)
+    elif sticks is not None:
+        finish(main, sticks)
+    if others and not cells.empty:
+        above, right = others
+        above.set(xlim=main.get_xlim(), ylim=(0, None))
+        right.set(ylim=main.get_ylim(), xlim=(0, None))
+    legend_above(*others[:1], main, columns=1, room=_ROOM if others else None)
+    for ax in others[1:]:
+        plain_numbers(ax.xaxis)
+    return panels
 
 
-def _draw(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
+def _draw_density(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
     """The density of all cells that hold a pair, the scale of its colours, and the histograms beside it."""
     main, *others = panels
     if not cells.empty:
-        norm = LogNorm() if log else Normalize(vmin=0)
-        mesh = main.pcolormesh(*cells.edges, cells.density.T, cmap=_style.SHADES, norm=norm, rasterized=True)
+        norm, label = LogNorm() if log else Normalize(vmin=0), _style.density_label(*cells.units)
+        _style.draw_cells(main, cells.edges, cells.density, norm, label, list(panels))
         main.plot([], [], ls="none", label=cells.label)
-        _style.figure_of(main).colorbar(mesh, ax=list(panels), label=_style.density_label(*cells.units))
     for axis, (ax, side) in enumerate(zip(others, cells.sides, strict=False)):
         label = _style.density_label(cells.units[axis]).replace(" density", "\ndensity")
         ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
@@ -509,60 +391,36 @@ def _draw(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
             _style.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
 
 
-def _draw_atoms(main: Axes, joint: JointDistribution) -> None:
-    """The points that have a probability of their own."""
-    atoms = joint.atoms
-    if not len(atoms.share):
-        return
-    number, share = len(atoms.share), f"{100 * atoms.share.sum():.1f} % of the pairs"
-    label = f"{number:,} points that {share} lie on" if number > 1 else f"a point that {share} lie on"
-    look = {"facecolors": "none", "edgecolors": _style.STICK, "lw": 1.2, "clip_on": False, "zorder": 3}
-    main.scatter(atoms.x, atoms.y, s=np.maximum(12, _LARGEST * atoms.share), label=label, **look)
+def _draw_pairs(main: Axes, joint: JointDistribution, cells: Cells, bins: Any) -> None:
+    """The names of the axes and their limits, points that have a probability of their own, and the conditional mean.
 
-
-def _finish_pairs(main: Axes, joint: JointDistribution, cells: Cells) -> None:
-    """The names of the axes and their limits; with a note where there are no pairs."""
-    main.set_xlabel(_style.quantity_label(joint.labels[0], joint.units[0]))
-    main.set_ylabel(_style.quantity_label(joint.labels[1], joint.units[1]))
+    `bins` of the joint histogram; 0 without the mean.
+    """
+    xlabel, ylabel = map(_style.quantity_label, joint.labels, joint.units)
+    main.set(xlabel=xlabel, ylabel=ylabel)
     if cells.empty:
         _style.note(main, cells.label)
     else:
-        main.set_xlim(cells.edges[0][0], cells.edges[0][-1])
-        main.set_ylim(cells.edges[1][0], cells.edges[1][-1])
-
-
-def _finished(panels: tuple[Axes, ...], cells: Cells) -> tuple[Axes, ...]:
-    """The `panels` with a legend, and with the limits of the histograms beside the first."""
-    main, *others = panels
-    if others and not cells.empty:
-        above, right = others
-        above.set_xlim(main.get_xlim())
-        right.set_ylim(main.get_ylim())
-        above.set_ylim(bottom=0)
-        right.set_xlim(left=0)
-    legend_above(*others[:1], main, columns=1, room=_ROOM if others else None)
-    for ax in others[1:]:
-        plain_numbers(ax.xaxis)
-    return panels
-
-
-def _draw_conditional_mean(main: Axes, joint: JointDistribution, bins: int) -> None:
-    """The mean of the ordinate in each bin of the abscissa that holds a pair."""
-    means = joint.conditional_mean(bins)
-    known = means.counts > 0
-    centers = ((means.edges[1:] + means.edges[:-1]) / 2)[known]
-    label = f"mean {joint.labels[1]} given the {joint.labels[0]}"
-    main.errorbar(
-        centers, means.mean[known], np.nan_to_num(means.error[known]), marker="o", ms=3, lw=_style.SLIP_WIDTH,
-        label=label,
-        **_style.ERROR_LOOK,
-    )  # fmt: skip
+        main.set(xlim=cells.edges[0][[0, -1]], ylim=cells.edges[1][[0, -1]])
+    atoms = joint.atoms
+    if number := len(atoms.share):
+        share = f"{100 * atoms.share.sum():.1f} % of the pairs"
+        label = f"{number:,} points that {share} lie on" if number > 1 else f"a point that {share} lie on"
+        look = {"facecolors": "none", "edgecolors": _style.STICK, "lw": 1.2, "clip_on": False, "zorder": 3}
+        main.scatter(atoms.x, atoms.y, s=np.maximum(12, _LARGEST * atoms.share), label=label, **look)
+    if bins and not cells.empty:
+        means = joint.conditional_mean(min(bins, _MEANS))
+        known = means.counts > 0
+        centers, errors = (means.edges[1:] + means.edges[:-1]) / 2, np.nan_to_num(means.error)
+        label = f"mean {joint.labels[1]} given the {joint.labels[0]}"
+        look = {"marker": "o", "ms": 3, "lw": _style.SLIP_WIDTH, **_style.ERROR_LOOK}
+        main.errorbar(centers[known], means.mean[known], errors[known], label=label, **look)
 
 
 # The durations of sticks against the positions at which they begin.
 
 
-_MANY = 2000  # points: more are smaller and paler
+_DOTS = (9.0, 0.6), (3.0, 0.35)  # area (square points) and opacity of points: of few, of many
 
 
 def stick_map(
@@ -600,10 +458,7 @@ def stick_map(
     sticks = placed_sticks(result, system, bound, period)
     ax = _style.axes_or_new(ax, (5.6, 4.0))
     if len(sticks.duration):
-        many = len(sticks.duration) > _MANY
-        size, alpha = (3, 0.35) if many else (9, 0.6)
-        ax.scatter(sticks.position, sticks.duration, s=size, alpha=alpha, lw=0, color=_style.STICK, rasterized=many)
-        ax.plot([], [], ls="none", marker="o", ms=4, mew=0, color=_style.STICK, label=sticks.label)
+        _style.draw_dots(ax, sticks.position, sticks.duration, _DOTS, _style.STICK, sticks.label)
     finish(ax, sticks)
     legend_above(ax, columns=1)
     return ax

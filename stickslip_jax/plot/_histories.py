@@ -8,24 +8,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 
 from .._dynamics.simulation import Simulation
 from .._excitation.motion import SourceVoltage
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
-from .._systems.system import Coordinate
 from . import _style
 from ._style import SeveralAxes, Window, legend_above
 from ._trajectory import (
     Phase,
     check_simulation,
     check_window,
-    ground_acceleration,
     has_steady_base,
     joined,
     phases_in,
     phases_of,
+    sticks_in,
     turns_of,
     values_of,
 )
@@ -35,7 +33,6 @@ from ._trajectory import (
 
 _POINTS = 4000  # on the whole window, besides events and time steps
 _FEW = 4  # lines that have a colour and a name each; of more, the first and the last are named
-_HEIGHT = 0.8  # of a bar, in rows
 
 
 def contact_rows(ax: Axes, one: Simulation, window: Window) -> None:
@@ -44,35 +41,19 @@ def contact_rows(ax: Axes, one: Simulation, window: Window) -> None:
     rows = [*(one.of_contact(number) for number in range(contacts)), one.of_all_contacts()]
     found = 0
     for row, part in enumerate(rows):
-        mask = np.asarray(part.sticks.mask)
-        start, end = (np.asarray(times)[mask] for times in (part.sticks.start, part.sticks.end))
-        shown = (end > window[0]) & (start < window[1])
-        found += int(np.count_nonzero(shown))
-        at = np.full(int(np.count_nonzero(shown)), float(row))
-        corners = _style.rectangles(start[shown], end[shown], at - _HEIGHT / 2, at + _HEIGHT / 2)
-        is_all = row == contacts
-        look = {"facecolor": _style.MASS if is_all else _style.STICK, "lw": 0}
-        ax.add_collection(
-            PolyCollection(corners, label={0: "stick", contacts: "all closed contacts stick"}.get(row), **look),
-            autolim=False,
-        )
+        start, end = sticks_in(part, window)
+        found += len(start)
+        label = {0: "stick", contacts: "all closed contacts stick"}.get(row)
+        corners = _style.sticks_in_rows(np.full(len(start), float(row)), start, end)
+        color = _style.MASS if row == contacts else _style.STICK
+        _style.draw_polygons(ax, corners, facecolor=color, label=label)
     if not found:
         _style.note(ax, "no sticks")
     ax.set_ylim(contacts + 0.5, -0.5)
-    every = -(-contacts // 12)
-    numbers = range(0, contacts, every)
+    numbers = range(0, contacts, -(-contacts // 12))
     ax.set_yticks([*numbers, contacts], [*map(str, numbers), "all"])
     ax.set_ylabel("contact")
-
-
-def contact_raster(one: Simulation, window: Window | None, ax: Axes | None) -> Axes:
-    """The figure `stick_raster` of one simulation with several contacts."""
-    shown = check_window(window, float(one.t1))
-    ax = _style.axes_or_new(ax, (6.4, 1.4 + 0.3 * min(one.totals.sticks.shape[-1], 16)))
-    contact_rows(ax, one, shown)
-    _style.time_axis(ax, shown)
-    legend_above(ax)
-    return ax
+    _style.time_axis(ax, window)
 
 
 def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | None) -> tuple[Axes, ...]:
@@ -96,12 +77,11 @@ def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | 
             label = named[place] if is_named else None
             panel.plot(times, np.asarray(state[number]), color=color, lw=_style.SLIP_WIDTH, label=label)
         if unit in ("m/s", "rad/s") and np.any(base != 0):
-            panel.plot(times, base, color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--", label="base")
+            panel.plot(times, base, label="base", **_style.BASE_LINE)
         kinds = {re.sub(r"\s*\d+$", "", name) for name in named}  # "position 1", "position 2", ...
         panel.set_ylabel(_style.quantity_label(kinds.pop() if len(kinds) == 1 else "coordinates", unit))
-    contact_rows(panels[-1], one, shown)
-    for panel in panels:
         _style.time_axis(panel, shown)
+    contact_rows(panels[-1], one, shown)
     legend_above(*panels, columns=4)
     return panels
 
@@ -127,10 +107,7 @@ _LONG = 12  # letters: after a longer name the symbol goes into a second line
 
 
 def time_history(
-    result: Simulation,
-    *,
-    window: Window | None = None,
-    axes: SeveralAxes | None = None,
+    result: Simulation, *, window: Window | None = None, axes: SeveralAxes | None = None
 ) -> tuple[Axes, ...]:
     """Draw the state against time, and below it what drives it; sticks are thick and coloured.
 
@@ -165,8 +142,7 @@ def time_history(
     if result.sticks.contact is not None:
         return contact_history(result, window, axes)
     phases, shown = phases_in(result, window)
-    coordinates = result.system.coordinates
-    whose = "\nrelative to ground" if isinstance(result.base, GroundMotion) else ""
+    coordinates, on_ground = result.system.coordinates, isinstance(result.base, GroundMotion)
     names, (drive_label, drive) = tuple(coordinate.name for coordinate in coordinates), _drive_of(result)
     base_panel = _base_panel(result)
     if (drive is not None or base_panel == len(names)) and (
@@ -175,15 +151,28 @@ def time_history(
         names = (*names, "excitation")
     panels = _style.axes_below_or_new(axes, names, (6.4, 4.6 if len(names) == 2 else 1.8 * len(names) + 0.4))
     _draw_band(panels, result, phases)
+    times = np.concatenate([phase.times for phase in phases])
     if base_panel is not None and base_panel < len(panels):
-        _draw_base(panels[base_panel], phases, "ground" if isinstance(result.base, GroundMotion) else "base")
-    for number, coordinate in enumerate(coordinates):
-        _draw_state(panels[number], phases, number, result.system.body_name)
-        panels[number].set_ylabel(_label(coordinate, result.system.sticks_at_base_velocity and number == 1) + whose)
+        # Two points are enough where it is constant; at its jumps the line is vertical.
+        kept = [slice(None) if np.ptp(phase.base_velocity) > 0 else [0, -1] for phase in phases]
+        base_times, velocities = (
+            np.concatenate([values_of(phase, key)[points] for phase, points in zip(phases, kept, strict=True)])
+            for key in ("times", "base_velocity")
+        )
+        panels[base_panel].plot(base_times, velocities, label="ground" if on_ground else "base", **_style.BASE_LINE)
+    sticks, name = [phase for phase in phases if phase.sticks], result.system.body_name
+    for number, (panel, coordinate) in enumerate(zip(panels, coordinates, strict=False)):
+        values = np.concatenate([phase.state[number] for phase in phases])
+        panel.plot(times, values, label=name, **_style.MASS_LINE)
+        panel.plot(joined(sticks, "times"), joined(sticks, number), label=f"{name}, stick", **_style.STICK_LINE)
+        holds_base = result.system.sticks_at_base_velocity and number == 1  # which has no symbol then
+        label = coordinate._replace(symbol="" if holds_base else coordinate.symbol).label
+        label = label.replace(" $", "\n$", 1) if len(coordinate.name) > _LONG else label
+        panel.set_ylabel(label + ("\nrelative to ground" if on_ground else ""))
     if base_panel == len(coordinates) < len(panels):
-        panels[-1].set_ylabel(_base_label(coordinates))
+        units = {coordinate.unit for coordinate in coordinates} & _VELOCITIES
+        panels[-1].set_ylabel(_style.quantity_label("base velocity", units.pop() if len(units) == 1 else "1"))
     elif drive is not None and len(panels) > len(coordinates):
-        times = np.concatenate([phase.times for phase in phases])
         panels[-1].plot(times, np.asarray(drive(jnp.asarray(times))), color=_style.BASE, lw=_style.SLIP_WIDTH)
         panels[-1].set_ylabel(drive_label)
     for panel in panels:
@@ -196,7 +185,7 @@ def _drive_of(one: Simulation) -> tuple[str, Callable[[jax.Array], jax.Array] | 
     """What drives the system besides the velocity of its base: the name of its axis, and its value; None if nothing."""
     if isinstance(one.base, SourceVoltage):
         return "voltage (V)", one.base.value
-    if isinstance(one.base, GroundMotion) and (acceleration := ground_acceleration(one.base)) is not None:
+    if isinstance(one.base, GroundMotion) and (acceleration := getattr(one.base, "acceleration", None)) is not None:
         return "ground\nacceleration (m/s$^2$)", acceleration
     return "force (N)", getattr(getattr(one.system, "force", None), "value", None)
 
@@ -213,37 +202,6 @@ def _base_panel(one: Simulation) -> int | None:
     units = [coordinate.unit for coordinate in one.system.coordinates]
     velocities = [number for number, unit in enumerate(units) if unit in _VELOCITIES]
     return velocities[0] if len(velocities) == 1 else len(units)
-
-
-def _base_label(coordinates: tuple[Coordinate, ...]) -> str:
-    """The name of the base velocity, with its unit where there is only one unit of velocities among the coordinates."""
-    units = {coordinate.unit for coordinate in coordinates} & _VELOCITIES
-    return _style.quantity_label("base velocity", units.pop() if len(units) == 1 else "1")
-
-
-def _label(coordinate: Coordinate, holds_base: bool) -> str:
-    """The name of an axis, in two lines if it is long; without the symbol if the base velocity is drawn there too."""
-    label = coordinate._replace(symbol="" if holds_base else coordinate.symbol).label
-    return label.replace(" $", "\n$", 1) if len(coordinate.name) > _LONG else label
-
-
-def _draw_state(panel: Axes, phases: list[Phase], number: int, name: str) -> None:
-    """Coordinate `number` as a line, sticks thick and coloured."""
-    sticks = [phase for phase in phases if phase.sticks]
-    times, values = (np.concatenate([values_of(phase, key) for phase in phases]) for key in ("times", number))
-    panel.plot(times, values, color=_style.MASS, lw=_style.SLIP_WIDTH, label=name)
-    stuck = (joined(sticks, "times"), joined(sticks, number))
-    panel.plot(*stuck, color=_style.STICK, lw=_style.STICK_WIDTH, solid_capstyle="butt", label=f"{name}, stick")
-
-
-def _draw_base(panel: Axes, phases: list[Phase], name: str) -> None:
-    """The base velocity as a line with vertical jumps; two points are enough where it is constant."""
-    kept = [slice(None) if np.ptp(phase.base_velocity) > 0 else [0, -1] for phase in phases]
-    times, velocities = (
-        np.concatenate([values_of(phase, key)[points] for phase, points in zip(phases, kept, strict=True)])
-        for key in ("times", "base_velocity")
-    )
-    panel.plot(times, velocities, color=_style.BASE, lw=_style.SLIP_WIDTH, ls="--", label=name)
 
 
 def _draw_band(panels: tuple[Axes, ...], result: Simulation, phases: list[Phase]) -> None:
@@ -274,12 +232,7 @@ _ENERGY_POINTS = 2000
 _SUPPLIED, _DISSIPATED = ("-", "-."), ("--", ":", (0, (3, 1, 1, 1, 1, 1)))
 
 
-def energies(
-    result: Simulation,
-    *,
-    window: Window | None = None,
-    axes: SeveralAxes | None = None,
-) -> tuple[Axes, Axes]:
+def energies(result: Simulation, *, window: Window | None = None, axes: SeveralAxes | None = None) -> tuple[Axes, Axes]:
     """Draw the stored energies, and what was supplied and dissipated since the start, against time; sticks are shaded.
 
     Energies that are zero all the time, such as the damping of a system without a damper, are left out.
@@ -300,73 +253,50 @@ def energies(
     check_simulation(result)
     _, (begin, end) = phases_in(result, window)
     upper, lower = _style.axes_below_or_new(axes, ("stored", "supplied and dissipated"), (6.4, 5.2))
-    mask = np.asarray(result.sticks.mask)
-    starts, ends = (np.asarray(times)[mask] for times in (result.sticks.start, result.sticks.end))
-    inside = (ends > begin) & (starts < end)
-    events = np.concatenate([starts[inside], ends[inside]])
-    times = np.union1d(np.linspace(begin, end, _ENERGY_POINTS), np.clip(events, begin, end))
+    starts, ends = sticks_in(result, (begin, end))
+    events = np.clip(np.concatenate([starts, ends]), begin, end)
+    times = np.union1d(np.linspace(begin, end, _ENERGY_POINTS), events)
     found = result.energies(times)
     for number, (name, values) in enumerate(found.stored.items()):
         look = {"color": _style.SERIES[number], "ls": ("-", "-.")[number % 2], "lw": _style.SLIP_WIDTH}
         upper.plot(times, values, label=name, **look)
     total = np.sum([np.asarray(values) for values in found.stored.values()], axis=0)
-    upper.plot(times, total, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label="sum")
+    upper.plot(times, total, label="sum", **_style.REFERENCE)
+    # What the load consists of: an external force, the inertia of a mass on moving ground, or both.
+    parts = ["force"] * (getattr(result.system, "force", None) is not None)
+    parts += ["ground motion"] * isinstance(result.base, GroundMotion)
     kinds = {"supplied by": (found.supplied, _SUPPLIED), "dissipated by": (found.dissipated, _DISSIPATED)}
-    number = 0
+    colors = iter(_style.SERIES)
     for words, (terms, styles) in kinds.items():
         left = iter(styles)
         for name, values in terms.items():
             if np.any(np.asarray(values) != 0):
-                look = {"color": _style.SERIES[number], "ls": next(left), "lw": 1.5 * _style.SLIP_WIDTH}
-                lower.plot(times, values, label=f"{words} {_load(result) if name == 'load' else name}", **look)
-                number += 1
+                label = f"{words} {(' and '.join(parts) or name) if name == 'load' else name}"
+                look = {"color": next(colors), "ls": next(left), "lw": 1.5 * _style.SLIP_WIDTH}
+                lower.plot(times, values, label=label, **look)
     upper.set_ylabel("stored energy (J)")
     lower.set_ylabel("energy since the start (J)")
     for panel in (upper, lower):
-        for first, last in zip(starts[inside], ends[inside], strict=True):
+        for first, last in zip(starts, ends, strict=True):
             panel.axvspan(max(first, begin), min(last, end), color=_style.STICK, alpha=0.25, lw=0, label="stick")
         _style.time_axis(panel, (begin, end), float(result.t1) if window is None else None)
         legend_above(panel, columns=4)
     return upper, lower
 
 
-def _load(one: Simulation) -> str:
-    """What the load consists of: an external force, the inertia of a mass on moving ground, or both."""
-    parts = ["force"] if getattr(one.system, "force", None) is not None else []
-    if isinstance(one.base, GroundMotion):
-        parts.append("ground motion")
-    return " and ".join(parts) or "load"
-
-
 # Phase portraits: velocity against position, or angular velocity against angle.
 
 
 _POSITION, _SCALED = "position", "position_times_omega"
-
-Group = tuple[str, Callable[[Phase], bool], dict[str, Any]]
-"""How to draw a kind of phase: its label, which phases are of that kind, and how they look."""
-
-
-def _slip(sign: int) -> Callable[[Phase], bool]:
-    return lambda phase: not phase.sticks and np.sign(phase.base_velocity[0]) == sign
-
-
+_SLIPS = {1: "slip, base forward", -1: "slip, base backward", 0: "slip, base at rest"}
 # On a base at rest a stick is a point, which is visible by markers at its ends, as wide as the line.
-_STICK: Group = (
-    "stick",
-    lambda phase: phase.sticks,
-    {"color": _style.STICK, "lw": _style.STICK_WIDTH, "marker": "o", "ms": _style.STICK_WIDTH, "mew": 0},
-)
-_BY_BASE: tuple[Group, ...] = (
-    ("slip, base forward", _slip(1), {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH}),
-    ("slip, base backward", _slip(-1), {"color": _style.BACKWARD, "lw": _style.SLIP_WIDTH}),
-    ("slip, base at rest", _slip(0), {"color": _style.AT_REST, "lw": _style.SLIP_WIDTH}),
-    _STICK,
-)
-_ALIKE: tuple[Group, ...] = (
-    ("slip", lambda phase: not phase.sticks, {"color": _style.EITHER_WAY, "lw": _style.SLIP_WIDTH}),
-    _STICK,
-)
+_LOOKS: dict[str, dict[str, Any]] = {
+    _SLIPS[1]: {"color": _style.FORWARD, "lw": _style.SLIP_WIDTH},
+    _SLIPS[-1]: {"color": _style.BACKWARD, "lw": _style.SLIP_WIDTH},
+    _SLIPS[0]: {"color": _style.AT_REST, "lw": _style.SLIP_WIDTH},
+    "slip": {"color": _style.EITHER_WAY, "lw": _style.SLIP_WIDTH},
+    "stick": {"color": _style.STICK, "lw": _style.STICK_WIDTH, "marker": "o", "ms": _style.STICK_WIDTH, "mew": 0},
+}
 
 
 def phase_portrait(
@@ -416,11 +346,8 @@ def phase_portrait(
     if chosen != (0, 1):
         choices = (_POSITION,)
     if abscissa not in choices:
-        names = " or ".join(map(repr, choices))
-        raise ValueError(
-            f"Argument abscissa must be {names} for a {type(result.system).__name__}, but {checks.show(abscissa)} was "
-            "given."
-        )
+        demand = f"be {' or '.join(map(repr, choices))} for a {type(result.system).__name__}"
+        raise checks.refused("abscissa", demand, abscissa)
     checks.truth("energy_regions", energy_regions)
     if energy_regions and not (has_steady_base(result) and chosen == (0, 1)):
         raise ValueError(
@@ -433,10 +360,17 @@ def phase_portrait(
     if energy_regions:
         for velocity in set(np.unique([phase.base_velocity[0] for phase in phases])) - {0}:
             ax.axhspan(0, velocity, color=_style.FED, alpha=0.25, lw=0, label="friction feeds energy in")
-    if first.period:
-        _draw_periodic(ax, phases, result, chosen)
+    scale = float(result.system.natural_frequency) if abscissa == _SCALED and result.system.natural_frequency else 1.0
+    _draw_phases(ax, result, phases, chosen, scale)
+    whose = " relative to ground" if isinstance(result.base, GroundMotion) and not first.period else ""
+    if abscissa == _SCALED:
+        ax.set_xlabel(f"{first.name}{whose} times frequency $\\omega {first.symbol}$ (m/s)")
+        ax.set_aspect("equal", adjustable="datalim")
+    elif first.period:
+        ax.set_xlabel(first.labeled(f" modulo {_style.angle_axis(ax, first.period)}"))
     else:
-        _draw_plane(ax, result, phases, chosen, abscissa)
+        ax.set_xlabel(first.labeled(whose))
+    ax.set_ylabel(second.labeled(whose))
     legend_above(ax, columns=2)
     return ax
 
@@ -446,10 +380,8 @@ def _chosen(one: Simulation, x: str | None, y: str | None) -> tuple[int, int]:
     names = [coordinate.name for coordinate in one.system.coordinates]
     for argument, name in (("x", x), ("y", y)):
         if name is not None and name not in names:
-            raise ValueError(
-                f"Argument {argument} must be the name of a coordinate of the {type(one.system).__name__}, one of "
-                f"{', '.join(map(repr, names))}, but {checks.show(name)} was given."
-            )
+            demand = f"be the name of a coordinate of the {type(one.system).__name__}, one of "
+            raise checks.refused(argument, demand + ", ".join(map(repr, names)), name)
     chosen = 0 if x is None else names.index(x), 1 if y is None else names.index(y)
     if chosen[0] == chosen[1]:
         given = f"x={checks.show(x)}" if y is None else f"y={checks.show(y)}"
@@ -460,60 +392,33 @@ def _chosen(one: Simulation, x: str | None, y: str | None) -> tuple[int, int]:
     return chosen
 
 
-def _draw_plane(ax: Axes, one: Simulation, phases: list[Phase], pair: tuple[int, int], abscissa: str) -> None:
-    """One coordinate against the other, or against it times the natural angular frequency."""
-    first, second = (one.system.coordinates[number] for number in pair)
-    scale = float(one.system.natural_frequency) if abscissa == _SCALED and one.system.natural_frequency else 1.0
-    for label, belongs, look in _BY_BASE if has_steady_base(one) else _ALIKE:
-        chosen = [phase for phase in phases if belongs(phase)]
-        if chosen:
-            ends = np.cumsum([len(phase.times) + 1 for phase in chosen]) - 2
-            starts = ends + 1 - [len(phase.times) for phase in chosen]
-            marked = np.union1d(starts, ends).tolist()
-            x, y = (joined(chosen, number) for number in pair)
-            ax.plot(scale * x, y, label=label, markevery=marked, **look)
-    center = one.system.slip_center
-    if center is not None and not isinstance(one.base, GroundMotion) and pair == (0, 1):
-        look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
-        directions = _directions(one, phases)
-        label = r"centres, $x = \pm \mu n/k$" if len(directions) > 1 else r"centre, $x = \mu n/k\,\mathrm{sgn}\,v$"
-        ax.plot(scale * float(center) * directions, 0 * directions, label=label, **look)
-    whose = " relative to ground" if isinstance(one.base, GroundMotion) else ""
-    scaled = f"{first.name}{whose} times frequency $\\omega {first.symbol}$ (m/s)"
-    ax.set_xlabel(scaled if abscissa == _SCALED else first.labeled(whose))
-    ax.set_ylabel(second.labeled(whose))
-    if abscissa == _SCALED:
-        ax.set_aspect("equal", adjustable="datalim")
-
-
-def _directions(one: Simulation, phases: list[Phase]) -> np.ndarray:
-    """-1 and 1; or the only one of them in which the base moves in all `phases`."""
-    if has_steady_base(one):
-        signs = {np.sign(phase.base_velocity[0]) for phase in phases}
-        if len(signs) == 1 and 0 not in signs:
-            return np.array(list(signs))
-    return np.array([-1.0, 1.0])
-
-
-def _draw_periodic(ax: Axes, phases: list[Phase], one: Simulation, pair: tuple[int, int]) -> None:
-    """One coordinate against the other modulo its period; sticks in which neither changes are points."""
-    first, second = (one.system.coordinates[number] for number in pair)
-    assert first.period is not None
-    period = first.period
-    still = [phase for phase in phases if phase.sticks and all(np.ptp(phase.state[number]) == 0 for number in pair)]
-    points = set(map(id, still))
-    for label, belongs, look in _ALIKE:
-        chosen = [phase for phase in phases if belongs(phase) and id(phase) not in points]
-        if chosen:
-            x, y = (joined(chosen, number) for number in pair)
-            ax.plot(*_wrapped(x, y, period), label=label, **look)
-    if still:
-        angles, speeds = np.transpose([[phase.state[number][0] for number in pair] for phase in still])
+def _draw_phases(ax: Axes, one: Simulation, phases: list[Phase], pair: tuple[int, int], scale: float) -> None:
+    """One coordinate, times `scale` or modulo its period, against the other."""
+    period, steady = one.system.coordinates[pair[0]].period, has_steady_base(one)
+    kinds: dict[str, list[Phase]] = {}
+    for phase in phases:
+        slip = _SLIPS.get(np.sign(phase.base_velocity[0]), "") if steady and not period else "slip"
+        # Of an angle, sticks in which neither changes are points.
+        is_point = period and phase.sticks and all(np.ptp(phase.state[number]) == 0 for number in pair)
+        kinds.setdefault("point" if is_point else "stick" if phase.sticks else slip, []).append(phase)
+    for label, look in _LOOKS.items():
+        if label in kinds:
+            x, y = (joined(kinds[label], number) for number in pair)
+            ends = np.cumsum([len(phase.times) + 1 for phase in kinds[label]]) - 2
+            starts = ends + 1 - [len(phase.times) for phase in kinds[label]]
+            marked = None if period else np.union1d(starts, ends).tolist()
+            ax.plot(*(_wrapped(x, y, period) if period else (scale * x, y)), label=label, markevery=marked, **look)
+    if period and "point" in kinds:
+        angles, speeds = np.transpose([[phase.state[number][0] for number in pair] for phase in kinds["point"]])
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
         ax.plot(np.mod(angles, period), speeds, label="stick", **look)
-    name = _style.angle_axis(ax, period)
-    ax.set_xlabel(first.labeled(f" modulo {name}"))
-    ax.set_ylabel(second.label)
+    center = one.system.slip_center
+    if center is not None and not period and not isinstance(one.base, GroundMotion) and pair == (0, 1):
+        ways = {np.sign(phase.base_velocity[0]) for phase in phases} if steady else set()
+        directions = np.array(list(ways) if len(ways) == 1 and 0 not in ways else [-1.0, 1.0])
+        label = r"centres, $x = \pm \mu n/k$" if len(directions) > 1 else r"centre, $x = \mu n/k\,\mathrm{sgn}\,v$"
+        look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
+        ax.plot(scale * float(center) * directions, 0 * directions, label=label, **look)
 
 
 def _wrapped(angle: np.ndarray, speed: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -525,8 +430,6 @@ def _wrapped(angle: np.ndarray, speed: np.ndarray, period: float) -> tuple[np.nd
     between = speed[at] + part * (speed[at + 1] - speed[at])
     forward = count[at + 1] > count[at]
     leaving, entering = np.where(forward, period, 0), np.where(forward, 0, period)
-    x = np.insert(
-        angle - period * count, np.repeat(at + 1, 3), np.ravel([leaving, np.full(len(at), np.nan), entering], "F")
-    )
-    y = np.insert(speed, np.repeat(at + 1, 3), np.ravel([between, np.full(len(at), np.nan), between], "F"))
-    return x, y
+    places, gap = np.repeat(at + 1, 3), np.full(len(at), np.nan)
+    x = np.insert(angle - period * count, places, np.ravel([leaving, gap, entering], "F"))
+    return x, np.insert(speed, places, np.ravel([between, gap, between], "F"))

@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 
 from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
@@ -11,15 +10,11 @@ from .._statistics.estimate import DEFAULT_LEVEL, check_level
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES
 from .._statistics.totals import Convergence, HistogramConvergence
 from . import _style
-from ._histories import contact_raster
+from ._histories import contact_rows
 from ._style import Window, legend_above
 from ._trajectory import check_simulation, check_window, require_ensemble
 
 # When the sticks of many realisations happen.
-
-
-_HEIGHT = 0.8  # of a bar, in rows
-_MANY = 2000  # bars: more are drawn as an image in vector formats
 
 
 def stick_raster(
@@ -44,9 +39,12 @@ def stick_raster(
     """
     if isinstance(result, Simulation) and result.sticks.contact is not None:
         check_simulation(result, of_one_contact=False)
-        return contact_raster(result, window, ax)
-    require_ensemble(result)
-    assert isinstance(result, Ensemble)
+        shown = check_window(window, float(result.t1))
+        ax = _style.axes_or_new(ax, (6.4, 1.4 + 0.3 * min(result.totals.sticks.shape[-1], 16)))
+        contact_rows(ax, result, shown)
+        legend_above(ax)
+        return ax
+    result = require_ensemble(result)
     checks.whole_number("samples", samples)
     begin, end = check_window(window, result.t1)
     every = result.finished_sticks()
@@ -56,12 +54,9 @@ def stick_raster(
     ax = _style.axes_or_new(ax, (6.4, 4.4))
     number = int(np.count_nonzero(shown))
     if number:
-        row = sticks.sample[shown]
-        corners = _style.rectangles(sticks.start[shown], sticks.end[shown], row - _HEIGHT / 2, row + _HEIGHT / 2)
+        corners = _style.sticks_in_rows(sticks.sample[shown], sticks.start[shown], sticks.end[shown])
         label = f"{_style.counted(number, 'stick')} in {rows:,} of {_style.counted(result.samples, 'realisation')}"
-        ax.add_collection(
-            PolyCollection(corners, facecolor=_style.STICK, lw=0, rasterized=number > _MANY, label=label), autolim=False
-        )
+        _style.draw_polygons(ax, corners, facecolor=_style.STICK, rasterized=number > _style.MANY, label=label)
     else:
         _style.note(ax, "no sticks")
     ax.set_xlim(begin, end)
@@ -103,11 +98,7 @@ def means_by_order(
     """
     require_ensemble(result)
     of_slips = [one.name for one in SLIP_QUANTITIES]
-    names = [*(one.name for one in STICK_QUANTITIES), *of_slips]
-    if not (isinstance(quantity, str) and quantity in names):
-        raise ValueError(
-            f"Argument quantity must be one of {', '.join(map(repr, names))}, but {checks.show(quantity)} was given."
-        )
+    checks.chosen("quantity", quantity, [*(one.name for one in STICK_QUANTITIES), *of_slips])
     check_level(level)
     body = "slip" if quantity in of_slips else "stick"
     statistics = result.statistics.slips if body == "slip" else result.statistics
@@ -115,8 +106,8 @@ def means_by_order(
     orders = [statistics.order(number) for number in range(1, result.statistics.orders + 1)]
     present = [order for order in orders if order.share.value > 0]
     name = quantity.removeprefix("slip_")
-    ax.set_xlabel(f"order $i$ of the {body} in its sample")
-    ax.set_ylabel(_style.quantity_label(f"mean {name} of the $i$-th {body}", getattr(statistics, name).unit))
+    ylabel = _style.quantity_label(f"mean {name} of the $i$-th {body}", getattr(statistics, name).unit)
+    ax.set(xlabel=f"order $i$ of the {body} in its sample", ylabel=ylabel)
     if not present:
         _style.note(ax, f"no {body}s")
         return ax
@@ -124,34 +115,29 @@ def means_by_order(
     means = [order.distributions[quantity].mean for order in present]
     values = np.array([mean.value for mean in means])
     low, high = np.array([mean.interval(level) for mean in means]).T
-    label = f"mean; bars: {_style.interval_name(level)}"
-    look = {"color": _style.STICK if body == "stick" else _style.MASS, "lw": _style.SLIP_WIDTH}
-    known = np.isfinite(low)
+    look = {"color": _style.STICK if body == "stick" else _style.MASS, "lw": _style.SLIP_WIDTH, "marker": "o", "ms": 4}
+    known, label = np.isfinite(low), "mean (no interval from one sample)"
     if np.any(known):
         errors = (values - low)[known], (high - values)[known]
-        ax.errorbar(numbers[known], values[known], errors, ls="none", marker="o", ms=4, capsize=3, label=label, **look)
-    else:
-        label = "mean (no interval from one sample)"
-    ax.plot(numbers, values, ls="none", marker="o", ms=4, label="_mean" if np.any(known) else label, **look)
+        named = f"mean; bars: {_style.interval_name(level)}"
+        ax.errorbar(numbers[known], values[known], errors, ls="none", capsize=3, label=named, **look)
+        label = "_mean"
+    ax.plot(numbers, values, ls="none", label=label, **look)
     _style.whole_numbers(ax.xaxis)
     ax.set_xlim(numbers[0] - 0.5, numbers[-1] + 0.5)
-    shares = np.array([order.share.value for order in present])
-    others = () if np.all(shares == 1) else (_draw_shares(ax, numbers, shares, body),)
-    legend_above(ax, *others, columns=2)
+    shares, panels = np.array([order.share.value for order in present]), [ax]
+    if not np.all(shares == 1):  # bars at the bottom, below all that is shown so far, on axes of their own
+        bottom, top = ax.get_ylim()
+        ax.set_yticks([tick for tick in ax.get_yticks() if bottom <= tick <= top])
+        ax.set_ylim(top - (top - bottom) / (1 - _BOTTOM), top)
+        below = ax.twinx()
+        below.bar(numbers, 100 * shares, width=0.8, color=_style.FORWARD, alpha=0.5, lw=0, label="share of samples")
+        below.set_ylim(0, 100 / (_BOTTOM - 0.06))
+        below.set_yticks([0, 50, 100])
+        below.set_ylabel(f"samples that have an $i$-th {body} (%)", loc="bottom", fontsize="small")
+        panels.append(below)
+    legend_above(*panels, columns=2)
     return ax
-
-
-def _draw_shares(ax: Axes, numbers: np.ndarray, shares: np.ndarray, body: str) -> Axes:
-    """Bars at the bottom, below all that `ax` shows so far, on axes of their own, which are returned."""
-    low, high = ax.get_ylim()
-    ax.set_yticks([tick for tick in ax.get_yticks() if low <= tick <= high])
-    ax.set_ylim(high - (high - low) / (1 - _BOTTOM), high)
-    below = ax.twinx()
-    below.bar(numbers, 100 * shares, width=0.8, color=_style.FORWARD, alpha=0.5, lw=0, label="share of samples")
-    below.set_ylim(0, 100 / (_BOTTOM - 0.06))
-    below.set_yticks([0, 50, 100])
-    below.set_ylabel(f"samples that have an $i$-th {body} (%)", loc="bottom", fontsize="small")
-    return below
 
 
 # How estimates converge as the number of samples grows.
@@ -181,58 +167,44 @@ def convergence(
         ValueError: For arguments of another kind.
     """
     if not isinstance(result, (Convergence, HistogramConvergence)):
-        raise ValueError(
-            f"Argument result must be a Convergence or a HistogramConvergence, but {checks.show(result)} was given; "
-            "give the result of convergence or of histogram_convergence."
-        )
+        hint = "give the result of convergence or of histogram_convergence"
+        raise checks.refused("result", "be a Convergence or a HistogramConvergence", result, hint)
     check_level(level)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     ax.set_xscale("log")
+    look = {"color": _style.SERIES[0], "lw": _style.SLIP_WIDTH, "marker": "o"}
     if isinstance(result, Convergence):
-        _draw_estimates(ax, result, level)
+        ax.set(xlabel="number of samples", ylabel=_style.quantity_label(result.name, result.unit))
+        known, nothing = np.isfinite(result.values), f"not defined in {result.numbers[-1]:,} samples"
     else:
-        _draw_distances(ax, result)
+        ax.set_yscale("log")
+        xlabel = "number of samples of each of the two histograms"
+        ax.set(xlabel=xlabel, ylabel="distance of the histograms\n(total variation)")
+        known, nothing = np.isfinite(result.distances) & (result.distances > 0), "no distance is known"
+    numbers = result.numbers[known]
+    if not np.any(known):
+        _style.note(ax, nothing)
+    elif isinstance(result, Convergence):
+        values = result.values[known]
+        low, high = (ends[known] for ends in result.band(level))
+        label = f"from all {result.final.samples:,} samples: {_style.with_error(result.final)}"
+        ax.axhline(result.final.value, label=label, **_style.REFERENCE)
+        _style.shade_between(ax, numbers, low, high, _style.SERIES[0], _style.interval_name(level))
+        ax.plot(numbers, values, ms=3, label="from the first samples", **look)
+        resolved = np.isfinite(low) & (numbers >= min(_FEWEST, numbers[-1]))
+        shown = np.concatenate([values, low[resolved], high[resolved], [result.final.value]])
+        margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
+        ax.set_ylim(shown.min() - margin, shown.max() + margin)
+    else:
+        distances = result.distances[known]
+        fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
+        ax.plot(numbers, distances, ms=4, label=f"distance in {result.cells:,} cells with pairs{fitted}", **look)
+        # The line begins at a distance of 1, the largest that there is.
+        ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
+        line = distances[-1] * np.sqrt(numbers[-1] / ends)
+        ax.plot(ends, line, label="slope -1/2 through the last", **_style.REFERENCE)
     if ax.has_data():
         for axis in (ax.xaxis, ax.yaxis)[: 1 if isinstance(result, Convergence) else 2]:
             _style.log_axis(axis)
     legend_above(ax, columns=1)
     return ax
-
-
-def _draw_estimates(ax: Axes, result: Convergence, level: float) -> None:
-    ax.set_xlabel("number of samples")
-    ax.set_ylabel(_style.quantity_label(result.name, result.unit))
-    known = np.isfinite(result.values)
-    if not np.any(known):
-        _style.note(ax, f"not defined in {result.numbers[-1]:,} samples")
-        return
-    numbers, values = result.numbers[known], result.values[known]
-    low, high = (ends[known] for ends in result.band(level))
-    ax.axhline(result.final.value, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--",
-               label=f"from all {result.final.samples:,} samples: {_style.with_error(result.final)}")  # fmt: skip
-    ax.fill_between(numbers, low, high, color=_style.SERIES[0], alpha=0.25, lw=0, label=_style.interval_name(level))
-    ax.plot(
-        numbers, values, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=3, label="from the first samples"
-    )
-    resolved = np.isfinite(low) & (numbers >= min(_FEWEST, numbers[-1]))
-    shown = np.concatenate([values, low[resolved], high[resolved], [result.final.value]])
-    margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
-    ax.set_ylim(shown.min() - margin, shown.max() + margin)
-
-
-def _draw_distances(ax: Axes, result: HistogramConvergence) -> None:
-    ax.set_yscale("log")
-    ax.set_xlabel("number of samples of each of the two histograms")
-    ax.set_ylabel("distance of the histograms\n(total variation)")
-    known = np.isfinite(result.distances) & (result.distances > 0)
-    if not np.any(known):
-        _style.note(ax, "no distance is known")
-        return
-    numbers, distances = result.numbers[known], result.distances[known]
-    fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
-    label = f"distance in {result.cells:,} cells with pairs{fitted}"
-    ax.plot(numbers, distances, color=_style.SERIES[0], lw=_style.SLIP_WIDTH, marker="o", ms=4, label=label)
-    # The line begins at a distance of 1, the largest that there is.
-    ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
-    line = distances[-1] * np.sqrt(numbers[-1] / ends)
-    ax.plot(ends, line, color=_style.MASS, lw=_style.SLIP_WIDTH, ls="--", label="slope -1/2 through the last")

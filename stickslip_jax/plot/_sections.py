@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 _RETURNS = ("cycle", "event")
-_FEW = 2000  # points; more are smaller and paler
+_DOTS = (6.0, 0.8), (1.5, 0.4)  # area (square points) and opacity of points: of few, of many
 
 
 def section(
@@ -43,9 +43,8 @@ def section(
     Raises:
         ValueError: For results of another kind, and for names that are not in them.
     """
-    names, returns = _states(results, "results")
-    x, y = x or names[0], y or names[1]
-    columns = [_column(results, name) for name in (x, y)]
+    names, returns = _states(results)
+    columns = [_column(results, name) for name in (x or names[0], y or names[1])]
     more = [str(one) for one in columns[0].dims if one not in (returns, "start")]
     if more:
         raise ValueError(
@@ -61,8 +60,7 @@ def section(
         legend_above(ax)
     else:
         _dots(ax, points[0].ravel(), points[1].ravel(), _style.MASS, None)
-    ax.set_xlabel(_style.label_of(columns[0]))
-    ax.set_ylabel(_style.label_of(columns[1]))
+    ax.set(xlabel=_style.label_of(columns[0]), ylabel=_style.label_of(columns[1]))
     return ax
 
 
@@ -85,7 +83,7 @@ def bifurcation_diagram(
     Raises:
         ValueError: For results of another kind, and for names that are not in them.
     """
-    names, _ = _states(results, "results")
+    names, _ = _states(results)
     values = _column(results, name or names[0])
     parameters = [str(one) for one in values.dims if one not in (*_RETURNS, "start", "direction", "contact")]
     along = along or (parameters[0] if len(parameters) == 1 else None)
@@ -95,57 +93,40 @@ def bifurcation_diagram(
             "others with results.isel(...)."
         )
     ax = _style.axes_or_new(ax, (6.4, 4.2))
-    labels: list[str | None] = [None]
-    if "direction" in values.dims:
-        labels = [str(one) for one in np.asarray(results["direction"])]
+    labels = [str(one) for one in np.asarray(results["direction"])] if "direction" in values.dims else [None]
     colors = (_style.MASS,) if len(labels) == 1 else (_style.SERIES[0], _style.SERIES[2])
     for label, color in zip(labels, colors, strict=True):
         own = values if label is None else values.sel(direction=label)
         rows = np.asarray(own.transpose(along, ...)).reshape(own.sizes[along], -1)
         abscissas = np.repeat(np.asarray(results[along], float), rows.shape[1])
         _dots(ax, abscissas, rows.ravel(), color, None if label is None else f"followed {label}")
-    ax.set_xlabel(_style.label_of(results[along]))
-    ax.set_ylabel(_style.wrapped(_style.label_of(values)))
+    ax.set(xlabel=_style.label_of(results[along]), ylabel=_style.wrapped(_style.label_of(values)))
     legend_above(ax)
     return ax
 
 
 def _dots(ax: Axes, x: np.ndarray, y: np.ndarray, color: str, label: str | None) -> None:
     known = np.isfinite(x) & np.isfinite(y)
-    many = int(known.sum()) > _FEW
-    size, alpha = (1.5, 0.4) if many else (6, 0.8)
-    ax.scatter(x[known], y[known], s=size, alpha=alpha, lw=0, color=color, rasterized=many)
-    if label is not None:
-        ax.plot([], [], ls="none", marker="o", ms=4, mew=0, color=color, label=label)
+    _style.draw_dots(ax, x[known], y[known], _DOTS, color, label)
 
 
-def _states(results: Any, argument: str) -> tuple[list[str], str | None]:
+def _states(results: Any) -> tuple[list[str], str | None]:
     """The names of the numbers of the state, and of the dimension of returns."""
+    demand = "be a Dataset of a section or a bifurcation diagram"
     if not is_labeled(results) or not hasattr(results, "data_vars"):
-        raise ValueError(
-            f"Argument {argument} must be a Dataset of a section or a bifurcation diagram, but "
-            f"{checks.show(results)} was given."
-        )
+        raise checks.refused("results", demand, results)
     returns = next((one for one in _RETURNS if one in results.dims), None)
     where = ("at the end of the period", "at the event")
-    names = [
-        str(name)
-        for name, values in results.data_vars.items()
-        if str(values.attrs.get("long_name", "")).endswith(where)
-    ]
+    named = {str(name): str(values.attrs.get("long_name", "")) for name, values in results.data_vars.items()}
+    names = [name for name, meaning in named.items() if meaning.endswith(where)]
     if returns is None or len(names) < 2:
-        raise ValueError(
-            f"Argument {argument} must be a Dataset of a section or a bifurcation diagram, but one with "
-            f"{', '.join(map(str, results.data_vars)) or 'nothing'} was given."
-        )
+        raise ValueError(f"Argument results must {demand}, but one with {', '.join(named) or 'nothing'} was given.")
     return names, returns
 
 
 def _column(results: Any, name: str) -> Any:
     if name not in results.data_vars:
-        raise ValueError(
-            f"Argument name must be one of {', '.join(map(str, results.data_vars))}, but {checks.show(name)} was given."
-        )
+        raise checks.refused("name", f"be one of {', '.join(map(str, results.data_vars))}", name)
     return results[name]
 
 
@@ -170,36 +151,10 @@ def basins(results: "xarray.Dataset", *, ax: Axes | None = None) -> Axes:
         ValueError: For results of another kind.
     """
     if not is_labeled(results) or "basin" not in getattr(results, "data_vars", {}):
-        raise ValueError(f"Argument results must be a Dataset of basins, but {checks.show(results)} was given.")
+        raise checks.refused("results", "be a Dataset of basins", results)
     basin = results["basin"]
     ax = _style.axes_or_new(ax, (5.6, 4.6))
-    number = results.sizes["attractor"]
-    shown = min(number, len(_COLORS))
-    colors = ListedColormap([_NONE, *_COLORS[:shown]])
-    norm = BoundaryNorm(np.arange(-0.5, shown + 1), shown + 1)
-    labels = np.minimum(np.asarray(basin), shown)
-    x, y = _axes_of(results, basin)
-    if basin.ndim == 2:
-        ax.pcolormesh(np.asarray(results[x]), np.asarray(results[y]), labels.T, cmap=colors, norm=norm, rasterized=True)
-        names = x, y
-    else:
-        ax.scatter(results[x], results[y], c=labels, cmap=colors, norm=norm, s=6, lw=0, rasterized=True)
-        names = x.removeprefix("initial_"), y.removeprefix("initial_")
-    for row in range(shown):
-        points = [np.asarray(results[f"attractor_{name}"])[row] for name in names if f"attractor_{name}" in results]
-        if len(points) == 2 and not bool(results["is_stuck"][row]):
-            ax.plot(*points, ls="none", marker=".", ms=2.5, color="black", zorder=3)
-    ax.set_xlabel(_style.label_of(results[x]))
-    ax.set_ylabel(_style.label_of(results[y]))
-    shares = np.asarray(results["share"])
-    for row in range(shown):
-        ax.fill([], [], color=_COLORS[row], label=f"attractor {row + 1}: {shares[row]:.1%}")
-    ax.plot([], [], ls="none", marker=".", color="black", label="points of attractors")
-    legend_above(ax)
-    return ax
-
-
-def _axes_of(results: Any, basin: Any) -> tuple[str, str]:
+    shown = min(results.sizes["attractor"], len(_COLORS))
     names = [str(one) for one in basin.dims]
     if basin.ndim == 1:
         names = [str(one) for one in results.coords if str(one).startswith("initial_")]
@@ -208,7 +163,25 @@ def _axes_of(results: Any, basin: Any) -> tuple[str, str]:
             "Argument results must have starts in two coordinates, but those given differ in "
             f"{', '.join(names) or 'none'}; choose of the others with results.isel(...)."
         )
-    return names[0], names[1]
+    x, y = (results[name] for name in names)
+    colors = ListedColormap([_NONE, *_COLORS[:shown]])
+    look: dict[str, Any] = {"cmap": colors, "norm": BoundaryNorm(np.arange(-0.5, shown + 1), shown + 1)}
+    labels = np.minimum(np.asarray(basin), shown)
+    if basin.ndim == 2:
+        ax.pcolormesh(np.asarray(x), np.asarray(y), labels.T, rasterized=True, **look)
+    else:
+        ax.scatter(x, y, c=labels, s=6, lw=0, rasterized=True, **look)
+        names = [name.removeprefix("initial_") for name in names]
+    shares = np.asarray(results["share"])
+    for row in range(shown):
+        points = [np.asarray(results[f"attractor_{name}"])[row] for name in names if f"attractor_{name}" in results]
+        if len(points) == 2 and not bool(results["is_stuck"][row]):
+            ax.plot(*points, ls="none", marker=".", ms=2.5, color="black", zorder=3)
+        ax.fill([], [], color=_COLORS[row], label=f"attractor {row + 1}: {shares[row]:.1%}")
+    ax.plot([], [], ls="none", marker=".", color="black", label="points of attractors")
+    ax.set(xlabel=_style.label_of(x), ylabel=_style.label_of(y))
+    legend_above(ax)
+    return ax
 
 
 # Branches of periodic orbits.
@@ -236,7 +209,7 @@ def orbit_branch(result: "OrbitBranch", name: str = "period", *, ax: Axes | None
     """
     points: Any = getattr(result, "points", None)
     if not hasattr(points, "data_vars") or "is_stable" not in points:
-        raise ValueError(f"Argument result must be that of continue_orbit, but {checks.show(result)} was given.")
+        raise checks.refused("result", "be that of continue_orbit", result)
     known = [str(one) for one, values in points.data_vars.items() if values.dims == ("point",) and one != "modes"]
     checks.chosen("name", name, known)
     ax = _style.axes_or_new(ax, (5.6, 4.2))
@@ -253,7 +226,6 @@ def orbit_branch(result: "OrbitBranch", name: str = "period", *, ax: Axes | None
         near = min(event.point + 1, len(x) - 1)
         color = _style.STICK if event.kind.startswith("stick") else _style.BASE
         ax.plot(event.parameter, y[near], ls="none", marker=_MARKERS[event.kind], ms=6, color=color, label=event.kind)
-    ax.set_xlabel(_style.label_of(points[parameter]))
-    ax.set_ylabel(_style.wrapped(_style.label_of(points[name])))
+    ax.set(xlabel=_style.label_of(points[parameter]), ylabel=_style.wrapped(_style.label_of(points[name])))
     legend_above(ax)
     return ax

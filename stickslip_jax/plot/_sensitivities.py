@@ -9,7 +9,7 @@ from .._calibration.call import Calibration
 from .._calibration.sticks import StickCalibration
 from .._foundation import checks
 from .._sensitivity.estimate import Sensitivity
-from .._statistics.estimate import DEFAULT_LEVEL, check_level
+from .._statistics.estimate import DEFAULT_LEVEL
 from . import _style
 from ._style import SeveralAxes, Window, legend_above
 from ._trajectory import check_window
@@ -35,38 +35,30 @@ def sensitivity_curve(
     Raises:
         ValueError: For arguments of another kind, and if statistics or parameters differ.
     """
-    points, width = _checked(results), width_of(level)
+    points, width = _checked(results), _style.errors_in_half(level)
     parameters = {point.parameter for point in points}
     if len(parameters) > 1:
-        raise ValueError(
-            f"Argument results must be of one parameter, but those of {', '.join(sorted(parameters))} were given."
-        )
+        given = ", ".join(sorted(parameters))
+        raise ValueError(f"Argument results must be of one parameter, but those of {given} were given.")
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    values = np.array([point.parameter_value for point in points])
-    order = np.argsort(values, kind="stable")
-    derivatives, errors, paths = (
-        np.array([getattr(point, name) for point in points])[order]
-        for name in ("derivative", "standard_error", "pathwise")
+    points.sort(key=lambda point: point.parameter_value)
+    values, derivatives, errors, paths = (
+        np.array([getattr(point, name) for point in points])
+        for name in ("parameter_value", "derivative", "standard_error", "pathwise")
     )
-    values, color = values[order], _style.SERIES[0]
-    low, high = derivatives - width * errors, derivatives + width * errors
-    ax.fill_between(values, low, high, color=color, alpha=0.25, lw=0, label=_style.interval_name(level))
+    color, sides = _style.SERIES[0], width * errors
+    _style.shade_between(ax, values, derivatives - sides, derivatives + sides, color, _style.interval_name(level))
     ax.plot(values, derivatives, color=color, lw=_style.SLIP_WIDTH, marker="o", ms=3.5, label="corrected")
     if pathwise and np.any(np.isfinite(paths)):
         ax.plot(values, paths, color=_style.SERIES[4], lw=_style.SLIP_WIDTH, ls="--", label="pathwise part alone")
     ax.axhline(0, color="0.8", lw=0.8, zorder=0)
-    first = points[0]
-    ax.set_xlabel(first.parameter)
-    ax.set_ylabel(_title(first))
+    ax.set(xlabel=points[0].parameter, ylabel=_title(points[0]))
     legend_above(ax)
     return ax
 
 
 def tornado(
-    results: Mapping[str, Sensitivity] | Sequence[Sensitivity],
-    *,
-    level: float = DEFAULT_LEVEL,
-    ax: Axes | None = None,
+    results: Mapping[str, Sensitivity] | Sequence[Sensitivity], *, level: float = DEFAULT_LEVEL, ax: Axes | None = None
 ) -> Axes:
     """Draw the sensitivities of one statistic to several parameters as bars, the largest on top.
 
@@ -85,7 +77,7 @@ def tornado(
         ValueError: For arguments of another kind, and if statistics differ.
     """
     bars = _checked(list(results.values()) if isinstance(results, Mapping) else results)
-    width = width_of(level)
+    width = _style.errors_in_half(level)
     ax = _style.axes_or_new(ax, (5.6, 0.45 * len(bars) + 2.0))
     bars = sorted(bars, key=lambda bar: abs(bar.derivative))
     heights = np.arange(len(bars))
@@ -107,21 +99,11 @@ def tornado(
     return ax
 
 
-def width_of(level: float) -> float:
-    """Half the width of a confidence interval, in standard errors."""
-    check_level(level)
-    from scipy import special  # noqa: PLC0415 - adds a filter of warnings
-
-    return float(special.ndtri((1 + level) / 2))
-
-
 def _checked(results: Sequence[Sensitivity]) -> list[Sensitivity]:
     """`results` as a list. Raises ValueError unless they are sensitivities of one statistic."""
     found = list(results) if isinstance(results, Sequence) and not isinstance(results, str) else []
     if not found or not all(isinstance(one, Sensitivity) for one in found):
-        raise ValueError(
-            f"Argument results must hold one or more Sensitivity results, but {checks.show(results)} was given."
-        )
+        raise checks.refused("results", "hold one or more Sensitivity results", results)
     if len({(one.statistic, one.is_elasticity) for one in found}) > 1:
         raise ValueError(
             "Argument results must be of one statistic, and all elasticities or all derivatives, but they differ."
@@ -155,7 +137,7 @@ def calibration_moments(result: StickCalibration, *, level: float = DEFAULT_LEVE
     """
     if not isinstance(result, StickCalibration):
         raise checks.refused("result", "be what calibrate_sticks returned", result)
-    width, several = width_of(level), len(result.systems) > 1
+    width, several = _style.errors_in_half(level), len(result.systems) > 1
     fits = result.moments[::-1]
     ax = _style.axes_or_new(ax, (6.4, 0.45 * len(fits) + 1.6))
     fitted, misfit = np.array([(float(one.fitted), one.observed.value - one.fitted.value) for one in fits]).T
@@ -169,8 +151,7 @@ def calibration_moments(result: StickCalibration, *, level: float = DEFAULT_LEVE
     ax.axvline(0, color="black", lw=0.8, label="fitted")
     names = [(f"experiment {one.experiment}: " if several else "") + one.observed.name for one in fits]
     ax.set_yticks(heights, names)
-    ax.set_ylim(-0.6, len(fits) - 0.4)
-    ax.set_xlabel("observed less fitted (% of fitted)")
+    ax.set(xlabel="observed less fitted (% of fitted)", ylim=(-0.6, len(fits) - 0.4))
     legend_above(ax, columns=2)
     return ax
 
@@ -182,11 +163,7 @@ _FEW = 400  # points: of more, the marks are small
 
 
 def calibration(
-    result: Calibration,
-    *,
-    channel: str | None = None,
-    window: Window | None = None,
-    axes: SeveralAxes | None = None,
+    result: Calibration, *, channel: str | None = None, window: Window | None = None, axes: SeveralAxes | None = None
 ) -> tuple[Axes, Axes]:
     """Draw one channel of a record with the motion fitted to it, and below it the residuals.
 
@@ -215,8 +192,7 @@ def calibration(
     times, measured, fitted = result.times[inside], result.measured[row, inside], result.fitted[row, inside]
     size = 3 if len(times) <= _FEW else 1.2
     upper.plot(times, measured, ".", ms=size, color=_style.FORWARD, label="measured")
-    parts = np.split(np.arange(len(times)), np.searchsorted(times, result.start_times[1:]))
-    for part in parts:
+    for part in np.split(np.arange(len(times)), np.searchsorted(times, result.start_times[1:])):
         upper.plot(times[part], fitted[part], lw=_style.SLIP_WIDTH, color=_style.BASE, label="fitted")
     upper.set_ylabel(_style.quantity_label(names[row], result.units[row] or "1"))
     lower.axhspan(-1.96, 1.96, color=_style.BAND, alpha=0.25, lw=0, label="95 % of white noise")

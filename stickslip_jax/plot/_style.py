@@ -14,9 +14,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import RendererAgg
-from matplotlib.colors import LinearSegmentedColormap, to_rgba
+from matplotlib.collections import PolyCollection
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from matplotlib.typing import ColorType
@@ -27,7 +28,7 @@ from .._excitation.motion import RandomPhase, SourceVoltage
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import AnyArray
-from .._statistics.estimate import Estimate
+from .._statistics.estimate import Estimate, check_level
 from .._statistics.quantities import FirstSticks
 
 # What the figures take, as names for annotations.
@@ -87,13 +88,19 @@ SHADES = LinearSegmentedColormap.from_list("shades", mpl.colormaps["YlGnBu"](np.
 STICK_WIDTH = 3.2
 SLIP_WIDTH = 1.2
 
+MASS_LINE = {"color": MASS, "lw": SLIP_WIDTH}
+BASE_LINE = {"color": BASE, "lw": SLIP_WIDTH, "ls": "--"}
+STICK_LINE = {"color": STICK, "lw": STICK_WIDTH, "solid_capstyle": "butt"}
+REFERENCE = {"color": MASS, "lw": SLIP_WIDTH, "ls": "--"}
+"""How a value looks that curves are compared with."""
+
 
 def axes_or_new(ax: Axes | None, size: tuple[float, float]) -> Axes:
     """`ax` itself, or the axes of a new figure of `size` (inches). Raises ValueError if `ax` is no matplotlib Axes."""
     if ax is None:
         _, ax = plt.subplots(figsize=size, layout="constrained")
     if not isinstance(ax, Axes):
-        raise ValueError(f"Argument ax must be a matplotlib Axes, but {checks.show(ax)} was given.")
+        raise checks.refused("ax", "be a matplotlib Axes", ax)
     return ax
 
 
@@ -103,17 +110,23 @@ def free_color(preferred: str, used: Iterable[ColorType]) -> str:
     return next((color for color in (preferred, *SERIES) if to_rgba(color) not in taken), preferred)
 
 
-def free_look(ax: Axes) -> tuple[str, str]:
-    """Colour and line style of the next curve in `ax`: those that no curve in it has yet."""
+def next_look(ax: Axes, points: np.ndarray) -> dict[str, Any]:
+    """How the next curve in `ax` looks, through these points: a colour and line style that no curve in it has yet."""
     taken = {(to_rgba(line.get_color()), line.get_linestyle()) for line in ax.lines}
     # Neighbours differ in both, for prints without colours.
     looks = [(SERIES[number % len(SERIES)], LINES[number % len(LINES)]) for number in range(len(SERIES) * len(LINES))]
-    return next((look for look in looks if (to_rgba(look[0]), look[1]) not in taken), looks[0])
+    color, style = next((look for look in looks if (to_rgba(look[0]), look[1]) not in taken), looks[0])
+    # So many markers would merge.
+    marker = "o" if len(points) <= 60 else None
+    return {"color": color, "ls": style, "lw": SLIP_WIDTH, "marker": marker, "ms": 3.5}
 
 
-def marker_of(points: np.ndarray) -> str | None:
-    """The marker of a curve through these points; none for so many that markers would merge."""
-    return "o" if len(points) <= 60 else None
+def shade_between(
+    ax: Axes, x: np.ndarray, low: np.ndarray, high: np.ndarray, color: str, label: str | None = None,
+    where: np.ndarray | None = None,
+) -> None:  # fmt: skip
+    """Draw the band of errors of a curve."""
+    ax.fill_between(x, low, high, where=where, color=color, alpha=0.25, lw=0, label=label)
 
 
 def time_axis(ax: Axes, window: Window, t1: float | None = None) -> None:
@@ -149,8 +162,10 @@ def figure_of(ax: Axes) -> Figure:
     return figure
 
 
-def axes_in(axes: SeveralAxes | None) -> tuple[Axes, ...]:
-    """The matplotlib Axes that `axes` holds, none of them if anything else is among them."""
+def axes_in(axes: Axes | SeveralAxes | None) -> tuple[Axes, ...]:
+    """The matplotlib Axes that `axes` is or holds, none of them if anything else is among them."""
+    if isinstance(axes, Axes):
+        return (axes,)
     if isinstance(axes, np.ndarray) and axes.ndim != 1:
         return ()
     found = tuple(axes) if isinstance(axes, (Sequence, np.ndarray)) else ()
@@ -169,12 +184,10 @@ def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tu
         figure, axes = plt.subplots(len(names), 1, sharex=True, squeeze=False, figsize=size, layout="constrained")
         axes = axes[:, 0]
         figure.align_ylabels(axes)
-    found = axes_in(axes)
+    found = () if isinstance(axes, Axes) else axes_in(axes)
     if len(found) != len(names):
         number = {1: "one", 2: "two", 3: "three"}.get(len(names), len(names))
-        raise ValueError(
-            f"Argument axes must hold {number} matplotlib Axes ({', '.join(names)}), but {checks.show(axes)} was given."
-        )
+        raise checks.refused("axes", f"hold {number} matplotlib Axes ({', '.join(names)})", axes)
     return found
 
 
@@ -198,6 +211,12 @@ def angle_axis(ax: Axes, period: float) -> str:
 ERROR_LOOK = {"color": MASS, "elinewidth": 0.9, "capsize": 0}
 """How error bars look."""
 
+MANY = 2000
+"""More points are smaller and paler, and like more bars an image in vector formats."""
+
+Dots: TypeAlias = tuple[float, float]
+"""Area (square points) and opacity of points."""
+
 
 def numbers_or_gaps(name: str, given: object, ndim: int) -> np.ndarray:
     """The argument `name` as an array of `ndim` dimensions, in which NaN is a gap. Raises ValueError for others."""
@@ -217,6 +236,14 @@ def checked_errors(errors: object, values: np.ndarray) -> np.ndarray:
             f"array of shape {array.shape} with smallest entry {np.nanmin(array, initial=np.inf):g} was given."
         )
     return array
+
+
+def errors_in_half(level: float) -> float:
+    """Half the width of a confidence interval by the normal distribution, in standard errors."""
+    check_level(level)
+    from scipy import special  # noqa: PLC0415 - adds a filter of warnings
+
+    return float(special.ndtri((1 + level) / 2))
 
 
 def interval_name(level: float) -> str:
@@ -239,14 +266,15 @@ def quantity_label(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} ({unit})"
 
 
+def unit_of(values: Any) -> str:
+    """The unit of a labelled array."""
+    return str(values.attrs.get("units", "")) or "1"
+
+
 def label_of(values: Any) -> str:
     """The name of a labelled array with its unit."""
-    return quantity_label(str(values.attrs.get("long_name", values.name)), str(values.attrs.get("units", "1")))
-
-
-def unit_after(unit: str) -> str:
-    """A unit to stand after a number."""
-    return "" if unit == "1" else f" {unit}"
+    name = values.attrs.get("long_name", values.name)
+    return quantity_label("" if name is None else str(name), unit_of(values))
 
 
 def density_label(*units: str) -> str:
@@ -254,15 +282,8 @@ def density_label(*units: str) -> str:
     named = [unit for unit in units if unit != "1"]
     if not named:
         return "probability density"
-    if len(named) == 1:
-        return f"probability density (1/{named[0]})"
-    together = f"{named[0]}$^2$" if named[0] == named[1] else f"({' '.join(named)})"
-    return f"probability density (1/{together})"
-
-
-def color_of(name: str) -> str:
-    """The colour of the quantity `name`: sticks have one of their own."""
-    return STICK if "stick" in name else SERIES[0]
+    together = named[0] if len(named) == 1 else f"({' '.join(named)})"
+    return f"probability density (1/{f'{named[0]}$^2$' if named[1:] == named[:1] else together})"
 
 
 def with_error(estimate: Estimate) -> str:
@@ -299,16 +320,50 @@ def draw_histogram(
     ax.stairs(heights, edges, color=color, lw=SLIP_WIDTH, orientation=orientation, label=label)
     known = np.isfinite(errors) & (heights > 0)
     if np.any(known):
-        centers = ((edges[1:] + edges[:-1]) / 2)[known]
-        if upright:
-            ax.errorbar(centers, heights[known], yerr=errors[known], ls="none", **ERROR_LOOK)
-        else:
-            ax.errorbar(heights[known], centers, xerr=errors[known], ls="none", **ERROR_LOOK)
+        centers, tops = ((edges[1:] + edges[:-1]) / 2)[known], heights[known]
+        x, y = (centers, tops) if upright else (tops, centers)
+        ax.errorbar(x, y, **{"yerr" if upright else "xerr": errors[known]}, ls="none", **ERROR_LOOK)
+
+
+def draw_cells(
+    ax: Axes, edges: tuple[np.ndarray, np.ndarray], values: np.ma.MaskedArray, norm: Normalize, label: str,
+    beside: Axes | list[Axes],
+) -> Colorbar:  # fmt: skip
+    """Draw `values` (nx, ny) as a map of colours, masked ones white, and their scale `beside` axes, which is returned.
+
+    `edges`: of the cells, (nx + 1,) and (ny + 1,).
+    """
+    mesh = ax.pcolormesh(*edges, values.T, cmap=SHADES, norm=norm, rasterized=True)
+    known = values.compressed()
+    sides = (known.min() < norm.vmin, known.max() > norm.vmax) if len(known) else (False, False)
+    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get(sides, "neither")
+    return figure_of(ax).colorbar(mesh, ax=beside, label=label, extend=extend)
+
+
+def draw_dots(ax: Axes, x: np.ndarray, y: np.ndarray, sizes: tuple[Dots, Dots], color: str, label: str | None) -> None:
+    """Draw a point for each of many pairs; `sizes`: how they look where they are few, and where many."""
+    many = len(x) > MANY
+    size, alpha = sizes[many]
+    ax.scatter(x, y, s=size, alpha=alpha, lw=0, color=color, rasterized=many)
+    if label is not None:
+        ax.plot([], [], ls="none", marker="o", ms=4, mew=0, color=color, label=label)
 
 
 def rectangles(left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray) -> list[np.ndarray]:
     """The corners of rectangles with these sides (rectangles,): arrays (4, 2)."""
     return list(np.stack([np.stack([left, right, right, left], -1), np.stack([bottom, bottom, top, top], -1)], -1))
+
+
+def sticks_in_rows(row: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+    """The corners of a bar for each stick from `start` to `end` (s), in its row; (sticks,) each."""
+    return rectangles(start, end, row - 0.4, row + 0.4)
+
+
+def draw_polygons(ax: Axes, corners: list[np.ndarray], **look: Any) -> PolyCollection:
+    """Draw areas with these corners into `ax`, whose limits they leave as they are."""
+    drawn = PolyCollection(corners, lw=0, **look)
+    ax.add_collection(drawn, autolim=False)
+    return drawn
 
 
 # The legend above the axes, fitted to the room that there is, and numbers at ticks that do not reach into it.
@@ -340,28 +395,19 @@ def legend_above(
     figure = figure_of(ax)
     # Not the renderer of the figure's own backend: that of SVG measures in other units than the figure.
     measure = RendererAgg(1, 1, figure.dpi)
-    most = (_room(ax) if room is None else room) * figure.bbox.width
-    width = most
+    if room is None and (place := ax.get_subplotspec()) is not None:
+        room = _ROOM * len(place.colspan) / place.get_gridspec().ncols
+    elif room is None:
+        room = max(_ROOM * ax.get_position().width, 0.1)
+    most = width = room * figure.bbox.width
+    look = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
     for number in range(min(columns, len(handles)), 0, -1):
-        width = _legend(ax, list(handles), list(handles.values()), number).get_window_extent(measure).width
+        legend = ax.legend(list(handles.values()), list(handles), ncols=number, **look)
+        width = legend.get_window_extent(measure).width
         if width <= most:
             return
     letters = int(max(map(len, handles)) * most / width) - 6  # the handle is as wide
-    _legend(ax, [wrapped(label, letters) for label in handles], list(handles.values()), 1)
-
-
-def _legend(ax: Axes, labels: list[str], handles: list, columns: int) -> Legend:
-    place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
-    return ax.legend(handles, labels, ncols=columns, **place)
-
-
-def _room(ax: Axes) -> float:
-    """The width of the part of the figure that is for these axes, as a share of the figure."""
-    place = ax.get_subplotspec()
-    if place is None:
-        return max(_ROOM * ax.get_position().width, 0.1)
-    grid = place.get_gridspec()
-    return _ROOM * len(place.colspan) / grid.ncols
+    ax.legend(list(handles.values()), [wrapped(label, letters) for label in handles], ncols=1, **look)
 
 
 def plain_numbers(axis: Axis) -> None:
@@ -421,12 +467,9 @@ def save(
         FileNotFoundError: For a folder that does not exist.
         OSError: Where it cannot be written.
     """
-    found = (axes,) if isinstance(axes, Axes) else axes_in(axes)
+    found = axes_in(axes)
     if not found:
-        raise ValueError(
-            "Argument axes must be a matplotlib Axes or hold several, as the figures here return them, but "
-            f"{checks.show(axes)} was given."
-        )
+        raise checks.refused("axes", "be a matplotlib Axes or hold several, as the figures here return them", axes)
     figure = figure_of(found[0])
     try:
         known = tuple(f".{name}" for name in figure.canvas.get_supported_filetypes())

@@ -1,9 +1,8 @@
 """A simulated trajectory cut into phases at its events, so that sticks are drawn exactly where they are."""
 
 import math
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +42,12 @@ class Phase(NamedTuple):
     sticks: bool
 
 
+_TRACED = (
+    "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure outside jit, "
+    "vmap and grad."
+)
+
+
 def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None:
     """Raise ValueError unless `result` is a single simulation that reached ``t1``, and not traced by JAX.
 
@@ -50,15 +55,10 @@ def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None
     """
     require_threads_of_jax()
     if not isinstance(result, Simulation):
-        raise ValueError(
-            f"Argument result must be a result of simulate, but {checks.show(result)} was given; sample i of an "
-            "ensemble is simulated with its base motion and initial state, ensemble.realization(i)."
-        )
+        hint = "sample i of an ensemble is simulated with its base motion and initial state, ensemble.realization(i)"
+        raise checks.refused("result", "be a result of simulate", result, hint)
     if checks.holds_traced(result):
-        raise ValueError(
-            "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure "
-            "outside jit, vmap and grad."
-        )
+        raise ValueError(_TRACED)
     if np.ndim(result.status) > 0:
         raise ValueError(
             f"Argument result must hold one trajectory, but a batch of shape {np.shape(result.status)} was given; "
@@ -76,10 +76,8 @@ def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None
 def require_one_contact(result: Simulation) -> None:
     """Raise ValueError for a simulation with the sticks of several contacts."""
     if result.sticks.contact is not None:
-        raise ValueError(
-            f"Argument result must have the sticks of one contact, but {checks.show(result)} was given; take "
-            "result.of_contact(number) or result.of_all_contacts()."
-        )
+        hint = "take result.of_contact(number) or result.of_all_contacts()"
+        raise checks.refused("result", "have the sticks of one contact", result, hint)
 
 
 def check_window(window: Window | None, t1: float) -> Window:
@@ -90,16 +88,8 @@ def check_window(window: Window | None, t1: float) -> Window:
     with suppress(TypeError, ValueError):
         begin, end = (float(time) for time in window)
     if not 0 <= begin < end <= t1:
-        raise ValueError(
-            f"Argument window must be two times (in s) with 0 <= t_a < t_b <= t1 = {t1:g}, but {checks.show(window)} "
-            "was given."
-        )
+        raise checks.refused("window", f"be two times (in s) with 0 <= t_a < t_b <= t1 = {t1:g}", window)
     return begin, end
-
-
-def ground_acceleration(base: GroundMotion) -> Callable[[jax.Array], jax.Array] | None:
-    """The acceleration of the ground to which the coordinates are relative, m/s^2; None where it is not known."""
-    return getattr(base, "acceleration", None)
 
 
 def has_steady_base(one: Simulation) -> bool:
@@ -107,15 +97,21 @@ def has_steady_base(one: Simulation) -> bool:
     return one.system.sticks_at_base_velocity and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
 
 
+def sticks_in(one: Simulation, window: Window) -> tuple[np.ndarray, np.ndarray]:
+    """When the sticks start and end that last at some time inside the window, s."""
+    mask = np.asarray(one.sticks.mask)
+    start, end = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
+    shown = (end > window[0]) & (start < window[1])
+    return start[shown], end[shown]
+
+
 def phases_of(one: Simulation, window: Window) -> list[Phase]:
     """The phases of the trajectory inside the window (s), in order of time."""
-    mask = np.asarray(one.sticks.mask)
-    starts, ends = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
+    starts, ends = sticks_in(one, (-math.inf, math.inf))
     knots, round_off = _knots(one, window, np.concatenate([starts, ends]))
     middles = (knots[:-1] + knots[1:]) / 2
     sticks = np.searchsorted(starts, middles, side="right") > np.searchsorted(ends, middles, side="right")
-    numbers = _numbers(one, np.diff(knots), sticks)
-    times = _grid(knots, numbers)
+    times, numbers = _grid(one, knots, sticks)
     lasts = np.cumsum(numbers + 1) - 1
     firsts = lasts - numbers
     # At the end of a phase the base velocity is that just before a jump. At the ends of the window it is that inside,
@@ -123,7 +119,9 @@ def phases_of(one: Simulation, window: Window) -> list[Phase]:
     base_times = times.copy()
     base_times[lasts] = np.nextafter(times[lasts], times.dtype.type(0))
     base_times[[0, -1]] = times[0] + round_off, times[-1] - round_off
-    state, *others = _follow(one, times, base_times)
+    followed = one.evaluate(padded(one, times))
+    bases = _follow_base(one, padded(one, base_times), followed)
+    state, others = jax.tree.map(lambda values: np.asarray(values)[: len(times)], (followed, bases))
     velocity = others[0]
 
     # Cut where the mode changes, where a stick ends and another begins, and where the base velocity jumps.
@@ -167,34 +165,25 @@ def _knots(one: Simulation, window: Window, events: np.ndarray) -> tuple[np.ndar
     return np.unique(np.concatenate([[begin, end], steps, events]).astype(steps.dtype)), round_off
 
 
-def _numbers(one: Simulation, lengths: np.ndarray, sticks: np.ndarray) -> np.ndarray:
-    """How many parts to divide the time between neighbouring knots into, which lasts `lengths` (s)."""
-    numbers = np.full(len(lengths), _POINTS_PER_KNOT)
+def _grid(one: Simulation, knots: np.ndarray, sticks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) from each knot to the next in equal parts, and the numbers of these.
+
+    Inner knots stand twice, as an end and a start. `sticks`: whether there is a stick between neighbouring knots.
+    """
+    numbers = np.full(len(sticks), _POINTS_PER_KNOT)
     if one.system.natural_frequency is not None:
-        revolutions = float(one.system.natural_frequency) * lengths.astype(float) / (2 * np.pi)
-        numbers = np.maximum(
-            numbers, np.ceil(np.minimum(_POINTS_PER_REVOLUTION * revolutions, _MOST_POINTS)).astype(int)
-        )
+        revolutions = float(one.system.natural_frequency) * np.diff(knots).astype(float) / (2 * np.pi)
+        points = np.ceil(np.minimum(_POINTS_PER_REVOLUTION * revolutions, _MOST_POINTS)).astype(int)
+        numbers = np.maximum(numbers, points)
     if has_steady_base(one):
         numbers = np.where(sticks, 1, numbers)  # a straight line
     share = _MOST_POINTS / numbers.sum()
-    return numbers if share >= 1 else np.maximum(1, (numbers * share).astype(int))
-
-
-def _grid(knots: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Times (s) from each knot to the next in `numbers` equal parts; inner knots stand twice, as an end and a start."""
+    if share < 1:
+        numbers = np.maximum(1, (numbers * share).astype(int))
     offsets = np.repeat(np.cumsum(numbers + 1) - (numbers + 1), numbers + 1)
     parts = (np.arange(len(offsets)) - offsets) / np.repeat(numbers, numbers + 1)
     begins, ends = np.repeat(knots[:-1], numbers + 1), np.repeat(knots[1:], numbers + 1)
-    return np.where(parts == 1, ends, begins + (ends - begins) * parts).astype(knots.dtype)
-
-
-def _follow(one: Simulation, times: np.ndarray, base_times: np.ndarray) -> tuple[Any, ...]:
-    """The state at `times` (s); at `base_times` the base velocity (m/s) and the ends of the stick band."""
-    filled, base_filled = padded(one, times), padded(one, base_times)
-    state = one.evaluate(filled)
-    followed = (state, *_follow_base(one, base_filled, state))
-    return jax.tree.map(lambda values: np.asarray(values)[: len(times)], followed)
+    return np.where(parts == 1, ends, begins + (ends - begins) * parts).astype(knots.dtype), numbers
 
 
 def padded(one: Simulation, times: np.ndarray) -> jax.Array:
@@ -208,8 +197,8 @@ def _follow_base(one: Simulation, times: jax.Array, state: tuple[jax.Array, ...]
     """The base velocity (m/s), and the ends of the stick band: NaN for a system without one."""
     velocity, acceleration = jax.jvp(one.base_velocity, (times,), (jnp.ones_like(times),))
     ground = 0.0
-    if isinstance(one.base, GroundMotion):
-        shaken = ground_acceleration(one.base)
+    if isinstance(one.base, GroundMotion):  # not all know the acceleration of the ground
+        shaken = getattr(one.base, "acceleration", None)
         ground = jnp.nan if shaken is None else shaken(times)
     return velocity, *one.system.stick_band(times, state, velocity, acceleration, ground)
 
@@ -236,11 +225,14 @@ def phases_in(one: Simulation, window: Window | None) -> tuple[list[Phase], Wind
         return phases, whole
     times = np.concatenate([phase.times for phase in phases])
     end = whole[1]
-    for number in range(len(phases[0].state)):
-        values = np.concatenate([values_of(phase, number) for phase in phases])
+    for coordinate in range(len(phases[0].state)):
+        values = np.concatenate([values_of(phase, coordinate) for phase in phases])
         turns = times[turns_of(values, _LARGE * float(np.ptp(values)))]
         if len(turns) > _MOST_TURNS:
-            end = min(end, _round_down(float(turns[_FIRST_TURNS])))
+            # The largest of 1, 2 and 5 times a power of ten that is not after the last turn to draw.
+            last = float(turns[_FIRST_TURNS])
+            power = 10.0 ** math.floor(math.log10(last))
+            end = min(end, next(number * power for number in (5.0, 2.0, 1.0) if number * power <= last * (1 + 1e-12)))
     return (phases, whole) if end == whole[1] else (phases_of(one, (0.0, end)), (0.0, end))
 
 
@@ -259,12 +251,6 @@ def turns_of(values: np.ndarray, least: float) -> np.ndarray:
             found.append(best)
             best, way = place, -way
     return np.array(found, int)
-
-
-def _round_down(time: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is not after `time`."""
-    power = 10.0 ** math.floor(math.log10(time))
-    return next(factor * power for factor in (5.0, 2.0, 1.0) if factor * power <= time * (1 + 1e-12))
 
 
 # The complete sticks of a result, one by one: their durations and the positions at which they begin.
@@ -290,13 +276,11 @@ class CompleteSticks(NamedTuple):
         return (f"{len(self.duration):,} sticks" if len(self.duration) else "no sticks") + self.part + more
 
 
-def require_ensemble(result: Ensemble | Simulation) -> None:
-    """Raise ValueError unless `result` is an ensemble."""
+def require_ensemble(result: Ensemble | Simulation) -> Ensemble:
+    """`result` itself. Raises ValueError unless it is an ensemble."""
     if not isinstance(result, Ensemble):
-        raise ValueError(
-            f"Argument result must be an Ensemble, but {checks.show(result)} was given; give the result of "
-            "simulate_ensemble."
-        )
+        raise checks.refused("result", "be an Ensemble", result, "give the result of simulate_ensemble")
+    return result
 
 
 def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteSticks:
@@ -318,17 +302,12 @@ def complete_sticks(result: SimulatedSticks, *, also: str = "") -> CompleteStick
         require_one_contact(result)
         sticks = result.sticks
         if any(checks.is_traced(leaf) for leaf in (sticks.mask, result.status)):
-            raise ValueError(
-                "Argument result must hold numbers, but one traced by a JAX transformation was given; draw the figure "
-                "outside jit, vmap and grad."
-            )
+            raise ValueError(_TRACED)
         used = np.asarray(sticks.mask) & (np.asarray(result.status) == Status.FINISHED)[..., None]
         duration = np.asarray(sticks.duration)
     else:
-        raise ValueError(
-            f"Argument result must be a result of simulate_ensemble or of simulate, or of first_stick{also}, but "
-            f"{checks.show(result)} was given."
-        )
+        demand = f"be a result of simulate_ensemble or of simulate, or of first_stick{also}"
+        raise checks.refused("result", demand, result)
     cut = np.asarray(sticks.ending) == Ending.HORIZON
     kept = used & ~cut
     duration, position = (np.asarray(values, float)[kept] for values in (duration, sticks.position))
@@ -348,10 +327,7 @@ def edges_of_bins(name: str, bins: Bins, span: tuple[float, float], unit: str) -
     checks.numeric(name, bins, ndim=1)
     edges = np.asarray(bins, float)
     if len(edges) < 2 or np.any(np.diff(edges) <= 0):
-        raise ValueError(
-            f"Argument {name} must be a whole number or increasing edges (in {unit}), but {checks.show(bins)} was "
-            "given."
-        )
+        raise checks.refused(name, f"be a whole number or increasing edges (in {unit})", bins)
     return edges
 
 
