@@ -116,6 +116,11 @@ def section_of(
     all_keys: dict[str, Any] = {**further, **usual, **own}
     section: Any = create_model(f"{name}Config", __base__=base, **all_keys)
     section.described_class = described_class
+    # Pickle finds a class by its name in its module; two may have one name, such as forces and velocities by a signal.
+    section.__qualname__ = f"{name}Config"
+    while section.__qualname__ in globals():
+        section.__qualname__ += "_"
+    globals()[section.__qualname__] = section
     return section
 
 

@@ -1,5 +1,7 @@
 """What the sections of a study's file say is what the simulation is given."""
 
+import pickle
+
 import jax
 import numpy as np
 import pytest
@@ -95,6 +97,7 @@ def test_system(tmp_path, case):
     config = read_config(config_file(tmp_path, text))
     assert same(config.system.build(), expected)
     assert read_config(config_file(tmp_path, config.to_toml())) == config
+    assert pickle.loads(pickle.dumps(config)) == config
 
 
 BASES = {
@@ -174,6 +177,7 @@ def test_base(tmp_path, case):
     config = read_config(config_file(tmp_path, f"[base]\n{text}"))
     assert same(config.base.build(), expected)
     assert read_config(config_file(tmp_path, config.to_toml())) == config
+    assert pickle.loads(pickle.dumps(config)) == config
 
 
 @pytest.mark.parametrize("case", VOLTAGES)
