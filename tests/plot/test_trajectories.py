@@ -322,7 +322,7 @@ def test_drawing_simulates_nothing(one, ensemble, monkeypatch):
     def refuse(*args, **kwargs):
         raise AssertionError("a figure called the simulator")
 
-    for name in ("_simulation.call", "_ensemble.setup"):
+    for name in ("_dynamics.simulate", "_ensemble.setup"):
         module = importlib.import_module(f"stickslip_jax.{name}")
         monkeypatch.setattr(module, "working_dtype", refuse)  # both simulators ask for it first
     draw_all(one, ensemble)
