@@ -76,6 +76,13 @@ def test_the_derivative_by_friction_at_none_is_that_from_above():
     assert jax.grad(position)(0.0) == pytest.approx(float(position(small) - position(0.0)) / small, rel=1e-5)
 
 
+def test_the_derivative_by_friction_of_a_mass_that_stays_at_rest_is_zero():
+    def position(mu):
+        return ss.simulate(system_of(ss.Coulomb(mu)), ss.Constant(0.0), t1=5.0, y0=(0.0, 0.0)).final_state[0]
+
+    assert [float(jax.grad(position)(mu)) for mu in (0.0, 1e-9, 0.1)] == [0.0, 0.0, 0.0]
+
+
 def test_ensembles_and_intervals_do_not_stick():
     law, run = ss.PoissonSwitching(0.5, 1.0), {"t1": 20.0, "y0": (0.0, 0.5)}
     for method in (ss.Exact(), ss.Exact(step=0.1)):
