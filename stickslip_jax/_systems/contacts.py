@@ -295,7 +295,7 @@ class Limits(NamedTuple):
 
     def slip(self, sign: FloatArray) -> FloatArray:
         """The force in a slip of this sign; 0 for the sign 0."""
-        return jnp.where(sign > 0, self.forward, jnp.where(sign < 0, -self.backward, 0))
+        return jnp.where(sign > 0, sign * self.forward, jnp.where(sign < 0, sign * self.backward, 0))
 
     @property
     def largest(self) -> FloatArray:

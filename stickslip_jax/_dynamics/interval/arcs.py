@@ -313,7 +313,7 @@ def carry_across(
     x_end, v_end = swung(x, v, A, time, scales.spring)
     x_end = x_end + 0 * first.excess  # a radius whose square overflows would miss its arrivals: NaN (`NOT_FINITE`)
     position, left_at, left, released, stuck = stick
-    position, left_at, tie = mirror * position, mirror * left_at, last.arrived & ~stuck & (scales.deceleration > 0)
+    position, left_at, tie = mirror * position, mirror * left_at, last.arrived & ~stuck
     return IntervalPassage(mirror * x_end, mirror * v_end, last.entered, left, position, left_at, stuck, released, tie)
 
 
@@ -347,7 +347,7 @@ def _stick(
     least = jnp.where(released & (side > 0), 0, _speed_error(q, scales))
     lasts = (lacks > 4 * few(H) * alpha) & (length * H > least)
     lasts = lasts | (length > math.sqrt(few(H)) * scales.clock)
-    return _Stick(position, left_at, left, released, arrived & lasts & (alpha > 0))
+    return _Stick(position, left_at, left, released, arrived & lasts)
 
 
 def is_crossed(H: FloatArray, alpha: FloatArray) -> BoolArray:
@@ -397,17 +397,18 @@ def sticks_from_start(x: FloatArray, v: FloatArray, base: FloatArray, scales: Sc
     pull = scales.spring.squared * jnp.where(base < 0, -x, x)
     alpha = scales.deceleration
     held = (v == base) & (pull >= -alpha) & (alpha - pull > 4 * few(x) * alpha)
-    return (held | _rests(scales.spring.squared * x, v, base, scales)) & (alpha > 0)
+    return held | _rests(scales.spring.squared * x, v, base, scales)
 
 
 def _rests(pull, v, base, scales):
     """Whether the mass rests inside the stick band on a base at rest; `pull`: ``w2 x``.
 
-    The edge of the band is included: the slip circle there has radius 0, which is no motion. So it is without
-    friction, where this is no stick: by the smallest friction the mass would stay there, which derivatives must know.
+    The edge of the band is included: the slip circle there has radius 0, which is no motion. Without friction there is
+    no band: a mass that does not move does not stick.
     """
-    most = (1 + _REST_ULPS * float(jnp.finfo(v.dtype).eps)) * scales.deceleration
-    return (base == 0) & (jnp.abs(v) <= scales.rest_speed) & (jnp.abs(pull) <= most)
+    alpha = scales.deceleration
+    most = (1 + _REST_ULPS * float(jnp.finfo(v.dtype).eps)) * alpha
+    return (base == 0) & (jnp.abs(v) <= scales.rest_speed) & (jnp.abs(pull) <= most) & (alpha > 0)
 
 
 def first_arc(
@@ -435,7 +436,10 @@ def _seen_from_center(x, v, q, scales):
     pull, v = jnp.where(at_rest, jnp.clip(pull, -alpha, alpha), pull), jnp.where(at_rest, 0, v)
     above = (v > q) | ((v == q) & (pull < -alpha))
     side = jnp.where(above, -1, 1).astype(x.dtype)
-    return at_rest, side, side * pull - alpha, v
+    # Without friction a mass at rest has no direction of slip: the smallest friction would hold it, which derivatives
+    # must know.
+    idle = (alpha == 0) & (pull == 0) & (v == 0) & (q == 0)
+    return at_rest, side, side * pull - jnp.where(idle, 0, alpha), v
 
 
 @computed_once

@@ -76,16 +76,20 @@ class Lane(NamedTuple):
 # All are evaluated a little before the event (`Before`), where round-off cannot have ended the mode, if friction may
 # have a kink there: where the relative velocity is exactly zero, a force written with its absolute value may have the
 # slope of the other side. In the last step, however short it is, that is an error in second derivatives of `tau`.
+#
+# A contact without friction that is at rest and stays so has no direction of slip. The smallest friction would hold it,
+# so that friction has no effect on it, in derivatives as well: they are taken with a sign that is nearly zero.
 
 
 class HowItEnds(NamedTuple):
     """Whether a step moves at all; if so, of which contact's mode the end ends it (`at_event`; of one at most), or
-    whether the end of a segment or the horizon does.
+    whether the end of a segment or the horizon does. `idle`: which contacts slip without friction, with no motion.
     """
 
     moves: BoolArray
     at_event: BoolArray
     at_stop: BoolArray
+    idle: BoolArray
 
 
 class Before(NamedTuple):
@@ -126,8 +130,10 @@ def _carried_jvp(primals, tangents):
         inside = tau - before.time
         there = tuple(value - change for value, change in zip(reached, before.change, strict=True))
 
+    slips = jnp.where(ends.idle, sign * jnp.finfo(sign.dtype).tiny, sign)
+
     def flow(model, forcing, y):
-        moved = chosen_state(ends.moves, model.flow(forcing, y, inside, sign), y)
+        moved = chosen_state(ends.moves, model.flow(forcing, y, inside, slips), y)
         return moved, model.guard(forcing, inside, moved, sign)[0]
 
     _, (d_reached, d_guard) = eqx.filter_jvp(flow, (model, forcing, y), by)
@@ -236,9 +242,7 @@ def _mode_after(
     held_or_released = jnp.where(holds | (not_below & goes_on), 0, release_sign)
     resolved = jnp.where(resting | goes_on, held_or_released, slips)
     sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
-    # A mass that sticks has the base's velocity to the last bit.
-    rests = (resolve & (resting | goes_on)) | (landed & (sign == 0))
-    y = model.at_base_velocity(forcing, lane.y, rests)
+    y = _snapped(model, forcing, lane.y, (resolve & (resting | goes_on)) | (landed & (sign == 0)), sign == 0)
     at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
     decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
     margin = jnp.where(decided, jnp.abs(guard), jnp.inf)
@@ -287,7 +291,19 @@ def mode_at_start(model: SwitchedModel, forcing: object, y: State) -> tuple[Stat
     never = jnp.zeros_like(resting)
     holds, release_sign, guard, _ = model.decided(forcing, y, Question(slips, resting, never, never))
     sign = jnp.where(resting, jnp.where(holds, 0, release_sign), slips)
-    return model.at_base_velocity(forcing, y, resting), sign, jnp.where(resting, jnp.abs(guard), jnp.inf)
+    margin = jnp.where(resting, jnp.abs(guard), jnp.inf)
+    return _snapped(model, forcing, y, resting, resting & holds), sign, margin
+
+
+def _snapped(model: SwitchedModel, forcing: object, y: State, resting: BoolArray, sticks: BoolArray) -> State:
+    """The state with the base's velocity to the last bit for what is `resting`.
+
+    Only the velocity of what `sticks` is the base's in derivatives too: what slips from here on keeps its own.
+    """
+    held = model.at_base_velocity(forcing, y, resting & sticks)
+    model, *given = without_derivatives((model, forcing, held, resting))
+    exact = model.at_base_velocity(*given)
+    return tuple(a + lax.stop_gradient(b - a) for a, b in zip(held, exact, strict=True))
 
 
 def is_tie(margin: FloatArray) -> BoolArray:
@@ -393,7 +409,8 @@ def advance(
         stays, lane.y, tuple(value + delta * rate for value, rate in zip(trial.reached, rates, strict=True))
     )
     model, lane = given[0], before
-    ends_by = HowItEnds(~stays, _only_first(verdict.ends & at_event), at_stop)
+    idle = (lane.sign != 0) & (trial.s0 == 0) & (trial.d0 == 0) & (trial.s1 == 0) & (trial.d1 == 0)
+    ends_by = HowItEnds(~stays, _only_first(verdict.ends & at_event), at_stop, idle)
     just_before = _just_before(trial, verdict.ends & at_event, step, rates) if model.has_kinks else None
     tau, *y = carried(*given, time_left, lane.sign, ends_by, just_before, tau, y)
     # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
