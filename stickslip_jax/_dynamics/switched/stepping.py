@@ -301,8 +301,8 @@ def _snapped(model: SwitchedModel, forcing: object, y: State, resting: BoolArray
     Only the velocity of what `sticks` is the base's in derivatives too: what slips from here on keeps its own.
     """
     held = model.at_base_velocity(forcing, y, resting & sticks)
-    model, *given = without_derivatives((model, forcing, held, resting))
-    exact = model.at_base_velocity(*given)
+    model, forcing, fixed = without_derivatives((model, forcing, held))
+    exact = model.at_base_velocity(forcing, fixed, resting)
     return tuple(a + lax.stop_gradient(b - a) for a, b in zip(held, exact, strict=True))
 
 
