@@ -37,7 +37,7 @@ from ..common.path import (
     stopping_scan,
 )
 from ..sticks import ALL, StickRecord, Totals, count_slips, no_stick
-from .field import ContactsField, Field, InnerField
+from .field import AnyField, ContactsField, Field, InnerField
 from .implicit_step import Switch
 from .solve import (
     ADAPTIVE_STEPS,
@@ -194,7 +194,7 @@ def solve_batch(
     return _results(detectors.totals, detectors.at_start, batch.system, statuses), records
 
 
-def field_of(system: System, smooth: Signal | None, method: Regularized) -> Field | ContactsField | InnerField:
+def field_of(system: System, smooth: Signal | None, method: Regularized) -> AnyField:
     """The regularised field of `system` under a realised smooth excitation."""
     inner = system.inner_model(smooth)
     return switched_field(system, smooth, method) if inner is None else InnerField(inner)

@@ -1,55 +1,118 @@
 """A system under its excitation as the engines of regularised dynamics ask it."""
 
-from typing import Any, NamedTuple
+import abc
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
-from ..._foundation.types import AnyArray, BoolArray, FloatArray, Scalar
+from ..._foundation.types import AnyArray, FloatArray, Scalar
 from ..._systems.contacts import ContactsModel, solved
 from ..._systems.memory_models import InnerStates
 from ..._systems.switched_model import NOISE_ULPS, OneContactModel, State
-from ..sticks import StickRecord
 from .implicit_step import FrictionAt, Switch, contacts_step, implicit_step
-from .sticks import (
-    AtContact,
-    Criterion,
-    SeenStep,
-    StickDetector,
-    detect,
-    detect_contacts,
-    normal_forces,
-    start_contacts,
-    start_detector,
-    velocities_and_closed,
-    with_slope,
-)
+from .sticks import AtContact, NormalForces, SeenStep
 
-# A system with one contact under its excitation, its friction regularised, as the engines ask it.
+# What the engines and the stick detectors ask of a system whose friction is regularised, or smooth by itself.
 
 
 _TIME_ULPS = 4  # the round-off of the time, in units in the last place
+_MOST_NEEDED = 1e6  # times the largest friction
 
 
-class Field(NamedTuple):
-    """A system under its excitation, with friction regularised by `switch`."""
+class AnyField(eqx.Module):
+    """A system under its excitation whose friction has no jump; what belongs to contacts is as in its `model`."""
+
+    model: eqx.AbstractVar[Any]
+
+    @abc.abstractmethod
+    def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
+        """The time derivative of the state."""
+
+    def need(self, forcing: Any, tau: FloatArray, y: State, velocity: FloatArray) -> FloatArray:
+        """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction.
+
+        It is asked only of steps that do not resolve a stick. `velocity`: the relative one in this state.
+        """
+        return jnp.zeros_like(velocity)
+
+    def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
+        """How far each contact can slip while bristles only bend."""
+        return jnp.zeros_like(velocity)
+
+    def velocity_and_slope(
+        self, forcing: Any, tau: FloatArray, y: State, rates: State
+    ) -> tuple[FloatArray, FloatArray]:
+        """The relative velocity, m/s, and its time derivative where the state changes with `rates`."""
+        return _with_slope(self.model.relative_velocity, forcing, tau, y, rates)
+
+    def seen(
+        self, forcing: Any, t: FloatArray, h: FloatArray, before: State, after: State
+    ) -> tuple[SeenStep, State, State]:
+        """The step from `t` to ``t + h`` as the stick detectors read it, and the rates at both ends."""
+
+        def at(tau: FloatArray, y: State) -> tuple[State, tuple[FloatArray, ...], FloatArray, Any]:
+            rates = self.rates(forcing, tau, y)
+            velocity = self.velocity_and_slope(forcing, tau, y, rates)
+            position = jax.jvp(self.model.stick_position, (y,), (rates,))
+            normal = None
+            if _varying(self.model):
+                # The normal forces and their slopes, 1 where they do not vary.
+                where, ones = np.array(self.model.varying), jnp.ones(self.model.contacts, tau.dtype)
+                value, slope = _with_slope(self.model.varying_normal_forces, forcing, tau, y, rates)
+                normal = ones.at[where].set(value), (0 * ones).at[where].set(slope)
+            return rates, (*velocity, *position), self.need(forcing, tau, y, velocity[0]), normal
+
+        (rates, first, need, normal), (end_rates, last, end_need, end_normal) = at(0 * h, before), at(h, after)
+        (r0, slope0, x0, v0), (r1, slope1, x1, v1) = first, last
+        normal = None if normal is None else NormalForces(*normal, *end_normal)
+        step = SeenStep(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, need, end_need, normal)
+        return step, rates, end_rates
+
+    def at_contact(self, forcing: Any, t: FloatArray, y: State) -> AtContact:
+        """What sticks are found by, at the time `t` of the `forcing`."""
+        zero = jnp.zeros_like(t)
+        velocity = self.model.relative_velocity(forcing, zero, y)
+        closed = jnp.ones(velocity.shape, bool)
+        if _varying(self.model):
+            closed = closed.at[np.array(self.model.varying)].set(self.model.varying_normal_forces(forcing, zero, y) > 0)
+        return AtContact(velocity, closed, self.elastic_slip(velocity, y))
+
+
+def _varying(model: Any) -> tuple[int, ...]:
+    """The contacts whose normal forces vary."""
+    return () if isinstance(model, OneContactModel) else model.varying
+
+
+def _with_slope(what: Any, forcing: Any, tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
+    """A function of forcing, time and state and its slope, where the state changes with `rates`."""
+    return jax.jvp(lambda tau, y: what(forcing, tau, y), (tau, y), (jnp.ones_like(tau), rates))
+
+
+class Field(AnyField):
+    """A system with one contact, with friction regularised by `switch`."""
 
     model: OneContactModel
     switch: Switch
 
-    def rates(self, forcing: object, tau: FloatArray, y: State) -> State:
-        """The time derivative of the state."""
+    def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         speed = self.model.relative_velocity(forcing, tau, y)
         return self.model.rates_under(forcing, tau, y, self.switch.coefficient(self.model.friction_at(y), speed))
 
-    def need(self, forcing: object, tau: FloatArray, y: State) -> FloatArray:
-        """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction."""
+    def need(self, forcing: Any, tau: FloatArray, y: State, velocity: FloatArray) -> FloatArray:
         free, held = self._accelerations(forcing, tau, y)
         return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
 
-    def band(self, forcing: object, t: FloatArray, y: State) -> FloatArray | None:
+    def velocity_and_slope(
+        self, forcing: Any, tau: FloatArray, y: State, rates: State
+    ) -> tuple[FloatArray, FloatArray]:
+        velocity = self.model.relative_velocity(forcing, tau, y)
+        return velocity, self.model.relative_acceleration(forcing, tau, y, rates)
+
+    def band(self, forcing: Any, t: FloatArray, y: State) -> FloatArray | None:
         """The relative speed (m/s) below which static friction can hold the mass: the width, and what is round-off.
 
         None where static friction does not exceed kinetic friction.
@@ -60,75 +123,22 @@ class Field(NamedTuple):
         scale = NOISE_ULPS * self.model.guard_scale(forcing, y, jnp.ones_like(t)) + _TIME_ULPS * t * held
         return self.switch.width + lax.stop_gradient(jnp.finfo(t.dtype).eps * scale)
 
-    def _accelerations(self, forcing: object, tau: FloatArray, y: State) -> tuple[FloatArray, FloatArray]:
+    def _accelerations(self, forcing: Any, tau: FloatArray, y: State) -> tuple[FloatArray, FloatArray]:
         """The relative acceleration without friction, and the largest one that friction causes, m/s^2."""
         free, gain = self.model.effect_of_friction(forcing, tau, y)
         return free, jnp.abs(gain) * self.model.friction_at(y).stick_limit(free)
-
-    def seen(
-        self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
-    ) -> tuple[SeenStep, State, State]:
-        """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
-        zero = jnp.zeros_like(h)
-        rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
-        first = (
-            self.model.relative_velocity(forcing, zero, before),
-            self.model.relative_acceleration(forcing, zero, before, rates),
-        )
-        last = (
-            self.model.relative_velocity(forcing, h, after),
-            self.model.relative_acceleration(forcing, h, after, end_rates),
-        )
-        needs = self.need(forcing, zero, before), self.need(forcing, h, after)
-        return SeenStep(t, h, *first, *last, before[0], rates[0], after[0], end_rates[0], *needs), rates, end_rates
 
     @property
     def may_be_short(self) -> bool:
         """Whether fixed steps may have to be shortened."""
         return self.model.friction.static_exceeds_kinetic or not self.model.time_scales_are_known
 
-    def step(
-        self, forcing: object, y: State, h: FloatArray, band: FloatArray | None
-    ) -> tuple[State, FloatArray | None]:
+    def step(self, forcing: Any, y: State, h: FloatArray, band: FloatArray | None) -> tuple[State, FloatArray | None]:
         """The state after a step of length `h` (s) and its error; see `implicit_step`."""
         return implicit_step(self.model, self.switch, forcing, y, h, band)
 
-    def contact(self, forcing: object, t: FloatArray, y: State) -> FloatArray:
-        """What the stick detector asks about the contact at the time `t` of the `forcing`: the relative velocity."""
-        return self.model.relative_velocity(forcing, jnp.zeros_like(t), y)
 
-    def at_contact(self, forcing: object, t: FloatArray, y: State) -> AtContact:
-        """What sticks are found by in adaptive steps, at the time `t` of the `forcing`."""
-        velocity = self.contact(forcing, t, y)
-        return AtContact(velocity, jnp.ones_like(velocity, bool), jnp.zeros_like(velocity))
-
-    def start_detector(
-        self, criterion: Criterion, forcing: object, y: State, quantities: tuple[str, ...]
-    ) -> StickDetector:
-        """The stick detector at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
-        return start_detector(criterion, self.contact(forcing, jnp.zeros_like(y[0]), y), y[0], quantities)
-
-    def detect(
-        self,
-        criterion: Criterion,
-        detector: StickDetector,
-        seen: SeenStep,
-        *,
-        jumped: BoolArray,
-        after: Any,
-        last: BoolArray,
-    ) -> tuple[StickDetector, StickRecord]:
-        """See `detect`; `after`: what `contact` returned where the step ends."""
-        return detect(criterion, detector, seen, jumped=jumped, after=after, last=last)
-
-
-# A system with several contacts under its excitation, its friction regularised, as the engines ask it.
-
-
-_MOST_NEEDED = 1e6  # times the largest friction
-
-
-class ContactsField(eqx.Module):
+class ContactsField(AnyField):
     """A system with several contacts, with friction regularised by `switch`.
 
     `threshold`: of a stick, m/s, one number or (contacts,).
@@ -139,113 +149,41 @@ class ContactsField(eqx.Module):
     threshold: AnyArray | Scalar
     static_exceeds_kinetic: bool = eqx.field(static=True)
 
+    def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
+        now = self.model.instant(forcing, tau, y)
+        force = self._friction(forcing, tau, y)(now.velocity)
+        return tuple(a + b for a, b in zip(now.rates, self.model.effect(forcing, tau, y, force), strict=True))
+
+    def need(self, forcing: Any, tau: FloatArray, y: State, velocity: FloatArray) -> FloatArray:
+        now, slow = self.model.instant(forcing, tau, y), jnp.abs(velocity) <= self.threshold
+        force = solved(now.gain, now.drift, self._friction(forcing, tau, y)(now.velocity), slow)
+        share = jnp.abs(self.model.limits(forcing, tau, y, now.velocity).share(force))
+        return jnp.minimum(share, _MOST_NEEDED)  # infinite where a contact is open
+
+    def _friction(self, forcing: Any, tau: FloatArray, y: State) -> FrictionAt:
+        return FrictionAt(self.model, self.switch, self.static_exceeds_kinetic, forcing, tau, y)
+
     @property
     def may_be_short(self) -> bool:
         """Whether fixed steps may have to be shortened."""
         return not self.model.time_scales_are_known
 
-    def band(self, forcing: object, t: FloatArray, y: State) -> None:
+    def band(self, forcing: Any, t: FloatArray, y: State) -> None:
         """None: fixed steps take no static friction above kinetic friction."""
 
-    def step(
-        self, forcing: object, y: State, h: FloatArray, band: FloatArray | None
-    ) -> tuple[State, FloatArray | None]:
+    def step(self, forcing: Any, y: State, h: FloatArray, band: FloatArray | None) -> tuple[State, FloatArray | None]:
         """The state after a step of length `h` (s) and its error; see `contacts_step`."""
         return contacts_step(self.model, self.switch, forcing, y, h)
 
-    def rates(self, forcing: object, tau: FloatArray, y: State) -> State:
-        """The time derivative of the state."""
-        now = self.model.instant(forcing, tau, y)
-        force = self._friction(forcing, tau, y)(now.velocity)
-        return tuple(a + b for a, b in zip(now.rates, self.model.effect(forcing, tau, y, force), strict=True))
 
-    def seen(
-        self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
-    ) -> tuple[SeenStep, State, State]:
-        """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
-        zero = jnp.zeros_like(h)
-        rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
-        r0, slope0 = with_slope(self.model.relative_velocity, forcing, zero, before, rates)
-        r1, slope1 = with_slope(self.model.relative_velocity, forcing, h, after, end_rates)
-        x0, v0 = jax.jvp(self.model.stick_position, (before,), (rates,))
-        x1, v1 = jax.jvp(self.model.stick_position, (after,), (end_rates,))
-        slow = jnp.abs(r0) <= self.threshold
-        need, end_need = self._need(forcing, zero, before, slow), self._need(forcing, h, after, slow)
-        normal = normal_forces(self.model, forcing, h, before, rates, after, end_rates)
-        step = SeenStep(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, need, end_need, normal)
-        return step, rates, end_rates
-
-    def contact(self, forcing: object, t: FloatArray, y: State) -> tuple[FloatArray, BoolArray]:
-        """What the stick detector asks about the contacts at the time `t` of the `forcing`: the relative velocities,
-        and whether they are closed.
-        """
-        return velocities_and_closed(self.model, forcing, jnp.zeros_like(t), y)
-
-    def at_contact(self, forcing: object, t: FloatArray, y: State) -> AtContact:
-        """What sticks are found by in adaptive steps, at the time `t` of the `forcing`."""
-        velocity, closed = self.contact(forcing, t, y)
-        return AtContact(velocity, closed, jnp.zeros_like(velocity))
-
-    def start_detector(
-        self, criterion: Criterion, forcing: object, y: State, quantities: tuple[str, ...]
-    ) -> StickDetector:
-        """The stick detector at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
-        velocity, closed = self.contact(forcing, jnp.zeros((), y[0].dtype), y)
-        return start_contacts(criterion, velocity, closed, self.model.stick_position(y), quantities)
-
-    def detect(
-        self,
-        criterion: Criterion,
-        detector: StickDetector,
-        seen: SeenStep,
-        *,
-        jumped: BoolArray,
-        after: Any,
-        last: BoolArray,
-    ) -> tuple[StickDetector, StickRecord]:
-        """See `detect_contacts`; `after`: what `contact` returned where the step ends."""
-        return detect_contacts(criterion, detector, seen, jumped=jumped, after=after, last=last)
-
-    def _friction(self, forcing: object, tau: FloatArray, y: State) -> FrictionAt:
-        return FrictionAt(self.model, self.switch, self.static_exceeds_kinetic, forcing, tau, y)
-
-    def _need(self, forcing: object, tau: FloatArray, y: State, slow: BoolArray) -> FloatArray:
-        """Friction that keeps the relative velocities of the `slow` contacts constant, over the largest friction."""
-        now = self.model.instant(forcing, tau, y)
-        force = solved(now.gain, now.drift, self._friction(forcing, tau, y)(now.velocity), slow)
-        share = jnp.abs(self.model.limits(forcing, tau, y, now.velocity).share(force))
-        return jnp.minimum(share, _MOST_NEEDED)  # infinite where a contact is open
-
-
-# A system whose friction has inner states, as the adaptive engine asks it.
-
-
-class InnerField(NamedTuple):
-    """A system under its excitation whose friction is smooth by itself."""
+class InnerField(AnyField):
+    """A system whose friction has inner states and is smooth by itself."""
 
     model: InnerStates
 
-    def rates(self, forcing: object, tau: FloatArray, y: State) -> State:
-        """The time derivative of the state."""
+    def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         return self.model.rates(forcing, tau, y)
 
-    def seen(
-        self, forcing: object, t: FloatArray, h: FloatArray, before: State, after: State
-    ) -> tuple[SeenStep, State, State]:
-        """The step from `t` to ``t + h`` as the stick detector reads it, and the rates at both ends."""
-        zero = jnp.zeros_like(h)
-        rates, end_rates = self.rates(forcing, zero, before), self.rates(forcing, h, after)
-        r0, slope0 = with_slope(self.model.relative_velocity, forcing, zero, before, rates)
-        r1, slope1 = with_slope(self.model.relative_velocity, forcing, h, after, end_rates)
-        x0, v0 = jax.jvp(self.model.stick_position, (before,), (rates,))
-        x1, v1 = jax.jvp(self.model.stick_position, (after,), (end_rates,))
-        normal = normal_forces(self.model, forcing, h, before, rates, after, end_rates)
-        # What friction is needed in a stick is asked only of steps that do not resolve it.
-        step = SeenStep(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, jnp.zeros_like(r0), jnp.zeros_like(r1), normal)
-        return step, rates, end_rates
-
-    def at_contact(self, forcing: object, t: FloatArray, y: State) -> AtContact:
-        """What sticks are found by at the time `t` of the `forcing`."""
-        slips = jnp.stack([jnp.asarray(law.elastic_slip, t.dtype) for law in self.model.laws])
-        slips = slips if self.model.contacts else slips[0] / self.model.slip_of_law(y)
-        return AtContact(*velocities_and_closed(self.model, forcing, jnp.zeros_like(t), y), slips)
+    def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
+        slips = jnp.stack([jnp.asarray(law.elastic_slip, velocity.dtype) for law in self.model.laws])
+        return slips if self.model.contacts else slips[0] / self.model.slip_of_law(y)

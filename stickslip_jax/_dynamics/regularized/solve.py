@@ -24,9 +24,19 @@ from ..._systems.system import System
 from ..common.method import Regularized, accurate_step, step_for
 from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
 from ..sticks import ALL, StickRecord, no_stick
-from .field import ContactsField, Field, InnerField
+from .field import AnyField, ContactsField, Field, InnerField
 from .implicit_step import Switch
-from .sticks import Criterion, JoiningDetector, SeenStep, StickDetector, detect_joined, hermite, start_joining
+from .sticks import (
+    Criterion,
+    JoiningDetector,
+    SeenStep,
+    StickDetector,
+    detect,
+    detect_joined,
+    hermite,
+    start_detector,
+    start_joining,
+)
 
 # The step-size control of adaptive steps, by diffrax.
 
@@ -166,7 +176,8 @@ def start_fixed(
     zero, y = jnp.zeros((), dtype), field.model.start(y0, dtype)
     forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
     limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
-    detector = field.start_detector(criterion, forcing, y, quantities)
+    seen, tracks = field.at_contact(forcing, zero, y), field.model.stick_position(y)
+    detector = start_detector(criterion, seen, tracks, quantities)
     return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
 
 
@@ -204,8 +215,8 @@ def advance_fixed(
 
     t = jnp.where(to_stop, stop, lane.t + h)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
-    after = field.contact(field.model.forcing(t, segment_laws.segments(segment_states)), t, y)
-    detector, record = field.detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1)
+    after = field.at_contact(field.model.forcing(t, segment_laws.segments(segment_states)), t, y)
+    detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1)
     moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
     accepted = live
     if lane.limit is not None:
@@ -337,7 +348,7 @@ class Solution(NamedTuple):
 
 
 def solve_adaptive(
-    field: Field | ContactsField | InnerField,
+    field: AnyField,
     tables: Tables,
     t1: FloatArray,
     y0: tuple[Number, ...],
@@ -389,7 +400,7 @@ def solve_adaptive(
 
 
 def start_detection(
-    field: Field | ContactsField | InnerField,
+    field: AnyField,
     tables: Tables,
     criterion: Criterion,
     y: Array,
@@ -404,7 +415,7 @@ def start_detection(
 
 
 def detect_in_step(
-    field: Field | ContactsField | InnerField,
+    field: AnyField,
     tables: Tables,
     criterion: Criterion,
     t1: FloatArray,

@@ -2,20 +2,17 @@
 steps by the path that is slipped.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
+from jaxtyping import Array
 
 from ..._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray, Scalar
 from ..._numerics.derivatives import OwnDerivative
 from ..._numerics.steps import look_ahead
-from ..._systems.contacts import ContactsModel
-from ..._systems.memory_models import InnerStates
-from ..._systems.switched_model import State
 from ..sticks import (
     Remembered,
     StickRecord,
@@ -29,9 +26,14 @@ from ..sticks import (
 )
 
 # Detection of sticks in fixed steps: the relative velocity stays below a threshold for long enough.
+#
+# Each contact sticks while it is closed and its relative velocity is below the threshold. With one contact all are
+# scalars. With several, all at once stick while every closed contact does, and one is closed: the arrays of a detector
+# and of positions have an entry for each contact and a last one for all at once; everything else, one for each contact.
 
 
 _AT_LIMIT = 1e-5  # of the largest friction
+_ULPS = 64  # of the relative velocities: a smaller change is round-off, and no jump
 
 
 class Criterion(NamedTuple):
@@ -95,17 +97,27 @@ class SeenStep(NamedTuple):
     normal: NormalForces | None = None
 
 
+class AtContact(NamedTuple):
+    """What is asked about each contact at one instant: its relative velocity, whether it is closed, and how far it can
+    slip while bristles only bend.
+    """
+
+    velocity: FloatArray
+    closed: BoolArray
+    elastic_slip: FloatArray
+
+
 def start_detector(
-    criterion: Criterion, speed: FloatArray, position: FloatArray, quantities: tuple[str, ...]
+    criterion: Criterion, seen: AtContact, tracks: FloatArray, quantities: tuple[str, ...]
 ) -> StickDetector:
-    """The detector at the beginning of a trajectory with relative velocity `speed` and `position`.
+    """The detector at the beginning of a trajectory; `tracks`: positions, of several contacts (contacts + 1,).
 
     `quantities` of each stick: those that are asked for.
     """
-    dtype = speed.dtype
-    inside, zero, never = jnp.abs(speed) <= criterion.threshold, jnp.zeros((), dtype), jnp.full((), jnp.inf, dtype)
-    remembered = begin_quantities(position, quantities)
-    return StickDetector(inside, zero, position, never, position, remembered, start_totals(dtype), jnp.zeros((), bool))
+    inside = _with_all((jnp.abs(seen.velocity) <= criterion.threshold) & seen.closed, seen.closed)
+    zero, never = jnp.zeros_like(tracks), jnp.full_like(tracks, jnp.inf)
+    totals, remembered = start_totals(tracks.dtype, tracks.shape), begin_quantities(tracks, quantities)
+    return StickDetector(inside, zero, tracks, never, tracks, remembered, totals, jnp.zeros_like(inside))
 
 
 def detect(
@@ -114,80 +126,71 @@ def detect(
     step: SeenStep,
     *,
     jumped: BoolArray,
-    after: FloatArray,
+    after: AtContact,
     last: BoolArray,
 ) -> tuple[StickDetector, StickRecord]:
     """Update the detector by one step; returns it and the record of the stick that ended in the step, if any.
 
-    The step may end in a jump of the base (`jumped`), to the relative velocity `after`, or be the `last`. It
-    need not resolve the width: the relative velocity is taken to fall linearly to zero inside the step in which a stick
-    begins, and to leave zero inside the step in which the needed friction exceeds the largest.
+    The step may end in a jump of the base (`jumped`), `after` which the contacts are so, or be the `last`. It need not
+    resolve the width: the relative velocity is taken to fall linearly to zero inside the step in which a stick begins,
+    and to leave zero inside the step in which the needed friction exceeds the largest.
     """
     threshold = jnp.asarray(criterion.threshold, step.t.dtype)
-    inside = jnp.abs(step.r1) <= threshold
-    enters, leaves = ~detector.inside & inside, detector.inside & ~inside
-    entry, leave = passages(threshold, step)
-    at = position_in(step, entry)
-    start = jnp.where(enters, step.t + entry, detector.start)
+    was, crossed_before = _own(detector.inside), _own(detector.crossed)
+    closed_before, closed, opening, closing = closed_in(step.normal, step.h, was)
+    fast = jnp.abs(step.r1) > threshold
+    slow = ~fast & closed
+    enters, leaves = ~was & slow, was & ~slow
+    entry, leave = _straight_entry(threshold, step), _late_exit(threshold, step)
+    if step.normal is not None:
+        entry = jnp.maximum(jnp.where(jnp.abs(step.r0) > threshold, entry, 0), jnp.where(closed_before, 0, closing))
+        leave = jnp.where(closed, leave, jnp.where(fast, jnp.minimum(leave, opening), opening))
+    # A long step in which a contact comes to rest may end a little beyond rest; the next step corrects this.
+    late = enters & jnp.isfinite(crossed_before)
+    begun = jnp.where(late, crossed_before, step.t + entry)
+    passes = ~was & ~slow & (step.r0 * step.r1 < 0) & ~jumped & closed_before & closed
+    crossed, crossing_at = jnp.where(passes, step.t + entry, jnp.inf), entry
+    start, inside = jnp.where(enters, begun, _own(detector.start)), _with_all(slow, closed)
+    least = jnp.asarray(criterion.minimum_duration, step.r1.dtype)
+    if step.x0.ndim:
+        # All at once begin with the last that comes to rest, or with the opening of the last that slips; they end with
+        # the first that leaves or closes while it slips, or with the last that opens.
+        opens, closes = closed_before & ~closed, ~closed_before & closed
+        all_begun = jnp.max(jnp.where(slow, start, jnp.where(opens & ~was, step.t + opening, -jnp.inf)))
+        slips = closed & ~slow & (was | closes)
+        ended = jnp.min(jnp.where(slips, jnp.where(was, leave, closing), jnp.inf))
+        ended = jnp.where(jnp.any(slips), ended, jnp.max(jnp.where(leaves, leave, 0)))
+        all_enter, all_leave = ~detector.inside[-1] & inside[-1], detector.inside[-1] & ~inside[-1]
+        enters, leaves, leave = jnp.append(enters, all_enter), jnp.append(leaves, all_leave), jnp.append(leave, ended)
+        entry = jnp.append(entry, jnp.clip(all_begun - step.t, 0, step.h))
+        start = jnp.append(start, jnp.where(all_enter, all_begun, detector.start[-1]))
+        late = jnp.append(late, all_begun < step.t)
+        all_crossed = jnp.max(jnp.where(passes, crossed, -jnp.inf))
+        crossing_at = jnp.append(crossing_at, jnp.where(jnp.any(passes), all_crossed - step.t, 0))
+        crossed = jnp.append(crossed, jnp.where(jnp.any(passes), all_crossed, jnp.inf))
+        passes = jnp.append(passes, jnp.any(passes))
+        least = jnp.append(jnp.broadcast_to(least, step.r1.shape), jnp.max(least))
+    at = jnp.where(late, detector.crossed_at, position_in(step, entry))
     position = jnp.where(enters, at, detector.position)
-    # A long step in which the mass comes to rest may end a little beyond rest; the next step corrects this.
-    late = enters & jnp.isfinite(detector.crossed)
-    start, position = jnp.where(late, detector.crossed, start), jnp.where(late, detector.crossed_at, position)
-    passes = ~detector.inside & ~inside & (step.r0 * step.r1 < 0) & ~jumped
-    crossed, crossed_at = jnp.where(passes, step.t + entry, jnp.inf), jnp.where(passes, at, step.x1)
-    time = TimeInside(inside, leaves, start, position, leave, crossed, crossed_at)
-    goes_on = jnp.where(jumped, jnp.abs(after) <= threshold, inside)
-    end = AtEnd(jumped, goes_on, last, leaves)
-    return recorded(criterion.minimum_duration, detector, step, time, end)
+    crossed_at = jnp.where(passes, position_in(step, crossing_at), step.x1)
 
-
-class TimeInside(NamedTuple):
-    """How a step changes the time in which the relative velocity is below the threshold.
-
-    - `inside`: whether it is at the end of the step, since `start` (s) at `position`. `leaves`: whether that time ends
-      in the step, `leave` (s) after the step began.
-    - `crossed`, `crossed_at`: see `StickDetector`.
-    """
-
-    inside: BoolArray
-    leaves: BoolArray
-    start: FloatArray
-    position: FloatArray
-    leave: FloatArray
-    crossed: FloatArray
-    crossed_at: FloatArray
-
-
-class AtEnd(NamedTuple):
-    """What happens at the very end of a step.
-
-    - `over`: whether the time below the threshold ends there in any case. `goes_on`: whether one goes on or begins
-      there. `last`: whether it is the horizon. `released`: whether a stick that ended was released.
-    """
-
-    over: BoolArray
-    goes_on: BoolArray
-    last: BoolArray
-    released: BoolArray
-
-
-def recorded(
-    minimum_duration: AnyArray | Scalar, detector: StickDetector, step: SeenStep, time: TimeInside, at_end: AtEnd
-) -> tuple[StickDetector, StickRecord]:
-    """The `detector` after a step, and the record of the stick that ended in the step, if any."""
-    inside, leaves, start, position, leave, crossed, crossed_at = time
-    now = step.t + step.h
-    cut = at_end.last & inside
-    ends = leaves | cut | (at_end.over & inside)
+    # Jumps, and what opens or closes as the step ends, end what goes on; so does the end of the time.
+    turned = _turned_by_jump(threshold, step, after.velocity, jumped)
+    over = turned | (after.closed != closed)
+    goes_on = jnp.where(over, (jnp.abs(after.velocity) <= threshold) & after.closed, slow)
+    goes_on = _with_all(goes_on, after.closed)
+    if step.x0.ndim:
+        over = jnp.append(over, jnp.any(turned & slow) | (goes_on[-1] != inside[-1]))
+    now, cut = step.t + step.h, last & inside
     end = jnp.where(leaves, step.t + leave, now)
-    counts = ends & (end - start >= minimum_duration) & (end > start)
+    counts = (leaves | cut | (over & inside)) & (end - start >= least) & (end > start)
     left_at = jnp.where(leaves, position_in(step, leave), step.x1)
     quantities, remembered = measured(detector.remembered, counts, StickSpan(start, end, position, left_at))
-    record = StickRecord(start, end, position, quantities, ending_of(counts, at_end.released, cut))
+    record = StickRecord(start, end, position, quantities, ending_of(counts, leaves | (over & ~jumped), cut))
     detector = StickDetector(
-        inside=at_end.goes_on,
-        start=jnp.where(at_end.over, now, start),
-        position=jnp.where(at_end.over, step.x1, position),
+        inside=goes_on,
+        start=jnp.where(over, now, start),
+        position=jnp.where(over, step.x1, position),
         crossed=crossed,
         crossed_at=crossed_at,
         remembered=remembered,
@@ -197,12 +200,26 @@ def recorded(
     return detector, record
 
 
-def passages(threshold: FloatArray, step: SeenStep) -> tuple[FloatArray, FloatArray]:
-    """When ``|v_rel|`` falls to the `threshold` in a step and when it rises to it, s after the step began.
+def _with_all(holds: BoolArray, closed: BoolArray) -> BoolArray:
+    """Of several contacts, with a last entry for all at once."""
+    return jnp.append(holds, _all_of(holds, closed)) if holds.ndim else holds
 
-    Each is meaningless where it does not.
-    """
-    return _straight_entry(threshold, step), _late_exit(threshold, step, crossing(threshold, step, entering=False))
+
+def _all_of(holds: BoolArray, closed: BoolArray) -> BoolArray:
+    return jnp.all(holds | ~closed) & jnp.any(holds & closed)
+
+
+def _own(tracks: Array) -> Array:
+    """Of what each track has, that of the contacts."""
+    return tracks[:-1] if tracks.ndim else tracks
+
+
+def _turned_by_jump(threshold: FloatArray, step: SeenStep, velocity: FloatArray, jumped: BoolArray) -> BoolArray:
+    """Whether the relative velocity jumps to `velocity` where the step ends: between two masses a base does nothing."""
+    if velocity.ndim == 0:
+        return jumped
+    size = jnp.maximum(jnp.maximum(jnp.abs(velocity), jnp.abs(step.r1)), threshold)
+    return jumped & (jnp.abs(velocity - step.r1) > _ULPS * jnp.finfo(size.dtype).eps * size)
 
 
 def crossing(threshold: FloatArray, step: SeenStep, *, entering: bool) -> FloatArray:
@@ -261,8 +278,8 @@ def _straight_entry(threshold: FloatArray, step: SeenStep) -> FloatArray:
     return jnp.clip(where, 0, step.h)
 
 
-def _late_exit(threshold: FloatArray, step: SeenStep, resolved: FloatArray) -> FloatArray:
-    """When ``|v_rel|`` rises to the threshold if the mass is released in this step; else the time `resolved`.
+def _late_exit(threshold: FloatArray, step: SeenStep) -> FloatArray:
+    """When ``|v_rel|`` rises to the threshold, if the mass is released in this step or before; else meaningless.
 
     After the release, where the needed friction equals the largest, the excess force grows linearly with time and the
     relative velocity with its square.
@@ -272,6 +289,7 @@ def _late_exit(threshold: FloatArray, step: SeenStep, resolved: FloatArray) -> F
     released = step.h * jnp.clip((1 - step.need0) / gain, 0, 1)
     rest, rise = step.h - released, _sign(step.r1) * step.slope1
     usable = here & (rise > 0) & (rest > 0)
+    resolved = crossing(threshold, step, entering=False)
     while_creeping = jnp.sqrt(jnp.where(usable, 2 * threshold * rest / jnp.where(usable, rise, 1), 1))
     return jnp.where(here, released + jnp.where(usable, jnp.minimum(while_creeping, rest), 0), resolved)
 
@@ -295,143 +313,6 @@ def hermite(
     return values + h * (v0 * u * bend - v1 * u * u * (1 - u))
 
 
-# What the stick detector sees of several contacts: slopes, normal forces, which are closed.
-
-
-DetectedModel = ContactsModel | InnerStates
-
-
-def with_slope(what: Any, forcing: object, tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
-    """A function of forcing, time and state and its slope, where the state changes with `rates`."""
-    return jax.jvp(lambda tau, y: what(forcing, tau, y), (tau, y), (jnp.ones_like(tau), rates))
-
-
-def normal_forces(
-    model: DetectedModel, forcing: object, h: FloatArray, before: State, rates: State, after: State, end_rates: State
-) -> NormalForces | None:
-    """The normal forces and their slopes at both ends of a step, 1 where they do not vary; None if none varies."""
-    if not model.varying:
-        return None
-    where, contacts = np.array(model.varying), model.contacts
-
-    def at(tau: FloatArray, y: State, rates: State) -> tuple[FloatArray, FloatArray]:
-        value, slope = with_slope(model.varying_normal_forces, forcing, tau, y, rates)
-        ones = jnp.ones(contacts, value.dtype)
-        return ones.at[where].set(value), (0 * ones).at[where].set(slope)
-
-    return NormalForces(*at(jnp.zeros_like(h), before, rates), *at(h, after, end_rates))
-
-
-def velocities_and_closed(
-    model: DetectedModel, forcing: object, tau: FloatArray, y: State
-) -> tuple[FloatArray, BoolArray]:
-    """The relative velocities, and whether the contacts are closed."""
-    velocity = model.relative_velocity(forcing, tau, y)
-    closed = jnp.ones(velocity.shape, bool)
-    if model.varying:
-        closed = closed.at[np.array(model.varying)].set(model.varying_normal_forces(forcing, tau, y) > 0)
-    return velocity, closed
-
-
-# Detection of sticks of several contacts in fixed steps, and of the times in which all closed ones stick.
-#
-# Each contact sticks while it is closed and its relative velocity is below the threshold. All at once stick while every
-# closed contact does, and one is closed. The arrays of a detector and of positions have an entry for each contact and a
-# last one for all at once; everything else, one for each contact.
-
-
-_ULPS = 64  # of the relative velocities: a smaller change is round-off, and no jump
-
-
-def start_contacts(
-    criterion: Criterion, velocity: FloatArray, closed: BoolArray, position: FloatArray, quantities: tuple[str, ...]
-) -> StickDetector:
-    """The detector at the beginning of a trajectory."""
-    inside = _with_all((jnp.abs(velocity) <= criterion.threshold) & closed, closed)
-    zero, never = jnp.zeros_like(position), jnp.full_like(position, jnp.inf)
-    totals, remembered = start_totals(position.dtype, inside.shape), begin_quantities(position, quantities)
-    return StickDetector(inside, zero, position, never, position, remembered, totals, jnp.zeros_like(inside))
-
-
-def detect_contacts(
-    criterion: Criterion,
-    detector: StickDetector,
-    step: SeenStep,
-    *,
-    jumped: BoolArray,
-    after: tuple[FloatArray, BoolArray],
-    last: BoolArray,
-) -> tuple[StickDetector, StickRecord]:
-    """Update the detector by one step; see `stick_detector.detect`.
-
-    `after`: the relative velocities where the step ends, after a jump there, and whether contacts are closed.
-    """
-    threshold = jnp.asarray(criterion.threshold, step.t.dtype)
-    time, closed = _time_inside(threshold, detector, step, jumped)
-    velocity, closed_after = after
-    turned = turned_by_jump(threshold, step, velocity, jumped)
-    over = turned | (closed_after != closed)
-    goes_on = jnp.where(over, (jnp.abs(velocity) <= threshold) & closed_after, time.inside[:-1])
-    goes_on = _with_all(goes_on, closed_after)
-    all_over = jnp.any(turned & time.inside[:-1]) | (goes_on[-1] != time.inside[-1])
-    over = jnp.append(over, all_over)
-    least = jnp.broadcast_to(jnp.asarray(criterion.minimum_duration, step.r1.dtype), step.r1.shape)
-    at_end = AtEnd(over, goes_on, last, time.leaves | (over & ~jumped))
-    return recorded(jnp.append(least, jnp.max(least)), detector, step, time, at_end)
-
-
-def turned_by_jump(threshold: FloatArray, step: SeenStep, velocity: FloatArray, jumped: BoolArray) -> BoolArray:
-    """Whether the relative velocity jumps to `velocity` where the step ends: between two masses a base does nothing."""
-    size = jnp.maximum(jnp.maximum(jnp.abs(velocity), jnp.abs(step.r1)), threshold)
-    return jumped & (jnp.abs(velocity - step.r1) > _ULPS * jnp.finfo(size.dtype).eps * size)
-
-
-def _with_all(inside: BoolArray, closed: BoolArray) -> BoolArray:
-    """With a last entry for all at once."""
-    return jnp.append(inside, jnp.all(inside | ~closed) & jnp.any(inside))
-
-
-def _time_inside(
-    threshold: FloatArray, detector: StickDetector, step: SeenStep, jumped: BoolArray
-) -> tuple[TimeInside, BoolArray]:
-    """How the step changes the times below the threshold, and which contacts are closed at its end."""
-    was = detector.inside[:-1]
-    closed_before, closed, opening, closing = closed_in(step.normal, step.h, was)
-    slow = (jnp.abs(step.r1) <= threshold) & closed
-    enters, leaves = ~was & slow, was & ~slow
-    entry, leave = passages(threshold, step)
-    falls = jnp.abs(step.r0) > threshold
-    entry = jnp.maximum(jnp.where(falls, entry, 0), jnp.where(closed_before, 0, closing))
-    leave = jnp.where(closed, leave, jnp.where(jnp.abs(step.r1) > threshold, jnp.minimum(leave, opening), opening))
-    start = jnp.where(enters, step.t + entry, detector.start[:-1])
-    # A long step in which a contact comes to rest may end a little beyond rest; the next step corrects this.
-    start = jnp.where(enters & jnp.isfinite(detector.crossed[:-1]), detector.crossed[:-1], start)
-    passes = ~was & ~slow & (step.r0 * step.r1 < 0) & ~jumped & closed_before & closed
-    crossed = jnp.where(passes, step.t + entry, jnp.inf)
-
-    inside = _with_all(slow, closed)
-    # All at once begin with the last that comes to rest, or with the opening of the last that slips; they end with the
-    # first that leaves or closes while it slips, or with the last that opens.
-    opens, closes = closed_before & ~closed, ~closed_before & closed
-    begun = jnp.max(jnp.where(slow, start, jnp.where(opens & ~was, step.t + opening, -jnp.inf)))
-    slips = closed & ~slow & (was | closes)
-    ended = jnp.min(jnp.where(slips, jnp.where(was, leave, closing), jnp.inf))
-    ended = jnp.where(jnp.any(slips), ended, jnp.max(jnp.where(leaves, leave, 0)))
-    all_enter, all_leave = ~detector.inside[-1] & inside[-1], detector.inside[-1] & ~inside[-1]
-    start = jnp.append(start, jnp.where(all_enter, begun, detector.start[-1]))
-    enters = jnp.append(enters, all_enter)
-    crossed = jnp.append(crossed, jnp.max(jnp.where(jnp.isfinite(crossed), crossed, -jnp.inf)))
-    crossed = jnp.where(jnp.isfinite(crossed), crossed, jnp.inf)
-
-    at = position_in(step, jnp.clip(start - step.t, 0, step.h))
-    position = jnp.where(enters, jnp.where(start < step.t, detector.crossed_at, at), detector.position)
-    crossed_at = jnp.where(
-        crossed < jnp.inf, position_in(step, jnp.where(crossed < jnp.inf, crossed - step.t, 0)), step.x1
-    )
-    leaves, leave = jnp.append(leaves, all_leave), jnp.append(leave, ended)
-    return TimeInside(inside, leaves, start, position, leave, crossed, crossed_at), closed
-
-
 def closed_in(
     normal: NormalForces | None, h: FloatArray, like: BoolArray
 ) -> tuple[BoolArray, BoolArray, FloatArray, FloatArray]:
@@ -452,16 +333,6 @@ def closed_in(
 # Between two such times it slips. Where it slips by less than bristles bend from one limit to the other (`elastic_slip`
 # of a friction law), it rang after it was caught, or its bristles bent over: it was stuck all the time. So the end of a
 # stick is known only when the contact has slipped that far. All closed contacts at once stick while each of them does.
-
-
-class AtContact(NamedTuple):
-    """What is asked about each contact at one instant: its relative velocity, whether it is closed, and how far it can
-    slip while bristles only bend.
-    """
-
-    velocity: FloatArray
-    closed: BoolArray
-    elastic_slip: FloatArray
 
 
 class Left(NamedTuple):
@@ -571,8 +442,7 @@ def detect_joined(
     )
 
     # Jumps and the end of the time end what may go on there.
-    over = jumped if step.x0.ndim == 0 else turned_by_jump(threshold, step, after.velocity, jumped)
-    over = over | (after.closed != closed) | last
+    over = _turned_by_jump(threshold, step, after.velocity, jumped) | (after.closed != closed) | last
     holds = slow | following.may_go_on(bend)
     cut = StickSpan(jnp.where(slow, start, following.span.start), jnp.broadcast_to(now, start.shape),
                     jnp.where(slow, position, following.span.position), _own(step.x1))  # fmt: skip
@@ -679,17 +549,8 @@ def _all_at_once(before: AllAtOnce, step: SeenStep, of: _Contacts) -> tuple[AllA
     return AllAtOnce(stick, start, position, (ended, how)), recorded, recorded_how
 
 
-def _all_of(holds: BoolArray, closed: BoolArray) -> BoolArray:
-    return jnp.all(holds | ~closed) & jnp.any(holds & closed)
-
-
 def _of_all(tracks: FloatArray) -> FloatArray:
     return tracks[-1] if tracks.ndim else tracks
-
-
-def _own(tracks: FloatArray) -> FloatArray:
-    """Of the positions of all tracks, those of the contacts."""
-    return tracks[:-1] if tracks.ndim else tracks
 
 
 def _at(step: SeenStep, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
