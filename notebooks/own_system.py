@@ -46,7 +46,7 @@ GRAVITY = 9.80665  # m/s^2
 # ## The class
 # Three things are required: the names of the state, its rates under a given share of the kinetic friction, and the
 # relative velocity in the contact. The other members are optional. `shortest_time` sets the time step;
-# `coordinates`, `body_name` and `stick_band` improve the figures.
+# `coordinates` and `look` improve the figures.
 
 
 # %%
@@ -83,8 +83,8 @@ class Pendulum(ss.SwitchedSystem):
         return ss.Coordinate("angle", "rad", r"\varphi"), ss.Coordinate("angular velocity", "rad/s", r"\dot\varphi")
 
     @property
-    def body_name(self):
-        return "pendulum"
+    def look(self):
+        return ss.plot.Look("pendulum", stick_band=self.stick_band)
 
     def stick_band(self, times, state, velocity, acceleration, ground):
         """The angles at which friction can hold the pendulum, while these are between -pi/2 and pi/2."""

@@ -8,11 +8,11 @@ import re
 
 INTERNAL = """
     check check_excitation check_numbers check_parts check_relations check_solver check_state checked_capacity
-    band_coordinate band_symbols body_name slip_center coordinates stick_position angle_scale longest_response
-    switched_model time_scales contact_scales state_scales usual_step recorded_loads sticks_at_base_velocity
+    coordinates stick_position angle_scale longest_response
+    switched_model time_scales contact_scales state_scales usual_step recorded_loads
     has_closed_form has_interval_form has_contacts has_fixed_time_scales one_contact_model
     stops_are_unstable static_exceeds_kinetic continued_coefficient
-    depends_on_direction in_direction slip_coefficient stick_limit viscous_slope stick_band longest_stick
+    depends_on_direction in_direction slip_coefficient stick_limit viscous_slope
     all_intervals gap_rate level_probabilities uniforms key_data path_in_excitation realized realized_until
     covered_time tones varies enough_harmonics in_lanes next_interval next_segment
     known missing unit_of distributions cells_of_retained line labeled outside model_config

@@ -50,7 +50,7 @@ from .system import (
     SOFT,
     SOLVED,
     Coordinate,
-    Mechanism,
+    Look,
     StepCount,
     System,
     TimeScale,
@@ -434,10 +434,6 @@ class MassSpring(System):
         return (self.force,) if isinstance(self.force, Recorded) else ()
 
     @property
-    def sticks_at_base_velocity(self) -> bool:
-        return True
-
-    @property
     def has_interval_form(self) -> bool:
         friction = self.friction
         is_simple = friction.constant and not (friction.static_exceeds_kinetic or friction.depends_on_direction)
@@ -528,27 +524,22 @@ class MassSpring(System):
                 check_no_resonance(self.force, (self.stiffness / self.mass) ** 0.5)
 
     @property
-    def body_name(self) -> str:
-        return "mass"
+    def look(self) -> Look:
+        friction, center = self.friction, None
+        about_points = friction.constant and not friction.depends_on_direction and self.force is None
+        if about_points and not _is_zero(self.stiffness) and not is_function(self.normal_force):
+            center = friction.slip_coefficient(jnp.zeros(())) * self.normal_force / self.stiffness
+        mu = r"\mu" if friction.constant and not friction.static_exceeds_kinetic else r"\mu_\mathrm{s}"
+        return Look(
+            "mass",
+            lambda state, base: mass_on_belt(state[0], base, bool(self.stiffness > 0)),
+            self._stick_band,
+            band_symbols=rf"|x| \leq {mu} n/k",
+            slip_center=center,
+            second_is_base_velocity=True,
+        )
 
-    def mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
-        return mass_on_belt(state[0], base, bool(self.stiffness > 0))
-
-    @property
-    def slip_center(self) -> Scalar | None:
-        friction = self.friction
-        if not friction.constant or friction.depends_on_direction or self.force is not None or _is_zero(self.stiffness):
-            return None
-        if is_function(self.normal_force):
-            return None
-        return self.friction.slip_coefficient(jnp.zeros(())) * self.normal_force / self.stiffness
-
-    @property
-    def band_symbols(self) -> str:
-        mu = r"\mu" if self.friction.constant and not self.friction.static_exceeds_kinetic else r"\mu_\mathrm{s}"
-        return rf"|x| \leq {mu} n/k"
-
-    def stick_band(
+    def _stick_band(
         self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
         """Positions with ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``, m; NaN without a

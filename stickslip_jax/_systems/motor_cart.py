@@ -45,7 +45,7 @@ from .system import (
     PASSED,
     SOLVED,
     Coordinate,
-    Mechanism,
+    Look,
     StepCount,
     System,
     TimeScale,
@@ -534,20 +534,19 @@ class MotorCart(System):
             raise ValueError("Argument solver must be None for a MotorCart, which has an integrator of its own.")
 
     @property
-    def body_name(self) -> str:
-        return "motor"
+    def look(self) -> Look:
+        def longest(voltage: Signal, angle: AnyArray) -> Array | None:
+            return stick_duration_bound(self, voltage, angle) if isinstance(voltage, SourceVoltage) else None
 
-    def mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
-        return motor_and_cart(state[0], float(self.eccentricity))
+        return Look(
+            "motor",
+            lambda state, base: motor_and_cart(state[0], float(self.eccentricity)),
+            self._stick_band,
+            band_coordinate=2,
+            longest_stick=longest,
+        )
 
-    @property
-    def band_coordinate(self) -> int:
-        return 2
-
-    def longest_stick(self, smooth: Signal, position: AnyArray) -> Array | None:
-        return stick_duration_bound(self, smooth, position) if isinstance(smooth, SourceVoltage) else None
-
-    def stick_band(
+    def _stick_band(
         self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
     ) -> tuple[Array, Array]:
         """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A, of a stick of the age in the state."""

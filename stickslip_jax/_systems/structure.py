@@ -67,7 +67,19 @@ from .friction import FrictionLaw
 from .layouts import blocks, disks, storeys
 from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
 from .switched_model import Segments, base_motion
-from .system import PERIOD, SOFT, SOLVED, Coordinate, Mechanism, TimeScale, WithContacts, ages_of, bars, shortest_period
+from .system import (
+    PERIOD,
+    SOFT,
+    SOLVED,
+    Coordinate,
+    Look,
+    Mechanism,
+    TimeScale,
+    WithContacts,
+    ages_of,
+    bars,
+    shortest_period,
+)
 
 # Checks of the arguments of a `LinearStructure`.
 
@@ -741,10 +753,10 @@ class LinearStructure(WithContacts):
         return motion + memory
 
     @property
-    def body_name(self) -> str:
-        return "structure"
+    def look(self) -> Look:
+        return Look("structure", self._mechanism)
 
-    def mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
+    def _mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
         positions, stiffness = state[: self.size], np.asarray(_matrix(self.stiffness))
         directions = np.stack([np.asarray(contact.direction) for contact in self.contacts])
         if self.rotates:
@@ -755,7 +767,7 @@ class LinearStructure(WithContacts):
             return blocks(positions, base, stiffness, on)
         if self.drawn_as == STOREYS:
             return storeys(positions, base, on)
-        return bars(self._names_and_units, state, (*on, *on, *((),) * (len(state) - 2 * self.size)))
+        return bars(self.coordinates, state, (*on, *on, *((),) * (len(state) - 2 * self.size)))
 
 
 class ReadyStructure(LinearStructure):

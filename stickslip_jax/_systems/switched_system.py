@@ -106,7 +106,7 @@ class SwitchedSystem(WithContacts):
     by `static_ratio_after`.
 
     The position of a stick is the first number of the state. Figures label their axes by `state_names`; override
-    `coordinates`, `body_name`, `stick_band` and others of `System` to change what they show.
+    `coordinates` and `look` (a `plot.Look`) to change what they show.
 
     `simulate` and `simulate_ensemble` raise ValueError for an instance that breaks these rules in the initial state
     with the base at rest. Any base velocity may excite the system, and any ground acceleration if `rates` uses

@@ -3,11 +3,12 @@ motion.
 """
 
 import abc
+import dataclasses
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar, cast
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
@@ -165,7 +166,7 @@ Part: TypeAlias = Body | Spring | Rod | Disk | Belt
 
 
 class Mechanism(NamedTuple):
-    """What `System.mechanism` returns.
+    """How a system is drawn at the times of all frames: what the `mechanism` of a `Look` returns.
 
     Args:
         parts: In the order in which they are drawn, the last above the others.
@@ -187,23 +188,51 @@ class Mechanism(NamedTuple):
 
 
 def bars(
-    coordinates: tuple[tuple[str, str], ...], state: tuple[np.ndarray, ...], on: tuple[tuple[int, ...], ...]
+    coordinates: "tuple[Coordinate, ...]", state: tuple[np.ndarray, ...], on: tuple[tuple[int, ...], ...]
 ) -> Mechanism:
-    """The numbers of a state as bars, each over its largest size.
-
-    - `coordinates`: name and unit of each number of the `state`.
-    - `on`: of each of them, the contacts that colour its bar.
-    """
+    """The numbers of a state as bars, each over its largest size; `on`: of each, the contacts that colour its bar."""
     parts, names = [], []
-    for number, ((name, unit), values, contacts) in enumerate(zip(coordinates, state, on, strict=True)):
+    for number, (coordinate, values, contacts) in enumerate(zip(coordinates, state, on, strict=True)):
         largest = float(np.max(np.abs(values)))
         shares = values / largest if largest > 0 else values
         parts.append(Body((float(number), shares / 2), 0.6, np.abs(shares), contacts))
-        in_unit = "" if unit == "1" else f" {unit}"
-        names.append((float(number), f"{name}\n±{largest:.3g}{in_unit}"))
+        in_unit = "" if coordinate.unit == "1" else f" {coordinate.unit}"
+        names.append((float(number), f"{coordinate.name}\n±{largest:.3g}{in_unit}"))
     last = len(coordinates) - 0.5
     parts.append(Rod((-0.5, 0.0), (last, 0.0)))
     return Mechanism(tuple(parts), (-0.5, last), (-1.1, 1.5), x_names=tuple(names))
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """What figures show of a system: what `System.look` returns.
+
+    Args:
+        body_name: The body whose state it is, for legends: "mass", "motor".
+        mechanism: How it moves in films: a function that takes the state at the times of all frames, arrays (frames,),
+            and how far the base has moved since the first, (frames,), m or rad, and returns a `Mechanism`. None: each
+            coordinate is a bar over its largest size.
+        stick_band: Between which values friction can hold a stick: a function of ``(times, state, velocity,
+            acceleration, ground)``, arrays (points,): times (s), the state at these times, velocity (m/s) and
+            acceleration (m/s^2) of the base, and the acceleration of the ground (m/s^2). It returns the lower and the
+            upper limit, (points,), NaN where they are not known. None: nowhere.
+        band_coordinate: Index of the number of the state that `stick_band` limits.
+        band_symbols: The stick band in TeX, where it does not change in time.
+        slip_center: Distance from 0 of the two points about which slips oscillate on a base without acceleration.
+        longest_stick: An upper bound of the duration of sticks (s) under a signal, by their positions: a function of
+            ``(signal, positions)`` that returns an array, or None where it knows none.
+        second_is_base_velocity: Whether in a stick the second number of the state is the base velocity, and the rate of
+            the first.
+    """
+
+    body_name: str = "system"
+    mechanism: Callable[[tuple[np.ndarray, ...], np.ndarray], Mechanism] | None = None
+    stick_band: Callable[..., tuple[Array, Array]] | None = None
+    band_coordinate: int = 0
+    band_symbols: str = ""
+    slip_center: Scalar | None = None
+    longest_stick: Callable[[Signal, AnyArray], Array | None] | None = None
+    second_is_base_velocity: bool = False
 
 
 # The interface of a system, which engines, statistics, sensitivities, sweeps and figures use.
@@ -445,11 +474,6 @@ class System(Checked):
         return ()
 
     @property
-    def sticks_at_base_velocity(self) -> bool:
-        """Whether in a stick the second number of the state is the base velocity, and the rate of the first."""
-        return False
-
-    @property
     def has_closed_form(self) -> bool:
         """Whether slips between events are followed in closed form, without a solver."""
         return False
@@ -484,66 +508,10 @@ class System(Checked):
     def check_solver(self, solver: Solver | None) -> None:
         """Check that `solver` can integrate slips, or if None that the closed form holds; else raise ValueError."""
 
-    # What figures show.
-
     @property
-    def body_name(self) -> str:
-        """The body whose state it is, for legends: "mass", "motor"."""
-        return "system"
-
-    def mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
-        """How it is drawn in motion: by default each coordinate as a bar over its largest size.
-
-        Args:
-            state: The state at the times of all frames, arrays (frames,).
-            base: How far the base has moved since the first frame, (frames,), m or rad.
-
-        Returns:
-            Bodies, springs, rods, disks and belts, whose places are numbers or arrays (frames,).
-        """
-        # Which coordinates belong to one of several contacts is not known.
-        contacts = (0,) if self.contact_count is None else ()
-        return bars(self._names_and_units, state, (contacts,) * len(self.coordinates))
-
-    @property
-    def _names_and_units(self) -> tuple[tuple[str, str], ...]:
-        return tuple((one.name, one.unit) for one in self.coordinates)
-
-    @property
-    def slip_center(self) -> Scalar | None:
-        """Distance from 0 of the two points about which slips oscillate on a base without acceleration, or None."""
-        return None
-
-    @property
-    def band_coordinate(self) -> int:
-        """Index of the number of the state that `stick_band` limits."""
-        return 0
-
-    @property
-    def band_symbols(self) -> str:
-        """The stick band in TeX, where it does not change in time."""
-        return ""
-
-    def stick_band(
-        self, times: Array, state: tuple[Array, ...], velocity: Array, acceleration: Array, ground: AnyArray | float
-    ) -> tuple[Array, Array]:
-        """Lower and upper limit between which friction can hold a stick; NaN where they are not known.
-
-        Args:
-            times: s.
-            state: The state at these times.
-            velocity: Of the base, m/s.
-            acceleration: Of the base, m/s^2.
-            ground: Acceleration of the ground, m/s^2.
-
-        Returns:
-            Two arrays like `times`: limits of the number of the state that `band_coordinate` names.
-        """
-        return jnp.full_like(times, jnp.nan), jnp.full_like(times, jnp.nan)
-
-    def longest_stick(self, smooth: Signal, position: AnyArray) -> Array | None:
-        """Upper bound of the stick duration at each position under this excitation, s; None where none is known."""
-        return None
+    def look(self) -> Look:
+        """What figures show of it."""
+        return Look()
 
 
 S = TypeVar("S")

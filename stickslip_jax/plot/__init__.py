@@ -11,13 +11,13 @@ All functions are called alike:
   their figure to a file; so does `save`, which also closes it.
 - Legends stand above the axes, so give titles to the figure (``figure.suptitle``), not to the axes.
 
-`animate` makes a film, with a figure of its own, and returns an `Animation`. `Mechanism` and what it is made of say
-how a system of your own moves in it.
+`animate` makes a film, with a figure of its own, and returns an `Animation`. The `Look` of a system of your own says
+what figures show of it, and its `Mechanism` how it moves in films.
 
 Nothing is simulated here. Bad arguments raise ValueError with the name of the argument.
 """
 
-from .._systems.system import Belt, Body, Disk, Mechanism, Rod, Spring
+from .._systems.system import Belt, Body, Disk, Look, Mechanism, Rod, Spring
 from ._animations import Animation, animate
 from ._curves import curve, stick_bounds, stick_fraction_curve
 from ._histograms import histogram, joint_histogram, stick_map
@@ -33,6 +33,7 @@ __all__ = [
     "Belt",
     "Body",
     "Disk",
+    "Look",
     "Mechanism",
     "Rod",
     "Spring",

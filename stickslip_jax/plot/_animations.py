@@ -28,7 +28,7 @@ from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import Ending
-from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring
+from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
 from . import _style
 from ._histories import line_times
 from ._style import Window, legend_above
@@ -213,8 +213,8 @@ _BASE_MARKS = 6
 
 
 def check_mechanism(mechanism: object, whose: str, frames: int, contacts: int) -> None:
-    """Raise ValueError for what a user's `System.mechanism` must not return; `whose`: the class of the system."""
-    must = f"The method mechanism of {whose} must return"
+    """Raise ValueError for what the mechanism of a user's `Look` must not return; `whose`: the class of the system."""
+    must = f"The mechanism in the look of {whose} must return"
     if not isinstance(mechanism, Mechanism) or not all(isinstance(part, Part) for part in mechanism.parts):
         shown = checks.show(mechanism)
         raise ValueError(f"{must} a plot.Mechanism of Body, Spring, Rod, Disk and Belt, but {shown} was returned.")
@@ -468,7 +468,7 @@ def animate(
     base; a `MotorCart` as disk, scotch yoke and cart; a `block_row` as blocks on their belt; `storeys_on_bearing` as
     floors, whose displacements are enlarged by a factor that the picture states; a `drivetrain` and a `drill_string` as
     disks; other systems as a bar for each coordinate. A system of your own says how it is drawn by overriding
-    `System.mechanism`. States are as exact as the simulation; nothing is drawn between frames.
+    `System.look`. States are as exact as the simulation; nothing is drawn between frames.
 
     Args:
         result: A result of `simulate`, one trajectory that reached ``t1``.
@@ -501,9 +501,13 @@ def animate(
     rows = result.sticks.contact is not None and result.system.contact_count != 1
     window = check_window(window, float(result.t1)) if rows else phases_in(result, window)[1]
     times, speed = frame_times(window, None if speed is None else float(speed), float(fps), result.sticks.start.dtype)
-    mechanism = result.system.mechanism(state_at(result, times), base_displacement(result, times))
-    contacts = result.system.contact_count or 1
-    check_mechanism(mechanism, type(result.system).__name__, len(times), contacts)
+    system, state, contacts = result.system, state_at(result, times), result.system.contact_count or 1
+    if system.look.mechanism is not None:
+        mechanism = system.look.mechanism(state, base_displacement(result, times))
+    else:  # which coordinates belong to one of several contacts is not known
+        on = (0,) if system.contact_count is None else ()
+        mechanism = bars(system.coordinates, state, (on,) * len(state))
+    check_mechanism(mechanism, type(system).__name__, len(times), contacts)
     sticking = np.zeros((len(times), contacts), bool)
     for number, stuck in sticks.items():
         sticking[:, number] = stuck.lasts_at(times)
@@ -579,14 +583,14 @@ def _draw_history(
     events = events[(events > window[0]) & (events < window[1])]
     times = np.union1d(line_times(one, window), np.concatenate([frames, events]))
     values = state_at(one, times)[number]
-    name = one.system.body_name
-    lines = [(ax.plot([], [], label=None if stuck is None else name, **_style.MASS_LINE)[0], values)]
-    if one.system.sticks_at_base_velocity and number == 1:
+    look = one.system.look
+    lines = [(ax.plot([], [], label=None if stuck is None else look.body_name, **_style.MASS_LINE)[0], values)]
+    if look.second_is_base_velocity and number == 1:
         lines.append((ax.plot([], [], **_style.BASE_LINE)[0], velocity_at(one, times)))
     if stuck is not None:
         # Both ends belong to the line.
         lasts = stuck.lasts_at(times) | np.isin(times, stuck.end)
-        (thick,) = ax.plot([], [], label=f"{name}, stick", **_style.STICK_LINE)
+        (thick,) = ax.plot([], [], label=f"{look.body_name}, stick", **_style.STICK_LINE)
         lines.append((thick, np.where(lasts, values, np.nan)))
     (now,) = ax.plot([], [], "o", color=_style.MASS, ms=4)
     drawn = np.concatenate([line_values[np.isfinite(line_values)] for _, line_values in lines])
@@ -608,7 +612,7 @@ def _draw_rows(ax: Axes, sticks: dict[int, Stuck], window: Window, frames: np.nd
     """A row for each contact with its sticks until the time of the frame."""
     start, end = (np.concatenate([getattr(one, name) for one in sticks.values()]) for name in ("start", "end"))
     row = np.repeat(np.array(list(sticks), float), [len(one.start) for one in sticks.values()])
-    bars = _style.draw_polygons(ax, [], facecolor=_style.STICK, label="stick")
+    rows = _style.draw_polygons(ax, [], facecolor=_style.STICK, label="stick")
     ax.set_ylim(max(sticks) + 0.5, -0.5)
     ax.set_yticks(range(0, max(sticks) + 1, -(-len(sticks) // 6)))
     ax.set_ylabel("contact")
@@ -617,6 +621,6 @@ def _draw_rows(ax: Axes, sticks: dict[int, Stuck], window: Window, frames: np.nd
     def move(frame: int) -> None:
         begun = (start < frames[frame]) & (end > window[0])
         until = np.minimum(end[begun], frames[frame])
-        bars.set_verts(_style.sticks_in_rows(row[begun], start[begun], until))
+        rows.set_verts(_style.sticks_in_rows(row[begun], start[begun], until))
 
     return move

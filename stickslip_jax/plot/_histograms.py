@@ -74,7 +74,8 @@ def placed_sticks(
             "Argument system must be given with the bound, which is that of one MotorCart, but a batch of shape "
             f"{np.shape(getattr(system, 'mu', 0.0))} was simulated."
         )
-    if voltage is not None and not (whole and system.longest_stick(voltage, np.zeros(1)) is not None):
+    longest = system.look.longest_stick
+    if voltage is not None and not (whole and longest is not None and longest(voltage, np.zeros(1)) is not None):
         demand = "be a SourceVoltage, or RandomPhase(SourceVoltage(...)), and be given for a MotorCart only"
         raise ValueError(
             f"Argument bound must {demand}, but {checks.show(bound)} was given for a {type(system).__name__}."
@@ -96,7 +97,9 @@ def finish(ax: Axes, sticks: PlacedSticks) -> None:
     """Draw the bound, name the axes and set their limits; with a note where there are no sticks."""
     if sticks.voltage is not None and sticks.period is not None:
         angles = np.linspace(0, sticks.period, _BOUND_POINTS)
-        longest = np.asarray(sticks.system.longest_stick(sticks.voltage, angles), float)
+        bound = sticks.system.look.longest_stick
+        assert bound is not None
+        longest = np.asarray(bound(sticks.voltage, angles), float)
         endless = np.isinf(longest)
         drawn = np.where(endless, np.nan, longest)
         ax.plot(angles, drawn, color=_style.MASS, lw=1.5, label="longest possible, closed form")

@@ -160,12 +160,14 @@ def time_history(
             for key in ("times", "base_velocity")
         )
         panels[base_panel].plot(base_times, velocities, label="ground" if on_ground else "base", **_style.BASE_LINE)
-    sticks, name = [phase for phase in phases if phase.sticks], result.system.body_name
+    sticks, look = [phase for phase in phases if phase.sticks], result.system.look
     for number, (panel, coordinate) in enumerate(zip(panels, coordinates, strict=False)):
         values = np.concatenate([phase.state[number] for phase in phases])
-        panel.plot(times, values, label=name, **_style.MASS_LINE)
-        panel.plot(joined(sticks, "times"), joined(sticks, number), label=f"{name}, stick", **_style.STICK_LINE)
-        holds_base = result.system.sticks_at_base_velocity and number == 1  # which has no symbol then
+        panel.plot(times, values, label=look.body_name, **_style.MASS_LINE)
+        panel.plot(
+            joined(sticks, "times"), joined(sticks, number), label=f"{look.body_name}, stick", **_style.STICK_LINE
+        )
+        holds_base = look.second_is_base_velocity and number == 1  # which has no symbol then
         label = coordinate._replace(symbol="" if holds_base else coordinate.symbol).label
         label = label.replace(" $", "\n$", 1) if len(coordinate.name) > _LONG else label
         panel.set_ylabel(label + ("\nrelative to ground" if on_ground else ""))
@@ -195,7 +197,7 @@ def _base_panel(one: Simulation) -> int | None:
 
     Of a system of the user's own that is with its only velocity, or else a panel after those of the coordinates.
     """
-    if one.system.sticks_at_base_velocity:
+    if one.system.look.second_is_base_velocity:
         return 1
     if isinstance(one.base, (GroundMotion, SourceVoltage)):
         return None
@@ -206,15 +208,15 @@ def _base_panel(one: Simulation) -> int | None:
 
 def _draw_band(panels: tuple[Axes, ...], result: Simulation, phases: list[Phase]) -> None:
     """The values at which friction can hold a stick: a band that may change in time."""
-    number = result.system.band_coordinate
+    number, symbols = result.system.look.band_coordinate, result.system.look.band_symbols
     times, lowest, highest, state = (
         np.concatenate([values_of(phase, key) for phase in phases]) for key in ("times", "lowest", "highest", number)
     )
     if not np.all(np.isfinite(lowest)) or len(turns_of(lowest, float(np.max(highest - lowest)))) > _MOST_SWINGS:
         return
     panel, look = panels[number], {"color": _style.BAND, "alpha": 0.3, "lw": 0}
-    if result.system.band_symbols and np.ptp(lowest) == np.ptp(highest) == lowest[0] + highest[0] == 0:
-        panel.axhspan(lowest[0], highest[0], label=rf"stick possible, ${result.system.band_symbols}$", **look)
+    if symbols and np.ptp(lowest) == np.ptp(highest) == lowest[0] + highest[0] == 0:
+        panel.axhspan(lowest[0], highest[0], label=rf"stick possible, ${symbols}$", **look)
         return
     limits = panel.dataLim.frozen()
     panel.fill_between(times, lowest, highest, label="stick possible", **look)
@@ -412,7 +414,7 @@ def _draw_phases(ax: Axes, one: Simulation, phases: list[Phase], pair: tuple[int
         angles, speeds = np.transpose([[phase.state[number][0] for number in pair] for phase in kinds["point"]])
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
         ax.plot(np.mod(angles, period), speeds, label="stick", **look)
-    center = one.system.slip_center
+    center = one.system.look.slip_center
     if center is not None and not period and not isinstance(one.base, GroundMotion) and pair == (0, 1):
         ways = {np.sign(phase.base_velocity[0]) for phase in phases} if steady else set()
         directions = np.array(list(ways) if len(ways) == 1 and 0 not in ways else [-1.0, 1.0])

@@ -31,7 +31,7 @@ class Phase(NamedTuple):
     """The trajectory between two neighbouring events: all slip or all stick, without a jump of the base velocity.
 
     Arrays (points,): `times` in s; `state` in the units of the system's coordinates; `base_velocity` in m/s; `lowest`
-    and `highest` value at which friction can hold a stick (`System.stick_band`). At inner knots a time stands twice.
+    and `highest` value at which friction can hold a stick (`Look.stick_band`). At inner knots a time stands twice.
     """
 
     times: np.ndarray
@@ -94,7 +94,7 @@ def check_window(window: Window | None, t1: float) -> Window:
 
 def has_steady_base(one: Simulation) -> bool:
     """Whether the mass rubs on a base whose velocity is constant between jumps."""
-    return one.system.sticks_at_base_velocity and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
+    return one.system.look.second_is_base_velocity and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
 
 
 def sticks_in(one: Simulation, window: Window) -> tuple[np.ndarray, np.ndarray]:
@@ -200,7 +200,8 @@ def _follow_base(one: Simulation, times: jax.Array, state: tuple[jax.Array, ...]
     if isinstance(one.base, GroundMotion):  # not all know the acceleration of the ground
         shaken = getattr(one.base, "acceleration", None)
         ground = jnp.nan if shaken is None else shaken(times)
-    return velocity, *one.system.stick_band(times, state, velocity, acceleration, ground)
+    band, nowhere = one.system.look.stick_band, jnp.full_like(times, jnp.nan)
+    return velocity, *((nowhere, nowhere) if band is None else band(times, state, velocity, acceleration, ground))
 
 
 # How much of a long trajectory is drawn, so that its oscillations can be distinguished.

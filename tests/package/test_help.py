@@ -32,7 +32,7 @@ def test_help_of_methods(one):
         "time_scales(excitation: ": (SYSTEM.time_scales, "    The time scales of the system"),
         "kinetic(speed: ": (SYSTEM.friction.kinetic, "    Kinetic friction coefficient"),
         "icdf(u: ": (ss.Uniform(0.0, 1.0).icdf, "    "),
-        "stick_band(times: ": (SYSTEM.stick_band, "    Positions with"),
+        "_stick_band(times: ": (SYSTEM._stick_band, "    Positions with"),
     }
     for head, (method, docstring) in heads.items():
         first, second, *_ = shown(method)

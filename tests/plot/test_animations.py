@@ -354,8 +354,9 @@ class Own(Pair):
 
     draws: ClassVar = []
 
-    def mechanism(self, state, base):
-        return self.draws[0](state, base) if self.draws else super().mechanism(state, base)
+    @property
+    def look(self):
+        return plot.Look(mechanism=self.draws[0] if self.draws else None)
 
 
 @pytest.fixture(scope="module")
@@ -402,7 +403,7 @@ def of(part):
 @pytest.mark.parametrize(
     ("made", "message"),
     {
-        lambda state, base: list(state): "The method mechanism of Own must return a plot.Mechanism of Body",
+        lambda state, base: list(state): "The mechanism in the look of Own must return a plot.Mechanism of Body",
         of(lambda x: x): "must return a plot.Mechanism of Body",
         of(lambda x: plot.Body((x[1:], 0.0), 1.0, 1.0)): "arrays of 51 of them, one for each frame, but a Body has",
         of(lambda x: plot.Disk((0.0, 0.0), 1.0, np.nan * x)): "must return finite numbers .* but a Disk has",

@@ -63,7 +63,7 @@ def test_symmetries(name):
     for each in (one, other):
         state = tuple(map(jnp.asarray, each.evaluate(times)))
         none = jnp.zeros_like(state[0])
-        bands.append(each.system.stick_band(jnp.asarray(times), state, none, none, 0.0))
+        bands.append(each.system.look.stick_band(jnp.asarray(times), state, none, none, 0.0))
     (low, high), (other_low, other_high) = bands
     if place == -1:
         other_low, other_high = -other_high, -other_low

@@ -273,10 +273,10 @@ def test_the_band_grows_with_the_age():
     """Figures show what friction can hold at the age that the stick has, in either direction."""
     system = ss.MassSpring(1.0, 4.0, 1.0, both_ways())
     times = jnp.array([0.0, 1.0])
-    low, high = system.stick_band(times, (0 * times, 0 * times, jnp.array([0.0, 2.0])), 0 * times, 0 * times, 0.0)
+    low, high = system.look.stick_band(times, (0 * times, 0 * times, jnp.array([0.0, 2.0])), 0 * times, 0 * times, 0.0)
     np.testing.assert_allclose(high, [0.2, 0.2], rtol=1e-14)
     np.testing.assert_allclose(low, [-0.15, -(0.6 - 0.5 * math.expm1(-1)) / 4], rtol=1e-14)
-    assert system.slip_center is None
+    assert system.look.slip_center is None
 
 
 def test_what_does_not_fit_is_told(annotations_unchecked):

@@ -201,7 +201,7 @@ def test_what_a_stick_holds_in_each_direction_and_age():
     """The cart would move forward where the motor turns backward on the first half."""
     system, torque, each = cart(BOTH), 5 * 0.01 * 9.81 / 5.33e-2, jnp.zeros(2)
     states = jnp.array([math.pi / 2, -math.pi / 2]), each, each, jnp.array([0.0, 0.3])
-    low, high = system.stick_band(each, states, each, each, 0.0)
+    low, high = system.look.stick_band(each, states, each, each, 0.0)
     np.testing.assert_allclose(low, [-0.25 * torque, -0.5 * torque], rtol=1e-13)
     np.testing.assert_allclose(high, [0.5 * torque, (0.25 + grown(0.3)) * torque], rtol=1e-13)
     assert [number.meaning for number in system.coordinates][-1] == "age of the stick in s"

@@ -53,8 +53,8 @@ class DuffingBelt(ss.SwitchedSystem):
         return ss.Coordinate("position", "m", "x"), ss.Coordinate("velocity", "m/s", r"\dot x")
 
     @property
-    def body_name(self):
-        return "mass"
+    def look(self):
+        return ss.plot.Look("mass", stick_band=self.band)
 
     @property
     def edge(self):
@@ -63,7 +63,7 @@ class DuffingBelt(ss.SwitchedSystem):
         share = 1.5 * self.mu_static * self.normal_force / (self.stiffness * size)
         return 2 * size * jnp.sinh(jnp.arcsinh(share) / 3)
 
-    def stick_band(self, times, state, velocity, acceleration, ground):
+    def band(self, times, state, velocity, acceleration, ground):
         return jnp.full_like(times, -self.edge), jnp.full_like(times, self.edge)
 
 

@@ -21,7 +21,7 @@ TONE = ss.Harmonic(0.3, 2.0)
 def test_what_is_infinite():
     assert BLOCK.stick_half_width == math.inf
     assert BLOCK.natural_frequency is None
-    assert BLOCK.slip_center is None
+    assert BLOCK.look.slip_center is None
     assert float(BLOCK.angular_frequency) == 0
     assert all(np.isfinite(float(scale)) for scale in BLOCK.contact_scales)
     with pytest.raises(ValueError, match="Argument stiffness must "):
