@@ -7,11 +7,10 @@ import inspect
 import re
 
 INTERNAL = """
-    check check_excitation check_numbers check_parts check_relations check_solver check_state checked_capacity
+    check check_code check_excitation check_parts check_relations check_solver checked_capacity
     coordinates stick_position angle_scale longest_response
-    switched_model time_scales contact_scales state_scales usual_step recorded_loads
-    has_closed_form has_interval_form has_contacts has_fixed_time_scales one_contact_model
-    stops_are_unstable static_exceeds_kinetic continued_coefficient
+    switched_model time_scales sizes memory tracks traits recorded look
+    has_contacts static_exceeds_kinetic continued_coefficient
     depends_on_direction in_direction slip_coefficient stick_limit viscous_slope
     all_intervals gap_rate level_probabilities uniforms key_data path_in_excitation realized realized_until
     covered_time tones varies enough_harmonics in_lanes next_interval next_segment

@@ -21,7 +21,7 @@ from .._systems.system import System, is_built_in
 from .._uncertainty.inputs import Inputs
 from .common import lanes
 from .common.lanes import Engine, Engines, engines_of, widest
-from .common.method import Arguments, Exact, Regularized, longest_step
+from .common.method import Arguments, Exact, Regularized, longest_step, with_memory
 from .common.path import Run
 from .interval.engine import IntervalEngine, follow_intervals
 from .regularized.engine import AdaptiveBatch, FixedEngine, follow_regularized, solve_batch
@@ -135,7 +135,7 @@ class Smoothed(NamedTuple):
         assert isinstance(method, Regularized)
         method = resolved(system, excitation, method, dtype)
         if method.step is None:
-            if system.track_count is not None:
+            if system.tracks.number is not None:
                 raise ValueError(
                     "Argument method must give a step, Regularized(width, step=...), for the sticks of every contact "
                     "of many samples; with adaptive steps take system.of_contact(number) or system.of_all_contacts()."
@@ -159,14 +159,14 @@ def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
     base = merged(base, t1)
     if isinstance(method, Regularized):
         return Smoothed(Arguments(system, base, method, t1))
-    if system.inner_laws:
+    if system.memory.laws:
         raise ValueError(
             "Argument method must be Regularized() for friction laws with an inner state, but Exact() was given: they "
             "have no exact stick. Their sticks are the times in which the relative velocity stays below a threshold."
         )
     exact = Arguments(system, base, method, t1)
     is_steady = isinstance(base, Motion) and base.is_piecewise_constant
-    if is_steady and system.has_interval_form and method.step is None and method.solver is None:
+    if is_steady and system.traits.has_interval_form and method.step is None and method.solver is None:
         return ByIntervals(exact)
     return BySteps(exact)
 
@@ -188,7 +188,7 @@ def sample_engines(
     def build(values: tuple[AnyArray, ...], base: BaseMotion | None) -> Engine | AdaptiveBatch:
         system, law, y0 = inputs.filled(values)
         arguments = Arguments(system, law if base is None else base, method, t1)
-        return engine_for(arguments).lanes(system.with_memory(y0), dtype)
+        return engine_for(arguments).lanes(with_memory(system, y0), dtype)
 
     base = inputs.realizations(first, number, float(t1))
     return engines_of(build, inputs.drawn(first, number, dtype), base)

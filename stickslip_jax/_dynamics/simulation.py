@@ -24,7 +24,7 @@ from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatS
 from .._systems import energy
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel
-from .._systems.system import Coordinate, System
+from .._systems.system import Coordinate, System, one_contact_model
 from .common.method import Exact, Regularized
 from .common.path import MotionPath
 from .regularized.implicit_step import Switch
@@ -101,7 +101,7 @@ def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float
         energy.require_known(one.system, inner.inner, "friction_force")
         found = _inner_forces(inner, one._path, one.time_reached, times.reshape(-1))
         return found.reshape(times.shape)
-    model = one.system.one_contact_model(one._path.smooth, None)
+    model = one_contact_model(one.system, one._path.smooth, None)
     energy.require_known(one.system, model, "friction_force")
     found = _forces(model, one._path, one.method, one.sticks, one.time_reached, times.reshape(-1))
     return found.reshape(times.shape)
@@ -165,7 +165,7 @@ def energies_of(one: "Simulation", times: Float[Array, "*times"]) -> Energies:
         y0 = tuple(path.state(jnp.zeros_like(one.time_reached)))
         path = follow_steps(one.system, one.base, Exact(), one.t1, y0, one.time_reached.dtype).path
         assert isinstance(path, StepPath)
-    model = one.system.one_contact_model(path.smooth, path.solver)
+    model = one_contact_model(one.system, path.smooth, path.solver)
     energy.require_known(one.system, model, "energies")
     energy.require_energy(one.system)
     lengths = jnp.append(path.beginnings.t[1:], one.time_reached) - path.beginnings.t

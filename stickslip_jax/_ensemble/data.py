@@ -65,17 +65,13 @@ class UnknownSystem(System):
         # As the abscissa of figures, the name goes without " when the stick starts".
         return (self.position._replace(name=self.position.name.removesuffix(" when the stick starts")),)
 
-    @property
-    def contact_scales(self) -> NoReturn:
-        self._refuse()
-
     def _refuse(self, *_: object, **__: object) -> NoReturn:
         raise ValueError(
             "Argument system must be a system that can be simulated, but this one is not known "
             f"({self}); give the system itself."
         )
 
-    switched_model = time_scales = check_state = check_excitation = _refuse
+    switched_model = time_scales = sizes = check_excitation = _refuse
 
 
 def require_known(what: str, held: object) -> None:

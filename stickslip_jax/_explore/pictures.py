@@ -142,7 +142,7 @@ def realization(scene: Scene) -> Simulation:
     one = simulate(system, base, t1=scene.t1, y0=y0, method=scene.method)
     if one.sticks.contact is None:
         return one
-    counted = scene.system.counted_track
+    counted = scene.system.tracks.counted
     return one.of_contact(counted) if counted is not None and counted >= 0 else one.of_all_contacts()
 
 

@@ -18,6 +18,7 @@ from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
 from .._dynamics.switched.stepping import Lane, advance
 from .._excitation.motion import RandomSignal, Signal
 from .._foundation.types import AnyArray, BoolArray, FloatArray, IntArray, Scalar
+from .._systems.system import one_contact_model
 from .boundaries import (
     BoundaryDistances,
     BoundarySums,
@@ -133,7 +134,7 @@ class StepRecording(Engine[SwitchedShared, StepSample, StepMotion, Trace, IntArr
         self, shared: SwitchedShared, sample: StepSample, motion: StepMotion, drawn: None
     ) -> tuple[StepMotion, Trace]:
         lane, crossed = motion
-        model = self.engine.system.one_contact_model(sample.smooth, self.engine.solver)
+        model = one_contact_model(self.engine.system, sample.smooth, self.engine.solver)
         moved, stick = advance(model, *shared, lane)
         if not self.with_distances:
             return StepMotion(moved, crossed), Trace(stick, None, None)
@@ -150,7 +151,7 @@ class StepRecording(Engine[SwitchedShared, StepSample, StepMotion, Trace, IntArr
         engine, shared = self.engine, self.shared(candidates.t.dtype)
 
         def of(candidate, smooth):
-            return distances_of_step(engine.system.one_contact_model(smooth, engine.solver), *shared, candidate)
+            return distances_of_step(one_contact_model(engine.system, smooth, engine.solver), *shared, candidate)
 
         return jax.vmap(of)(candidates, smooth)
 

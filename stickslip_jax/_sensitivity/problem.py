@@ -140,7 +140,7 @@ class SensitivityProblem(NamedTuple):
     @property
     def is_paired(self) -> bool:
         """Whether the event part is a difference between pairs of trajectories, because kernels cannot estimate it."""
-        by_kernels = self.ignores_stick_count or not self.system.stops_are_unstable
+        by_kernels = self.ignores_stick_count or not self.system.traits.stops_are_unstable
         return self.has_sudden_switches or not by_kernels
 
     @property
@@ -151,7 +151,7 @@ class SensitivityProblem(NamedTuple):
     @property
     def needs_ensembles(self) -> bool:
         """Whether values at other parameters are those of other ensembles, and not of an engine with other numbers."""
-        return self.is_output or isinstance(self.method, Regularized) or self.system.contact_count is not None
+        return self.is_output or isinstance(self.method, Regularized) or self.system.tracks.contacts is not None
 
     @property
     def is_output(self) -> bool:
@@ -172,7 +172,7 @@ class SensitivityProblem(NamedTuple):
     def can_be_corrected(self) -> bool:
         """Whether the corrected method knows what differs from sample to sample."""
         random = self.random
-        if self.system.contact_count is not None or self.is_output or any(one.counts_slips for one in self.totals):
+        if self.system.tracks.contacts is not None or self.is_output or any(one.counts_slips for one in self.totals):
             return False
         if random is not None and random.inputs.has_sampled_law:
             return False

@@ -16,10 +16,11 @@ from jaxtyping import Array
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Harmonic, Signal, SumOfHarmonics, Tones, added_up, angle
 from .._excitation.recorded import ForceSteps, Recorded
-from .._excitation.segments import SegmentLaw, added
+from .._excitation.segments import added
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import Quantity, is_distribution
+from .._foundation.methods import keeps
 from .._foundation.types import (
     AnyArray,
     BoolScalar,
@@ -36,7 +37,6 @@ from .._numerics.elementary import responses, sincos
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .composed_friction import AtAge
 from .contacts import Contact, NormalForceQuantity, is_function, recorded_in, stick_band
-from .dynamic_friction import DynamicFriction
 from .friction import FrictionLaw, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
@@ -51,10 +51,17 @@ from .system import (
     SOLVED,
     Coordinate,
     Look,
+    Memory,
+    RecordedForces,
+    Sizes,
     StepCount,
     System,
     TimeScale,
+    TimeScales,
+    Tracks,
+    Traits,
     is_built_in,
+    shortest_period,
 )
 
 # Steady responses to harmonic forces, and their absence at the natural frequency of an undamped system.
@@ -330,7 +337,6 @@ class MassSpring(System):
         default=None, converter=lambda v: None if _is_zero(v) else v
     )
     force: Signal | Recorded | None = None
-    rests_on: ClassVar = dict.fromkeys(("has_interval_form", "has_closed_form"), ("switched_model", "stick_half_width"))
 
     def check_parts(self) -> None:
         if not isinstance(self.friction, FrictionLaw):
@@ -360,20 +366,17 @@ class MassSpring(System):
         return LinearStructure(mass, stiffness, damping, (contact,), force, uncoupled=True).of_contact(0)
 
     @property
-    def contact_count(self) -> int | None:
-        return 1 if is_function(self.normal_force) else None
-
-    @property
-    def counted_track(self) -> int | None:
-        return 0 if is_function(self.normal_force) else None
+    def tracks(self) -> Tracks:
+        return Tracks(1, 0) if is_function(self.normal_force) else Tracks()
 
     def ready(self) -> System:
         structure = self._as_structure
         return self if structure is None or type(self) is not MassSpring else structure.ready()
 
     @property
-    def recorded_normal_forces(self) -> tuple[SegmentLaw, ...]:
-        return recorded_in((self.normal_force,))
+    def recorded(self) -> RecordedForces:
+        loads = (self.force,) if isinstance(self.force, Recorded) else ()
+        return RecordedForces(loads, recorded_in((self.normal_force,)))
 
     @property
     def angular_frequency(self) -> Scalar:
@@ -398,28 +401,16 @@ class MassSpring(System):
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return (
-            Coordinate("position", "m", "x"),
-            Coordinate("velocity", "m/s", r"\dot x"),
-            *self.ages,
-            *self.inner_states,
-        )
+        motion = Coordinate("position", "m", "x"), Coordinate("velocity", "m/s", r"\dot x")
+        return *motion, *self.memory.coordinates
 
     @property
-    def inner_laws(self) -> tuple[DynamicFriction, ...]:
-        return inner_laws_of((self.friction,))
-
-    @property
-    def ages(self) -> tuple[Coordinate, ...]:
-        return (AGE,) if self.friction.grows else ()
+    def memory(self) -> Memory:
+        return Memory((AGE,) if self.friction.grows else (), inner_laws_of((self.friction,)))
 
     @property
     def stick_position(self) -> Coordinate:
         return Coordinate("position of the mass when the stick starts", "m", "x")
-
-    @property
-    def has_fixed_time_scales(self) -> bool:
-        return True
 
     @property
     def natural_frequency(self) -> Scalar | None:
@@ -430,20 +421,23 @@ class MassSpring(System):
         return self.friction.static_exceeds_kinetic
 
     @property
-    def recorded_loads(self) -> tuple[Recorded, ...]:
-        return (self.force,) if isinstance(self.force, Recorded) else ()
-
-    @property
-    def has_interval_form(self) -> bool:
+    def traits(self) -> Traits:
         friction = self.friction
         is_simple = friction.constant and not (friction.static_exceeds_kinetic or friction.depends_on_direction)
-        is_constant = not is_function(self.normal_force)
-        return is_simple and is_constant and self.damping is None and self.force is None
+        is_free = self.damping is None and self.force is None and not is_function(self.normal_force)
+        return Traits(has_interval_form=is_simple and is_free and self._moves_as_it_says)
 
     @property
-    def has_closed_form(self) -> bool:
-        """That of constant kinetic friction under a force that is constant, piecewise linear in time, or harmonic."""
-        is_constant = self.friction.constant and not is_function(self.normal_force)
+    def _moves_as_it_says(self) -> bool:
+        """Whether the motion is this class's, not that of a subclass with equations of its own."""
+        return keeps(self, MassSpring, "switched_model", "stick_half_width")
+
+    @property
+    def _has_closed_form(self) -> bool:
+        """Whether slips between events are followed in closed form, without a solver: under constant kinetic friction
+        and a force that is constant, piecewise linear in time, or harmonic.
+        """
+        is_constant = self.friction.constant and not is_function(self.normal_force) and self._moves_as_it_says
         return is_constant and (not isinstance(self.force, Signal) or self.force.is_harmonic)
 
     def switched_model(
@@ -452,7 +446,7 @@ class MassSpring(System):
         structure = self._as_structure
         if structure is not None:
             return structure.switched_model(smooth, solver)
-        if solver is None and self.has_closed_form:
+        if solver is None and self._has_closed_form:
             model = OscillatorModel(self, smooth)
         else:
             # A solver that the user gives takes the given steps, unless the friction law is the user's too.
@@ -464,52 +458,38 @@ class MassSpring(System):
         structure = self._as_structure
         if structure is not None:
             return structure.inner_model(smooth)
-        model = SolverOscillatorModel(self, smooth, diffrax.Dopri8(), False)
-        return InnerStates(model, self.inner_laws, 2, speed=1) if self.inner_laws else None
+        model, laws = SolverOscillatorModel(self, smooth, diffrax.Dopri8(), False), self.memory.laws
+        return InnerStates(model, laws, 2, speed=1) if laws else None
 
-    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         structure = self._as_structure
         if structure is not None:
             return structure.time_scales(excitation, solver)
-        steps = PERIOD if self.has_closed_form and solver is None else _CONTROLLED if solver is None else SOLVED
+        steps = PERIOD if self._has_closed_form and solver is None else _CONTROLLED if solver is None else SOLVED
         natural = 2 * math.pi * _over(self.mass, self.stiffness) ** 0.5
         passing, decay = times_of_slips(self.friction, self.mass, self.normal_force, self.damping)
-        return {
+        driving = {"shortest period of the base motion": shortest_period(excitation)}
+        if isinstance(self.force, Signal):
+            driving = {"shortest period of the force": self.force.shortest_period} | driving
+        scales = {
             "natural period": TimeScale(natural, steps),
             "time in which the slip speed passes the scale of the friction law": TimeScale(passing, PASSED),
             "decay time of the slip speed by damping and viscous friction": TimeScale(
                 math.inf if steps is PERIOD else decay, DECAYED
             ),
-            **{name: TimeScale(time, steps) for name, time in self.driving_times(excitation).items()},
+            **{name: TimeScale(time, steps) for name, time in driving.items()},
         }
+        return TimeScales(scales, driving, are_all=True)
 
-    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
+    def sizes(self, excitation: Excitation) -> Sizes:
         structure = self._as_structure
         if structure is not None:
-            return structure.driving_times(excitation)
-        force = {"shortest period of the force": self.force.shortest_period} if isinstance(self.force, Signal) else {}
-        return force | super().driving_times(excitation)
-
-    @property
-    def contact_scales(self) -> tuple[Scalar | FloatArray | None, Scalar | FloatArray | None]:
-        structure = self._as_structure
-        if structure is not None:
-            return structure.contact_scales
-        held = self.friction.static * self.normal_force
-        return held / self.mass * self._clock, held / self.mass
-
-    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
-        structure = self._as_structure
-        if structure is not None:
-            return structure.state_scales(excitation)
-        speed, _ = self.contact_scales
-        assert speed is not None
-        return (
-            speed * self._clock,
-            speed,
-            *(self._clock for _ in self.ages),
-            *(law.state_scale for law in self.inner_laws),
-        )
+            return structure.sizes(excitation)
+        clock, memory = self._clock, self.memory
+        deceleration = self.friction.static * self.normal_force / self.mass
+        speed = deceleration * clock
+        of_memory = (*(clock for _ in memory.ages), *(law.state_scale for law in memory.laws))
+        return Sizes(speed, deceleration, (speed * clock, speed, *of_memory))
 
     @property
     def _clock(self) -> Scalar:

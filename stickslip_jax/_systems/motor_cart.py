@@ -34,7 +34,6 @@ from .._numerics.derivatives import without_derivatives
 from .._numerics.elementary import sincos, sincos_of_small
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .composed_friction import AtAge
-from .dynamic_friction import DynamicFriction
 from .friction import Coulomb, FrictionLaw, times_of_slips
 from .layouts import motor_and_cart
 from .memory_models import AgeingContact, InnerStates, inner_laws_of, with_ages
@@ -46,9 +45,13 @@ from .system import (
     SOLVED,
     Coordinate,
     Look,
+    Memory,
+    Sizes,
     StepCount,
     System,
     TimeScale,
+    TimeScales,
+    Traits,
     shortest_period,
     voltage_of,
 )
@@ -380,9 +383,8 @@ class MotorCart(System):
             self.friction.check_directions()
 
     @property
-    def stops_are_unstable(self) -> bool:
-        # Friction holds the less, the nearer to dead centre.
-        return True
+    def traits(self) -> Traits:
+        return Traits(stops_are_unstable=True)  # friction holds the less, the nearer to dead centre
 
     @property
     def static_exceeds_kinetic(self) -> bool:
@@ -455,17 +457,14 @@ class MotorCart(System):
             Coordinate("angle", "rad", r"\alpha", 2 * math.pi),
             Coordinate("angular velocity", "rad/s", r"\dot\alpha"),
             Coordinate("current", "A", "c"),
-            *self.ages,
-            *self.inner_states,
+            *self.memory.coordinates,
         )
 
     @property
-    def ages(self) -> tuple[Coordinate, ...]:
-        return (AGE,) if self.friction is not None and self.friction.grows else ()
-
-    @property
-    def inner_laws(self) -> tuple[DynamicFriction, ...]:
-        return () if self.friction is None else inner_laws_of((self.friction,))
+    def memory(self) -> Memory:
+        if self.friction is None:
+            return Memory()
+        return Memory((AGE,) if self.friction.grows else (), inner_laws_of((self.friction,)))
 
     @property
     def stick_position(self) -> Coordinate:
@@ -478,47 +477,40 @@ class MotorCart(System):
         return model if self.friction is None else with_ages(model, 3, self.friction.grows, self.friction.growth_time)
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
-        if not self.inner_laws:
+        laws = self.memory.laws
+        if not laws:
             return None
         assert isinstance(smooth, SourceVoltage)
         _require_sine(smooth)
-        return InnerStates(CartModel(self, smooth), self.inner_laws, 3)
+        return InnerStates(CartModel(self, smooth), laws, 3)
 
-    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
+        voltage = voltage_of(excitation)
+        driving = {"period of the voltage": shortest_period(excitation)}
         scales = {
             "mechanical time constant": TimeScale(self.shortest_time, _CONSTANT),
             "electrical time constant": TimeScale(self.inductance / self.resistance, _DECAY),
-            **{name: TimeScale(time, SOLVED) for name, time in self.driving_times(excitation).items()},
+            **{name: TimeScale(time, SOLVED) for name, time in driving.items()},
         }
-        if self.friction is None or self.friction.constant:
-            return scales
-        # The motor moves as a mass on the cart's rail, the heavier, the nearer to dead centre.
-        mass = self.cart_mass + self.motor_inertia / self.eccentricity**2
-        passing, decay = times_of_slips(self.friction, mass, self.cart_mass * self.gravity, None)
-        return scales | {
-            "time in which the slip speed passes the scale of the friction law": TimeScale(passing, PASSED),
-            "decay time of the slip speed by viscous friction": TimeScale(decay, DECAYED),
-        }
+        if self.friction is not None and not self.friction.constant:
+            # The motor moves as a mass on the cart's rail, the heavier, the nearer to dead centre.
+            mass = self.cart_mass + self.motor_inertia / self.eccentricity**2
+            passing, decay = times_of_slips(self.friction, mass, self.cart_mass * self.gravity, None)
+            scales["time in which the slip speed passes the scale of the friction law"] = TimeScale(passing, PASSED)
+            scales["decay time of the slip speed by viscous friction"] = TimeScale(decay, DECAYED)
+        if not isinstance(voltage, SourceVoltage):  # which `check_excitation` refuses
+            return TimeScales(scales, driving)
+        turning = self.ideal_speed(voltage) / (LONGEST_TURN * self.angle_scale)
+        return TimeScales(scales, driving, usual_step=1 / (turning + voltage.angular_frequency))
 
-    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
-        return {"period of the voltage": shortest_period(excitation)}
-
-    def usual_step(self, excitation: Excitation) -> Scalar:
-        voltage = voltage_of(excitation)
+    def sizes(self, excitation: Excitation) -> Sizes:
+        voltage, torque, arm = voltage_of(excitation), self.largest_friction_torque, self.eccentricity
         assert isinstance(voltage, SourceVoltage)
-        return 1 / (self.ideal_speed(voltage) / (LONGEST_TURN * self.angle_scale) + voltage.angular_frequency)
-
-    @property
-    def contact_scales(self) -> tuple[Scalar, Scalar]:
-        torque, arm = self.largest_friction_torque, self.eccentricity
-        return arm * torque * self.resistance / self.motor_constant**2, arm * torque / self.motor_inertia
-
-    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
-        voltage = voltage_of(excitation)
-        assert isinstance(voltage, SourceVoltage)
-        speed = self.ideal_speed(voltage)
-        memory = (*(self.shortest_time for _ in self.ages), *(law.state_scale for law in self.inner_laws))
-        return 1.0, speed, speed * self.motor_constant / self.resistance, *memory
+        speed, memory = self.ideal_speed(voltage), self.memory
+        state = 1.0, speed, speed * self.motor_constant / self.resistance
+        of_memory = (*(self.shortest_time for _ in memory.ages), *(law.state_scale for law in memory.laws))
+        slip = arm * torque * self.resistance / self.motor_constant**2
+        return Sizes(slip, arm * torque / self.motor_inertia, (*state, *of_memory))
 
     def check_excitation(self, excitation: Excitation) -> None:
         voltage = voltage_of(excitation)
@@ -554,7 +546,7 @@ class MotorCart(System):
         if self.friction is None:
             most = self.largest_friction_torque / self.motor_constant * jnp.abs(sine)
             return -most, most
-        ages = state[3] if self.ages else jnp.zeros_like(sine)
+        ages = state[3] if self.memory.ages else jnp.zeros_like(sine)
         held = jax.vmap(self.held_torques)(sine, ages)
         backward, forward = (torque / self.motor_constant * jnp.abs(sine) for torque in held)
         return -backward, forward

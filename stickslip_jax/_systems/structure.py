@@ -12,7 +12,7 @@ import numpy as np
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Harmonic, RandomPhase, RandomSignal, Signal, SumOfHarmonics
 from .._excitation.recorded import Recorded
-from .._excitation.segments import Segment, SegmentLaw, added
+from .._excitation.segments import Segment, added
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import with_fields
@@ -23,7 +23,6 @@ from .._foundation.types import (
     FloatArray,
     FloatScalar,
     Number,
-    Scalar,
     Solver,
     State,
 )
@@ -62,7 +61,6 @@ from .contacts import (
     solved,
     values_at,
 )
-from .dynamic_friction import DynamicFriction
 from .friction import FrictionLaw
 from .layouts import blocks, disks, storeys
 from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
@@ -74,7 +72,13 @@ from .system import (
     Coordinate,
     Look,
     Mechanism,
+    Memory,
+    RecordedForces,
+    Sizes,
     TimeScale,
+    TimeScales,
+    Tracks,
+    Traits,
     WithContacts,
     ages_of,
     bars,
@@ -580,8 +584,8 @@ class LinearStructure(WithContacts):
             object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, contacts))
 
     @property
-    def contact_count(self) -> int | None:
-        return len(self.contacts)
+    def tracks(self) -> Tracks:
+        return Tracks(len(self.contacts), self._counted)
 
     @property
     def normal_forces(self) -> tuple[NormalForce, ...]:
@@ -589,12 +593,9 @@ class LinearStructure(WithContacts):
         return tuple(contact.normal_force for contact in self.contacts)
 
     @property
-    def recorded_normal_forces(self) -> tuple[SegmentLaw, ...]:
-        return recorded_in(self.normal_forces)
-
-    @property
-    def recorded_loads(self) -> tuple[Recorded, ...]:
-        return tuple(force for force in self.force or () if isinstance(force, Recorded))
+    def recorded(self) -> RecordedForces:
+        loads = tuple(force for force in self.force or () if isinstance(force, Recorded))
+        return RecordedForces(loads, recorded_in(self.normal_forces))
 
     @property
     def size(self) -> int:
@@ -608,15 +609,12 @@ class LinearStructure(WithContacts):
         numbers = range(1, self.size + 1)
         positions = [Coordinate(f"{name} {i}", unit, f"{symbol}_{{{i}}}") for i in numbers]
         rates = (Coordinate(f"{rate} {i}", f"{unit}/s", rf"\dot {symbol}_{{{i}}}") for i in numbers)
-        return *positions, *rates, *self.ages, *self.inner_states
+        return *positions, *rates, *self.memory.coordinates
 
     @property
-    def inner_laws(self) -> tuple[DynamicFriction, ...]:
-        return inner_laws_of(tuple(contact.friction for contact in self.contacts))
-
-    @property
-    def ages(self) -> tuple[Coordinate, ...]:
-        return ages_of(len(self.contacts)) if any(contact.friction.grows for contact in self.contacts) else ()
+    def memory(self) -> Memory:
+        laws = tuple(contact.friction for contact in self.contacts)
+        return Memory(ages_of(len(laws)) if any(law.grows for law in laws) else (), inner_laws_of(laws))
 
     @property
     def stick_position(self) -> Coordinate:
@@ -633,13 +631,14 @@ class LinearStructure(WithContacts):
         return with_ages(model, 2 * self.size, bool(times), least(*times))
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
-        if not self.inner_laws:
+        laws = self.memory.laws
+        if not laws:
             return None
         matrices = self.matrices
         model = StructureModel(
             solver=diffrax.Dopri8(), smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest
         )
-        return InnerStates(model, self.inner_laws, 2 * self.size)
+        return InnerStates(model, laws, 2 * self.size)
 
     def _has_arcs(self, smooth: Signal | RandomSignal | None) -> bool:
         """Whether every mode is linear with constant coefficients, under forces of which power series are known."""
@@ -683,8 +682,8 @@ class LinearStructure(WithContacts):
         return jnp.all(jnp.isfinite(gain)) & ~is_unique
 
     @property
-    def compiles_natively(self) -> bool:
-        return max(self.size, len(self.contacts)) <= WRITTEN_OUT
+    def traits(self) -> Traits:
+        return Traits(compiles_natively=max(self.size, len(self.contacts)) <= WRITTEN_OUT)
 
     @property
     def fastest(self) -> FloatScalar:
@@ -699,58 +698,40 @@ class LinearStructure(WithContacts):
         decay = 0.0 if damping is None else largest_eigenvalue(_inverse_times(mass, _matrix(damping)))
         return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), lowest)
 
-    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
-        times = {"shortest natural period or decay time": 2 * np.pi / self.fastest, **self.driving_times(excitation)}
-        steps = PERIOD if solver is None and self._has_arcs(excitation.smooth) else SOLVED
-        return {name: TimeScale(time, steps) for name, time in times.items()}
-
-    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         signals = [force for force in self.force or () if isinstance(force, Signal)]
-        return {
+        driving = {
             "shortest period of the base motion": shortest_period(excitation),
             **{f"shortest period of force {number}": signal.shortest_period for number, signal in enumerate(signals)},
             **periods_of(self.normal_forces),
         }
-
-    @property
-    def has_fixed_time_scales(self) -> bool:
-        return True
+        steps = PERIOD if solver is None and self._has_arcs(excitation.smooth) else SOLVED
+        times = {"shortest natural period or decay time": 2 * np.pi / self.fastest, **driving}
+        return TimeScales({name: TimeScale(time, steps) for name, time in times.items()}, driving, are_all=True)
 
     @property
     def static_exceeds_kinetic(self) -> bool:
         return any(contact.friction.static_exceeds_kinetic for contact in self.contacts)
 
-    @property
-    def contact_scales(self) -> tuple[FloatArray | None, FloatArray | None]:
+    def sizes(self, excitation: Excitation) -> Sizes:
         """Of each contact; the speed is what friction changes in the time of one radian of the masses it pushes."""
         of, held = self.matrices, []
         for contact in self.contacts:
             normal = largest_of(contact.normal_force)
             if normal is None:
-                return None, None
+                return Sizes(None, None, (1.0,) * len(self.coordinates))
             held.append(contact.friction.static * normal)
-        gain = jnp.sum(dense(of.directions).T * dense(of.by_force), axis=0)
-        deceleration = jnp.stack([jnp.asarray(force, float) for force in held]) * gain
-        return deceleration * self._clocks, deceleration
-
-    @property
-    def _clocks(self) -> FloatArray:
-        """The time of one radian of the motion that each contact causes, or 1 s where there is hardly a spring."""
-        of = self.matrices
         directions, by_force = dense(of.directions), dense(of.by_force)
-        pull = jnp.sum(directions.T * (dense(of.stiffness) @ by_force), axis=0)
-        squared = pull / jnp.sum(directions.T * by_force, axis=0)
+        gain = jnp.sum(directions.T * by_force, axis=0)
+        # The time of one radian of the motion that each contact causes, or 1 s where there is hardly a spring.
+        squared = jnp.sum(directions.T * (dense(of.stiffness) @ by_force), axis=0) / gain
         swings = squared > SOFT**2
-        return jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
-
-    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
-        speed, _ = self.contact_scales
-        if speed is None:
-            return super().state_scales(excitation)
-        clocks = self._clocks
+        clocks = jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
+        deceleration = jnp.stack([jnp.asarray(force, float) for force in held]) * gain
+        speed, memory = deceleration * clocks, self.memory
         motion = (jnp.max(speed * clocks),) * self.size + (jnp.max(speed),) * self.size
-        memory = (*(jnp.max(clocks) for _ in self.ages), *(law.state_scale for law in self.inner_laws))
-        return motion + memory
+        of_memory = (*(jnp.max(clocks) for _ in memory.ages), *(law.state_scale for law in memory.laws))
+        return Sizes(speed, deceleration, (*motion, *of_memory))
 
     @property
     def look(self) -> Look:

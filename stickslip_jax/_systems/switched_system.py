@@ -18,7 +18,6 @@ from jax.tree_util import Partial
 
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Signal
-from .._excitation.recorded import ForceSteps, Recorded
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.types import (
@@ -38,7 +37,22 @@ from .dynamic_friction import DynamicFriction
 from .friction import Coulomb, FrictionLaw
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, with_ages
 from .switched_model import FloatPair, OneContactModel, Segments, with_change
-from .system import AGE, SHORTEST_TIME, SOLVED, Coordinate, TimeScale, WithContacts, ages_of
+from .system import (
+    AGE,
+    SHORTEST_TIME,
+    SOLVED,
+    Coordinate,
+    Memory,
+    RecordedForces,
+    Sizes,
+    TimeScale,
+    TimeScales,
+    Tracks,
+    Traits,
+    WithContacts,
+    ages_of,
+    shortest_period,
+)
 from .users_checks import check_contacts, check_fields, check_ground, check_motion
 from .users_models import GeneralContactsModel, GeneralForcing, UsersBase, depends_on_time, differs_between, records_in
 
@@ -211,18 +225,31 @@ class SwitchedSystem(WithContacts):
         return ()
 
     @property
+    def stops_are_unstable(self) -> bool:
+        """Whether friction depends on where the motion stops: two motions that nearly stop there may part quickly.
+
+        First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
+        """
+        return False
+
+    @property
+    def traits(self) -> Traits:
+        return Traits(stops_are_unstable=self.stops_are_unstable)
+
+    @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        return *map(Coordinate.of, self.state_names), *self.ages, *self.inner_states
+        return *map(Coordinate.of, self.state_names), *self.memory.coordinates
 
     @property
-    def ages(self) -> tuple[Coordinate, ...]:
-        if type(self).static_ratio_after is SwitchedSystem.static_ratio_after:
-            return ()
-        return (AGE,) if self.contacts is None else ages_of(self.contacts)
+    def memory(self) -> Memory:
+        ages = ()
+        if type(self).static_ratio_after is not SwitchedSystem.static_ratio_after:
+            ages = (AGE,) if self.contacts is None else ages_of(self.contacts)
+        return Memory(ages, self.inner_laws)
 
     @property
-    def contact_count(self) -> int | None:
-        return self.contacts
+    def tracks(self) -> Tracks:
+        return Tracks(self.contacts, self._counted)
 
     @property
     def has_normal_forces(self) -> bool:
@@ -231,7 +258,7 @@ class SwitchedSystem(WithContacts):
 
     @property
     def static_exceeds_kinetic(self) -> bool:
-        if self.ages:
+        if self.memory.ages:
             return True
         ratio = self.static_ratio
         # Not by jnp.max: under jit that would trace a number that is known.
@@ -241,7 +268,7 @@ class SwitchedSystem(WithContacts):
         self, smooth: Signal | None, solver: ExplicitSolver | None
     ) -> "GeneralModel | GeneralContactsModel | AgeingContact | AgeingContacts":
         model = self.model_without_ages(smooth, solver)
-        return with_ages(model, len(self.state_names), bool(self.ages), None)
+        return with_ages(model, len(self.state_names), bool(self.memory.ages), None)
 
     def model_without_ages(
         self, smooth: Signal | None, solver: ExplicitSolver | None
@@ -259,34 +286,30 @@ class SwitchedSystem(WithContacts):
             return None
         return InnerStates(self.model_without_ages(smooth, None), self.inner_laws, len(self.state_names))
 
-    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
-        known = (1.0,) * (len(self.state_names) + len(self.ages))
-        return *known, *(law.state_scale for law in self.inner_laws)
-
-    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         with checks.traceable(f"The property shortest_time of {type(self).__name__}"):
             shortest = self.shortest_time
-        times = {SHORTEST_TIME: shortest} | self.driving_times(excitation)
-        return {name: TimeScale(time, SOLVED) for name, time in times.items()}
-
-    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
         signals = jax.tree.leaves(self, is_leaf=lambda leaf: isinstance(leaf, Signal))
         signals = [leaf for leaf in signals if isinstance(leaf, Signal) and leaf.shortest_period is not None]
-        periods = {f"shortest period of signal {i}": signal.shortest_period for i, signal in enumerate(signals)}
+        driving = {"shortest period of the base motion": shortest_period(excitation)}
+        driving |= {f"shortest period of signal {i}": signal.shortest_period for i, signal in enumerate(signals)}
         # What its methods do with time themselves, and contacts that its motion closes, are as short as it says.
-        by_itself = self.has_normal_forces or depends_on_time(self)
-        return super().driving_times(excitation) | periods | ({SHORTEST_TIME: self.shortest_time} if by_itself else {})
+        if self.has_normal_forces or depends_on_time(self):
+            driving[SHORTEST_TIME] = shortest
+        times = {SHORTEST_TIME: shortest} | driving
+        return TimeScales({name: TimeScale(time, SOLVED) for name, time in times.items()}, driving)
 
-    @property
-    def contact_scales(self) -> tuple[Scalar | None, Scalar | None]:
-        speed, time = self.speed_scale, self.shortest_time
-        return speed, None if speed is None or time is None else speed / time
+    def sizes(self, excitation: Excitation) -> Sizes:
+        speed, time, memory = self.speed_scale, self.shortest_time, self.memory
+        state = (1.0,) * (len(self.state_names) + len(memory.ages))
+        deceleration = None if speed is None or time is None else speed / time
+        return Sizes(speed, deceleration, (*state, *(law.state_scale for law in memory.laws)))
 
-    def check_numbers(self) -> None:
-        check_fields(self)
-
-    def check_state(self, y0: tuple[Number, ...]) -> None:
-        (check_motion if self.contacts is None else check_contacts)(self, y0[: len(self.state_names)])
+    def check_code(self, y0: tuple[Number, ...] | None = None) -> None:
+        if y0 is None:
+            check_fields(self)
+        else:
+            (check_motion if self.contacts is None else check_contacts)(self, y0[: len(self.state_names)])
 
     def differs_between(self, y0: InitialState, times: np.ndarray, others: np.ndarray) -> bool:
         return differs_between(self, y0[: len(self.state_names)], times, others)
@@ -297,8 +320,8 @@ class SwitchedSystem(WithContacts):
             check_ground(self)
 
     @property
-    def recorded_loads(self) -> tuple[Recorded | ForceSteps, ...]:
-        return records_in(self)
+    def recorded(self) -> RecordedForces:
+        return RecordedForces(records_in(self))
 
 
 class _Contact(NamedTuple):

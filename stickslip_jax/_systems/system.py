@@ -316,6 +316,94 @@ class TimeScale(NamedTuple):
     steps: StepCount
 
 
+class TimeScales(NamedTuple):
+    """What time steps of a system under its excitation must be short against.
+
+    - `scales`: by name, of the system and of what drives it.
+    - `driving`: the shortest times (s) in which what drives it may change, by name; None where one is not known. A step
+      that adapts to the motion sees no change of it before it sees that of these: it may pass over a pulse.
+    - `are_all`: whether the motion has no others, whatever the state.
+    - `usual_step`: an upper bound (s) of most steps where a fast motion needs shorter ones than are allowed.
+    """
+
+    scales: dict[str, TimeScale]
+    driving: dict[str, Scalar | None]
+    are_all: bool = False
+    usual_step: Scalar = math.inf
+
+
+class Sizes(NamedTuple):
+    """How large what changes in a motion is.
+
+    - `speed`: a typical relative velocity, m/s; `deceleration`: that by the largest friction force alone, m/s^2. Of
+      several contacts they may be arrays (contacts,). Each is None where it is not known.
+    - `state`: of each number of the state, the scale of its errors where the number itself is small.
+    """
+
+    speed: Scalar | FloatArray | None
+    deceleration: Scalar | FloatArray | None
+    state: tuple[Scalar, ...]
+
+
+class Memory(NamedTuple):
+    """What friction remembers, the last numbers of a state: of each contact the `ages` of sticks, where friction
+    depends on them, and the inner states of those `laws` that have one.
+    """
+
+    ages: tuple[Coordinate, ...] = ()
+    laws: tuple[DynamicFriction, ...] = ()
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """The ages and the inner states."""
+        names = [Coordinate.of(law.inner_state) for law in self.laws]
+        if len(names) > 1:
+            names = [name._replace(name=f"{name.name} {i}") for i, name in enumerate(names, start=1)]
+        return *self.ages, *names
+
+    @property
+    def start(self) -> tuple[Number, ...]:
+        """What they begin with where an initial state leaves them out."""
+        return (*(0.0 for _ in self.ages), *(law.initial_state for law in self.laws))
+
+
+class Tracks(NamedTuple):
+    """What the sticks of a system are counted of.
+
+    - `contacts`: the length of its list of contacts, each with sticks of its own; None for a system with one contact.
+    - `counted`: of such a list the one whose sticks alone are counted, -1 for all at once; None: of every one.
+    """
+
+    contacts: int | None = None
+    counted: int | None = None
+
+    @property
+    def number(self) -> int | None:
+        """Of how many things sticks are counted: every contact and all at once; None where it is one."""
+        return None if self.contacts is None or self.counted is not None else self.contacts + 1
+
+
+class RecordedForces(NamedTuple):
+    """The `loads` and `normal_forces` of a system that are piecewise linear in time."""
+
+    loads: tuple[SegmentLaw, ...] = ()
+    normal_forces: tuple[SegmentLaw, ...] = ()
+
+
+class Traits(NamedTuple):
+    """What engines and estimators need to know of a system.
+
+    - `compiles_natively`: whether its motion can be compiled into native loops: without calls of libraries.
+    - `has_interval_form`: whether its motion has a closed form from jump to jump of a piecewise-constant base velocity.
+    - `stops_are_unstable`: whether friction depends on where the motion stops: two motions that nearly stop there may
+      part quickly. First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
+    """
+
+    compiles_natively: bool = True
+    has_interval_form: bool = False
+    stops_are_unstable: bool = False
+
+
 class System(Checked):
     """A mechanical system with dry-friction contacts: all that is particular to it.
 
@@ -337,36 +425,13 @@ class System(Checked):
         """
 
     @property
-    def ages(self) -> tuple[Coordinate, ...]:
-        """The ages of sticks, of each contact, where friction depends on them: the last of its `coordinates`."""
-        return ()
-
-    @property
-    def inner_laws(self) -> tuple[DynamicFriction, ...]:
-        """The friction laws that have an inner state, of each contact."""
-        return ()
-
-    @property
-    def inner_states(self) -> tuple[Coordinate, ...]:
-        """Their inner states: the last of its `coordinates`."""
-        names = [Coordinate.of(law.inner_state) for law in self.inner_laws]
-        if len(names) < 2:
-            return tuple(names)
-        return tuple(name._replace(name=f"{name.name} {i}") for i, name in enumerate(names, start=1))
-
-    def with_memory(self, y0: Any) -> tuple[Number, ...]:
-        """The initial state `y0`, with the ages and inner states that it leaves out."""
-        memory = self.start_of_memory
-        return (*y0, *memory) if memory and len(y0) == len(self.coordinates) - len(memory) else tuple(y0)
-
-    @property
-    def start_of_memory(self) -> tuple[Number, ...]:
-        """What an initial state that leaves out ages and inner states begins with."""
-        return (*(0.0 for _ in self.ages), *(law.initial_state for law in self.inner_laws))
+    def memory(self) -> Memory:
+        """What friction remembers: the last of its `coordinates`."""
+        return Memory()
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
-        """The system under one realisation of the smooth excitation with the `inner_states` of its friction laws; None
-        if they have none.
+        """The system under one realisation of the smooth excitation with the inner states of its friction laws; None if
+        they have none.
         """
         return None
 
@@ -377,67 +442,22 @@ class System(Checked):
         return self
 
     @property
-    def compiles_natively(self) -> bool:
-        """Whether its motion can be compiled into native loops: without calls of libraries."""
-        return True
-
-    def one_contact_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> OneContactModel:
-        """The `switched_model` of a system with one contact. Raises ValueError for a system with several."""
-        model = self.switched_model(smooth, solver)
-        if not isinstance(model, OneContactModel):
-            raise ValueError(
-                "Argument system must have one contact, with a constant normal force, for energies and friction "
-                f"forces, but a {type(self).__name__} with a list of contacts or a normal force that varies was "
-                "given."
-            )
-        return model
+    def traits(self) -> Traits:
+        """What engines and estimators need to know."""
+        return Traits()
 
     @abc.abstractmethod
-    def time_scales(self, excitation: Excitation, solver: Solver | None) -> dict[str, TimeScale]:
-        """The time scales of the system and of its excitation, by name."""
+    def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
+        """What time steps must be short against; `solver`: that of `switched_model`."""
 
-    def driving_times(self, excitation: Excitation) -> dict[str, Scalar | None]:
-        """The shortest times (s) in which what drives the system may change, by name; None where one is not known.
-
-        A step that adapts to the motion sees no change of it before it sees that of these: it may pass over a pulse.
-        """
-        return {"shortest period of the base motion": shortest_period(excitation)}
-
-    @property
-    def contact_count(self) -> int | None:
-        """The length of its list of contacts, each with sticks of its own; None for a system with one contact."""
-        return None
-
-    @property
-    def counted_track(self) -> int | None:
-        """Of a list of contacts, the one whose sticks alone are counted, -1 for all at once; None: of every one."""
-        return None
-
-    @property
-    def track_count(self) -> int | None:
-        """Of how many things sticks are counted: every contact and all at once; None where it is one."""
-        return None if self.contact_count is None or self.counted_track is not None else self.contact_count + 1
-
-    @property
-    def has_fixed_time_scales(self) -> bool:
-        """Whether the motion has no other time scales than `time_scales`, whatever the state."""
-        return False
-
-    def usual_step(self, excitation: Excitation) -> Scalar:
-        """An upper bound (s) of most steps where a fast motion needs shorter ones than are allowed; else infinity."""
-        return math.inf
-
-    @property
     @abc.abstractmethod
-    def contact_scales(self) -> tuple[Scalar | FloatArray | None, Scalar | FloatArray | None]:
-        """A typical relative velocity (m/s), and the deceleration by the largest friction force alone (m/s^2).
+    def sizes(self, excitation: Excitation) -> Sizes:
+        """How large what changes in a motion under this excitation is."""
 
-        Of several contacts they may be arrays (contacts,). Each is None where it is not known.
-        """
-
-    def state_scales(self, excitation: Excitation) -> tuple[Scalar, ...]:
-        """The typical size of each number of the state: the scale of its errors where the number itself is small."""
-        return (1.0,) * len(self.coordinates)
+    @property
+    def tracks(self) -> Tracks:
+        """What its sticks are counted of."""
+        return Tracks()
 
     @property
     def stick_position(self) -> Coordinate:
@@ -456,43 +476,20 @@ class System(Checked):
         return False
 
     @property
-    def stops_are_unstable(self) -> bool:
-        """Whether friction depends on where the motion stops: two motions that nearly stop there may part quickly.
-
-        First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
-        """
-        return False
-
-    @property
-    def recorded_loads(self) -> tuple[SegmentLaw, ...]:
-        """External forces that are piecewise linear in time."""
-        return ()
-
-    @property
-    def recorded_normal_forces(self) -> tuple[SegmentLaw, ...]:
-        """Normal forces that are piecewise linear in time."""
-        return ()
-
-    @property
-    def has_closed_form(self) -> bool:
-        """Whether slips between events are followed in closed form, without a solver."""
-        return False
-
-    @property
-    def has_interval_form(self) -> bool:
-        """Whether its motion has a closed form from jump to jump of a piecewise-constant base velocity."""
-        return False
+    def recorded(self) -> RecordedForces:
+        """Its forces that are piecewise linear in time."""
+        return RecordedForces()
 
     @property
     def natural_frequency(self) -> Scalar | None:
         """The angular frequency of its free vibration, rad/s; None where there is none, or it is not known."""
         return None
 
-    def check_numbers(self) -> None:
-        """Check what the constructor does not check. Raises ValueError for what does not fit."""
+    def check_code(self, y0: tuple[Number, ...] | None = None) -> None:
+        """Check what the constructor does not check: a user's equations, in the initial state `y0` where one is given.
 
-    def check_state(self, y0: tuple[Number, ...]) -> None:
-        """Check the equations of motion in the initial state `y0`. Raises ValueError for what does not fit."""
+        Raises ValueError for what does not fit.
+        """
 
     def differs_between(self, y0: InitialState, times: np.ndarray, others: np.ndarray) -> bool:
         """Whether its equations change with time by themselves: they are others at `times` than at `others` (s)."""
@@ -512,6 +509,17 @@ class System(Checked):
     def look(self) -> Look:
         """What figures show of it."""
         return Look()
+
+
+def one_contact_model(system: System, smooth: Signal | None, solver: ExplicitSolver | None) -> OneContactModel:
+    """The `switched_model` of a system with one contact. Raises ValueError for a system with several."""
+    model = system.switched_model(smooth, solver)
+    if not isinstance(model, OneContactModel):
+        raise ValueError(
+            "Argument system must have one contact, with a constant normal force, for energies and friction forces, "
+            f"but a {type(system).__name__} with a list of contacts or a normal force that varies was given."
+        )
+    return model
 
 
 S = TypeVar("S")
@@ -545,7 +553,7 @@ def checked_system(system: object) -> System:
 def require_system(system: object) -> System:
     """`system` itself, checked. Raises ValueError for what is no system, or one with unsuitable numbers."""
     known = checked_system(system)
-    known.check_numbers()
+    known.check_code()
     return known
 
 
@@ -595,16 +603,17 @@ class WithContacts(System):
         return self._counting("all")
 
     def _require_contacts(self) -> int:
-        if self.contact_count is None:
+        if self.tracks.contacts is None:
             raise ValueError(
                 f"Argument system must have a list of contacts, but a {type(self).__name__} with one contact was "
                 "given: its sticks are counted already."
             )
-        return self.contact_count
+        return self.tracks.contacts
 
     def _counting(self: C, counted: Counted) -> C:
         return with_fields(self, type(self), counted_contact=counted)
 
     @property
-    def counted_track(self) -> int | None:
+    def _counted(self) -> int | None:
+        """The number of the track that is counted, see `Tracks`."""
         return -1 if self.counted_contact == "all" else self.counted_contact

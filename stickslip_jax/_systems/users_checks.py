@@ -71,7 +71,7 @@ def check_fields(system: Any) -> None:
             f"Argument static_ratio must be at least 1, but {ratio} was given: a stick holds at least as "
             "well as a slip."
         )
-    if system.ages:
+    if system.memory.ages:
         _check_ages(system)
     _check_inner_laws(system)
     for name in ("shortest_time", "speed_scale"):
@@ -95,24 +95,25 @@ def _check_inner_laws(system: Any) -> None:
             "given."
         )
     ratio = system.static_ratio
-    if laws and (system.ages or (not checks.is_traced(ratio) and np.max(np.asarray(ratio)) > 1)):
+    if laws and (system.memory.ages or (not checks.is_traced(ratio) and np.max(np.asarray(ratio)) > 1)):
         raise ValueError(
             f"Argument inner_laws of a {kind} must come without static_ratio and static_ratio_after, those of exact "
             "sticks, but both were given; keep one of them."
         )
-    if laws and system.coordinates[len(system.state_names) :] != system.inner_states:
+    if laws and system.coordinates[len(system.state_names) :] != system.memory.coordinates:
         raise ValueError(
-            f"Argument coordinates of a {kind} must end with the inner states of its laws: add *self.inner_states."
+            f"Argument coordinates of a {kind} must end with the inner states of its laws: add "
+            "*self.memory.coordinates."
         )
 
 
 def _check_ages(system: Any) -> None:
     """Check `static_ratio_after` and the coordinates of a system whose friction grows with the ages of sticks."""
     kind, shape = type(system).__name__, () if system.contacts is None else (system.contacts,)
-    if system.coordinates[len(system.state_names) :] != system.ages:
+    if system.coordinates[len(system.state_names) :] != system.memory.ages:
         raise ValueError(
             f"Argument coordinates of a {kind} must end with the ages of its sticks, because it has a "
-            "static_ratio_after: add *self.ages."
+            "static_ratio_after: add *self.memory.coordinates."
         )
     with checks.traceable(f"The method static_ratio_after of {kind}"):
         jax.make_jaxpr(system.static_ratio_after)(jnp.zeros(shape))

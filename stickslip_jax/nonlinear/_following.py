@@ -272,7 +272,7 @@ FollowedT = TypeVar("FollowedT", bound=Followed)
 
 def start_age(cycle: Cycle, dtype) -> FloatArray:
     """How long each contact has been stuck before the first period: 0."""
-    contacts = cycle.system.contact_count if cycle.system.track_count is not None else None
+    contacts = cycle.system.tracks.contacts if cycle.system.tracks.number is not None else None
     return jnp.zeros(() if contacts is None else (contacts,), dtype)
 
 
@@ -385,7 +385,7 @@ def follow(
     cases: Cases, transient: int, kept: int, progress: bool | None = None, stored: Kept | None = None
 ) -> SeenCases:
     """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy."""
-    numbers = cases.starts.shape[1] + 3 * (cases.system.contact_count or 1)
+    numbers = cases.starts.shape[1] + 3 * (cases.system.tracks.contacts or 1)
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the states at the ends of so many periods")
     return in_blocks(cases, periods_of(transient, kept), SEEN, progress, Kept() if stored is None else stored)
 

@@ -385,7 +385,7 @@ def _checked_event(system: System, of: object, contact: object) -> _Event:
             f"Argument of must be {checks.one_of(map(repr, options))}, or a Crossing(coordinate, value), but "
             f"{checks.show(of)} was given."
         )
-    number = checks.whole_number("contact", contact, minimum=0, maximum=(system.contact_count or 1) - 1)
+    number = checks.whole_number("contact", contact, minimum=0, maximum=(system.tracks.contacts or 1) - 1)
     return _Event(of, number, 0, 0.0, 0, None)  # pyright: ignore[reportArgumentType] - one of the options
 
 

@@ -139,16 +139,16 @@ def sticks_of(one: Simulation) -> dict[int, Stuck]:
         ValueError: Where it is not known which contact they are of.
     """
     system = one.system
-    if system.contact_count is None:
+    if system.tracks.contacts is None:
         return {0: Stuck.of(one.sticks)}
     if one.sticks.contact is not None:
-        return {number: Stuck.of(one.of_contact(number).sticks) for number in range(system.contact_count)}
-    if system.counted_track is None:
+        return {number: Stuck.of(one.of_contact(number).sticks) for number in range(system.tracks.contacts)}
+    if system.tracks.counted is None:
         raise ValueError(
             "Argument result must hold the sticks of all contacts, but one of of_contact or of_all_contacts was given; "
             "animate the simulation that it was taken from."
         )
-    counted = range(system.contact_count) if system.counted_track < 0 else [system.counted_track]
+    counted = range(system.tracks.contacts) if system.tracks.counted < 0 else [system.tracks.counted]
     return dict.fromkeys(counted, Stuck.of(one.sticks))
 
 
@@ -498,14 +498,14 @@ def animate(
         checks.bounded(name, length, "inches", at_least=2)
     sticks = sticks_of(result)
     # Sticks of several contacts have a row each.
-    rows = result.sticks.contact is not None and result.system.contact_count != 1
+    rows = result.sticks.contact is not None and result.system.tracks.contacts != 1
     window = check_window(window, float(result.t1)) if rows else phases_in(result, window)[1]
     times, speed = frame_times(window, None if speed is None else float(speed), float(fps), result.sticks.start.dtype)
-    system, state, contacts = result.system, state_at(result, times), result.system.contact_count or 1
+    system, state, contacts = result.system, state_at(result, times), result.system.tracks.contacts or 1
     if system.look.mechanism is not None:
         mechanism = system.look.mechanism(state, base_displacement(result, times))
     else:  # which coordinates belong to one of several contacts is not known
-        on = (0,) if system.contact_count is None else ()
+        on = (0,) if system.tracks.contacts is None else ()
         mechanism = bars(system.coordinates, state, (on,) * len(state))
     check_mechanism(mechanism, type(system).__name__, len(times), contacts)
     sticking = np.zeros((len(times), contacts), bool)

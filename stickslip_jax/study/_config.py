@@ -456,7 +456,7 @@ def _table(value: Any, kinds: Mapping[str, type[Section]]) -> Any:
     if "random_phase" in kind.model_fields:
         table["random_phase"] = False
     if isinstance(value, LinearStructure):
-        table["contact"] = "all" if value.counted_track in (None, -1) else value.counted_track
+        table["contact"] = "all" if value.tracks.counted in (None, -1) else value.tracks.counted
     return table
 
 

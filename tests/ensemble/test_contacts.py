@@ -57,7 +57,7 @@ def parts_of(many):
 
 
 def counted_of(system):
-    return [*(system.of_contact(number) for number in range(system.contact_count)), system.of_all_contacts()]
+    return [*(system.of_contact(number) for number in range(system.tracks.contacts)), system.of_all_contacts()]
 
 
 @pytest.fixture(scope="module")

@@ -162,7 +162,7 @@ def test_a_motion_goes_on_from_any_state(how, time):
     """The ages of sticks are in the state: a motion that goes on in the middle of a stick is as one without a break."""
     system, drive = (on_belt(LOGARITHMIC), 0.1) if how == "mass and spring" else (two_blocks(EXPONENTIAL), 0.2)
     whole, first = (ss.simulate(system, ss.Constant(drive), t1=t1) for t1 in (40.0, time))
-    assert float(first.final_state[-len(system.ages)]) > 1
+    assert float(first.final_state[-len(system.memory.ages)]) > 1
     rest = ss.simulate(system, ss.Constant(drive), t1=40.0 - time, y0=first.final_state)
     np.testing.assert_allclose(rest.final_state, whole.final_state, rtol=0, atol=1e-11)
 
@@ -314,7 +314,7 @@ class Unseen(Own):
 
 
 @pytest.mark.parametrize(
-    ("system", "message"), [(Falling(), "do not fall with the age"), (Unseen(), "add \\*self.ages")]
+    ("system", "message"), [(Falling(), "do not fall with the age"), (Unseen(), "add \\*self.memory.coordinates")]
 )
 def test_equations_of_ones_own_that_do_not_fit(system, message):
     with pytest.raises(ValueError, match=message):

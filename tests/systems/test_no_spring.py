@@ -11,6 +11,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax import plot
+from stickslip_jax._excitation.excitation import excitation_of
 
 BLOCK = ss.MassSpring(mass=1.0, stiffness=0.0, normal_force=1.0, friction=ss.Coulomb(0.5))
 LAW = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -23,7 +24,7 @@ def test_what_is_infinite():
     assert BLOCK.natural_frequency is None
     assert BLOCK.look.slip_center is None
     assert float(BLOCK.angular_frequency) == 0
-    assert all(np.isfinite(float(scale)) for scale in BLOCK.contact_scales)
+    assert all(np.isfinite(float(scale)) for scale in BLOCK.sizes(excitation_of(ss.Constant(0.0)))[:2])
     with pytest.raises(ValueError, match="Argument stiffness must "):
         ss.MassSpring(1.0, -1.0, 1.0, ss.Coulomb(0.5))
 

@@ -64,11 +64,12 @@ def test_friction():
         assert not own.constant
         assert own.static_exceeds_kinetic
         assert own.speed_scale is None
-        assert not ss.MassSpring(1.0, 4.0, 1.0, own).has_closed_form
+        assert not ss.MassSpring(1.0, 4.0, 1.0, own)._has_closed_form
     sticky = ss.MassSpring(1.0, 4.0, 1.0, Sticky(0.4))
-    assert (sticky.has_closed_form, sticky.has_interval_form, sticky.static_exceeds_kinetic) == (True, False, True)
+    assert (sticky._has_closed_form, sticky.static_exceeds_kinetic) == (True, True)
+    assert not sticky.traits.has_interval_form
     halved = ss.MassSpring(1.0, 4.0, 1.0, Halved(0.8))
-    assert halved.has_interval_form
+    assert halved.traits.has_interval_form
     assert halved.stick_half_width == ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4)).stick_half_width
 
 
@@ -127,7 +128,7 @@ class Ratchet(ss.FrictionLaw):
 def test_friction_that_depends_on_the_direction(method, error):
     """Free vibration: each half of a period takes ``2 mu n / k`` of the amplitude, until friction holds the spring."""
     system = ss.MassSpring(1.0, 4.0, 1.0, Ratchet(forward=0.3, backward=1.0))
-    assert not system.has_interval_form
+    assert not system.traits.has_interval_form
     one = ss.simulate(system, ss.Constant(0.0), t1=12.0, y0=(2.0, 0.0), method=method)
     turns = np.array([-1.5, 1.35, -0.85, 0.7, -0.2, 0.05])
     positions = one.evaluate(np.pi / 2 * np.arange(1, 7))[0]
@@ -163,7 +164,7 @@ def test_signals():
     for name, arguments in {"rate": (t,), "curvature": (t,), "integral": (t, h)}.items():
         assert float(getattr(fading, name)(*arguments)) == pytest.approx(float(getattr(written, name)(*arguments)))
     assert not fading.is_harmonic
-    assert not ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4), force=fading).has_closed_form
+    assert not ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4), force=fading)._has_closed_form
     with pytest.raises(ValueError, match="step"):
         ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.4)), fading, t1=1.0)
 

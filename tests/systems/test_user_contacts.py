@@ -268,8 +268,8 @@ def test_what_depends_on_it_need_not_be_the_rates(kind, path):
 
     def tried(number):
         system = kind(**({} if path == "start" else {path: number}))
-        system.check_numbers()
-        system.check_state((number if path == "start" else -0.5, 0.0, *(0.0 for _ in system.ages)))
+        system.check_code()
+        system.check_code((number if path == "start" else -0.5, 0.0, *(0.0 for _ in system.memory.ages)))
         return number
 
     assert jax.jvp(tried, (0.3,), (1.0,)) == (0.3, 1.0)

@@ -184,11 +184,10 @@ def step_for(system: System, excitation: Excitation, method: Exact | Regularized
     Raises ValueError for a step that is too long for a time scale, and where `method` gives none although a time scale
     is not known.
     """
-    scales = {
-        name: (primal_of(of.time), of.steps) for name, of in system.time_scales(excitation, method.solver).items()
-    }
+    found = system.time_scales(excitation, method.solver)
+    scales = {name: (primal_of(of.time), of.steps) for name, of in found.scales.items()}
     if isinstance(method, Regularized):  # whose fixed steps are not shortened where the motion is fast
-        scales["time scale of the fastest motion"] = primal_of(system.usual_step(excitation)), _USUAL
+        scales["time scale of the fastest motion"] = primal_of(found.usual_step), _USUAL
     known = {name: (time, steps) for name, (time, steps) in scales.items() if time is not None}
     unknown = [name for name in scales if name not in known]
     if method.step is None and unknown:
@@ -219,10 +218,10 @@ def longest_step(system: System, excitation: Excitation) -> Scalar:
 
     Steps end at the points of records and at jumps in any case. Raises ValueError where a shortest period is not known.
     """
-    times = {name: primal_of(time) for name, time in system.driving_times(excitation).items()}
+    times = {name: primal_of(time) for name, time in system.time_scales(excitation, None).driving.items()}
     unknown = [name for name, time in times.items() if time is None]
     if unknown:
-        fixed = "" if system.inner_laws else ", or choose a fixed step, Regularized(width, step=...)"
+        fixed = "" if system.memory.laws else ", or choose a fixed step, Regularized(width, step=...)"
         raise ValueError(
             f"Argument method must not leave the steps to the motion while the {unknown[0]} is not known, for they "
             f"could pass over a short pulse: give what you wrote a property {_property_of(unknown[0])} (s){fixed}."
@@ -242,7 +241,7 @@ def _shortest(times: list[Any]) -> Scalar:
 
 def accurate_step(system: System, excitation: Excitation, step: float) -> float:
     """The fixed `step` (s), or if shorter that to which the time scales that are known let it be shortened."""
-    scales = system.time_scales(excitation, None).values()
+    scales = system.time_scales(excitation, None).scales.values()
     longest = _known([of.time / of.steps.least for of in scales if of.time is not None])
     return min([step, *(time / _ACCURATE for time in longest)])
 
@@ -250,7 +249,7 @@ def accurate_step(system: System, excitation: Excitation, step: float) -> float:
 def max_steps_advice(system: System, excitation: Excitation, method: Exact | Regularized, t1: Scalar) -> str:
     """A message that proposes `max_steps` where JAX traces `t1` or a time scale, from the numbers that are known."""
     horizon = min(_known([t1]), default=100.0)
-    scales = system.time_scales(excitation, method.solver).values()
+    scales = system.time_scales(excitation, method.solver).scales.values()
     lengths = [of.time / of.steps.default for of in scales if of.time is not None]
     if method.step is not None:
         lengths = [method.step]
@@ -271,7 +270,7 @@ def _known(numbers: list[Any]) -> list[float]:
 
 def slowest_time(system: System, base: BaseMotion) -> float:
     """The slowest known time scale of a system, s; 1 where none is known."""
-    scales = system.time_scales(excitation_of(base), None).values()
+    scales = system.time_scales(excitation_of(base), None).scales.values()
     return max((float(scale.time) for scale in scales if scale.time is not None and scale.time < math.inf), default=1.0)
 
 
@@ -313,8 +312,9 @@ class Arguments(NamedTuple):
         """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
         if checks.is_traced(self.t1):
             return
-        loads = [(_field_of(self.system, load, "force"), load) for load in self.system.recorded_loads]
-        loads += [("normal_force", load) for load in self.system.recorded_normal_forces]
+        recorded = self.system.recorded
+        loads = [(_field_of(self.system, load, "force"), load) for load in recorded.loads]
+        loads += [("normal_force", load) for load in recorded.normal_forces]
         for name, motion in (("base", motion_of(self.base)), *loads):
             if motion.covered_time < float(self.t1) * (1 - 1e-12):
                 raise ValueError(
@@ -356,11 +356,17 @@ def entries_of(system: System, y0: InitialState | None) -> tuple[Any, ...]:
     Ages of sticks and inner states of friction laws may be left out.
     """
     meaning = tuple(coordinate.meaning for coordinate in system.coordinates)
-    moving = len(meaning) - len(system.start_of_memory)
+    moving = len(meaning) - len(system.memory.start)
     given = (0.0,) * moving if y0 is None else y0
     is_listed = isinstance(given, (tuple, list)) or checks.dimensions(given) == 1
     is_short = is_listed and len(given) == moving  # pyright: ignore[reportArgumentType] - it has a length then
-    return system.with_memory(checks.entries("y0", given, meaning[:moving] if is_short else meaning))
+    return with_memory(system, checks.entries("y0", given, meaning[:moving] if is_short else meaning))
+
+
+def with_memory(system: System, y0: Any) -> tuple[Number, ...]:
+    """The initial state `y0`, with the ages and inner states that it leaves out."""
+    memory = system.memory.start
+    return (*y0, *memory) if memory and len(y0) == len(system.coordinates) - len(memory) else tuple(y0)
 
 
 def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
@@ -368,7 +374,7 @@ def state_of(system: System, y0: InitialState | None) -> tuple[Number, ...]:
     entries = entries_of(system, y0)
     check_fixed(y0=entries)
     numbers = checks.state("y0", entries, tuple(coordinate.meaning for coordinate in system.coordinates))
-    system.check_state(numbers)
+    system.check_code(numbers)
     return numbers
 
 

@@ -87,7 +87,7 @@ class SegmentLaws(eqx.Module):
     @classmethod
     def of(cls, system: System, excitation: Excitation) -> "SegmentLaws":
         """The parts of excitation, force and normal forces that consist of segments."""
-        return cls(excitation.base, excitation.ground, system.recorded_loads, system.recorded_normal_forces)
+        return cls(excitation.base, excitation.ground, *system.recorded)
 
     @property
     def all(self) -> tuple[SegmentLaw, ...]:
@@ -132,7 +132,9 @@ T = TypeVar("T")
 def of_track(tree: T, system: System) -> T:
     """The arrays (..., tracks) in `tree`, or of these what the `system` counts alone, if it does."""
     return (
-        tree if system.counted_track is None else jax.tree.map(lambda of_each: of_each[..., system.counted_track], tree)
+        tree
+        if system.tracks.counted is None
+        else jax.tree.map(lambda of_each: of_each[..., system.tracks.counted], tree)
     )
 
 
@@ -144,7 +146,7 @@ def sticks_and_totals(
     `records`: (records,) or (records, tracks). `totals`: (tracks,), if there are any.
     """
     (records, totals), of_all = of_track((records, totals), system), None
-    if system.track_count is not None:  # of what can stick, the last is all contacts at once
+    if system.tracks.number is not None:  # of what can stick, the last is all contacts at once
         of_all = (sticks_in_order(jax.tree.map(lambda of_each: of_each[:, -1], records)), _only(totals, -1))
         records, totals = jax.tree.map(lambda of_each: of_each[:, :-1], records), _only(totals, slice(-1))
     return sticks_in_order(records), totals, of_all

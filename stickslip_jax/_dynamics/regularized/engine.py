@@ -20,7 +20,7 @@ from ..._numerics.derivatives import NotKnown, with_slopes
 from ..._numerics.elementary import random_words
 from ..._systems.contacts import ContactsModel
 from ..._systems.switched_model import Segments, State
-from ..._systems.system import System
+from ..._systems.system import System, one_contact_model
 from ..common.lanes import Engine, SampleTotals, with_leaves
 from ..common.method import Regularized, longest_step, max_steps_advice, step_for
 from ..common.path import (
@@ -91,11 +91,11 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
 
     @property
     def tracks(self) -> int | None:
-        return self.system.track_count
+        return self.system.tracks.number
 
     @property
     def compiles_natively(self) -> bool:
-        return self.system.compiles_natively
+        return self.system.traits.compiles_natively
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
         smooth = _realized(self.excitation, key_data, dtype)
@@ -162,7 +162,7 @@ def solve_batch(
     the others end at once. `most`: the largest number of steps of each. `varying`, `leaf_numbers`: the leaves of the
     batch that differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
-    t1, quantities, tracks = jnp.asarray(batch.t1, dtype), ALL if keep else (), batch.system.track_count
+    t1, quantities, tracks = jnp.asarray(batch.t1, dtype), ALL if keep else (), batch.system.tracks.number
 
     def one(place, number, varying):
         words = random_words(key_data, number)
@@ -206,7 +206,7 @@ def switched_field(system: System, smooth: Signal | None, method: Regularized) -
     model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
     if isinstance(model, ContactsModel):
         return ContactsField(model, switch, criterion_of(method).threshold, system.static_exceeds_kinetic)
-    return Field(system.one_contact_model(smooth, None), switch)
+    return Field(one_contact_model(system, smooth, None), switch)
 
 
 def criterion_of(method: Regularized) -> Criterion:

@@ -468,16 +468,16 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
 
     Raises ValueError where an option is needed because the system's scales are not known.
     """
-    if system.ages:
+    if system.memory.ages:
         raise ValueError(
             "Argument method must be Exact(...) for friction that grows while a stick lasts, but "
             f"{checks.show(method)} was given: smoothed friction has no stick whose age is known."
         )
-    inner = bool(system.inner_laws)
+    inner = bool(system.memory.laws)
     _check_width(method, inner)
     check_contacts(system, method)
     width = None if method.width is None else jnp.asarray(method.width, dtype)
-    speed, deceleration = system.contact_scales
+    speed, deceleration, state_sizes = system.sizes(excitation)
     # Static friction above kinetic friction holds a mass up to one width.
     known = width if system.static_exceeds_kinetic and not inner else speed
     scales = {"threshold": known, "minimum_duration": deceleration}
@@ -504,7 +504,8 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), never)
         duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
-    scales = _state_scales(system, excitation, dtype)
+    scales = jnp.stack([jnp.asarray(size, dtype) for size in state_sizes])
+    scales = jnp.where(scales > 0, scales, 1)
     atol = method.rtol * scales if method.atol is None else method.atol
     if np.shape(atol) not in ((), scales.shape):
         raise ValueError(
@@ -541,7 +542,7 @@ def _check_width(method: Regularized, inner: bool) -> None:
 
 def check_contacts(system: System, method: Regularized) -> None:
     """Check what several contacts cannot have. Raises ValueError for it."""
-    contacts = system.contact_count
+    contacts = system.tracks.contacts
     for name in ("threshold", "minimum_duration"):
         shape = np.shape(getattr(method, name)) if getattr(method, name) is not None else ()
         if shape not in ((),) + (() if contacts is None else ((contacts,),)):
@@ -568,19 +569,13 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
         shortest = smallest(step)
     except NotKnown:
         shortest = smallest(method.step)
-    known = all(of.time is not None for of in system.time_scales(excitation, None).values())
-    if known and system.has_fixed_time_scales:
+    found = system.time_scales(excitation, None)
+    if found.are_all and all(of.time is not None for of in found.scales.values()):
         steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
         return _TRIES * steps + _FEW if system.static_exceeds_kinetic else steps
     shortest = accurate_step(system, excitation, shortest)
     steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
     return _TRIES * steps + _FEW
-
-
-def _state_scales(system: System, excitation: Excitation, dtype) -> Array:
-    """The typical size of each state, the scale of its absolute tolerance."""
-    values = jnp.stack([jnp.asarray(scale, dtype) for scale in system.state_scales(excitation)])
-    return jnp.where(values > 0, values, 1)
 
 
 def numbers_as_arrays(tree: Any, dtype) -> Any:

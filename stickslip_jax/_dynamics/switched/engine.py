@@ -184,7 +184,7 @@ def _shortest(system: System, excitation: Excitation, step: Scalar) -> float:
     """The length of most time steps, s."""
     shortest = smallest(step)
     try:
-        return min(shortest, smallest(system.usual_step(excitation)))
+        return min(shortest, smallest(system.time_scales(excitation, None).usual_step))
     except NotKnown:
         return shortest / _SPARE
 
@@ -218,11 +218,11 @@ class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, Sa
 
     @property
     def tracks(self) -> int | None:
-        return self.system.track_count
+        return self.system.tracks.number
 
     @property
     def compiles_natively(self) -> bool:
-        return self.system.compiles_natively
+        return self.system.traits.compiles_natively
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, Lane]:
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
