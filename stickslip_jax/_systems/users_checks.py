@@ -30,6 +30,7 @@ _ONE_CONTACT = (
     "F jax.numpy.tanh(v / width) with a small width."
 )
 _NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
+_ASKED = ("look", "memory", "recorded", "tracks", "traits")  # properties that the package asks for
 AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
 
 
@@ -43,7 +44,7 @@ def check_fields(system: Any) -> None:
                 f"was given; declare a field of another kind as {field}: ... = equinox.field(static=True)."
             )
     for field in dataclasses.fields(system):
-        if callable(getattr(System, field.name, None)):
+        if callable(getattr(System, field.name, None)) or field.name in _ASKED:
             raise ValueError(
                 f"Argument {field.name} of a {type(system).__name__} must have another name, because {field.name} is "
                 "what the package asks of every system; rename the field."

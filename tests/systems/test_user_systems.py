@@ -55,6 +55,12 @@ class Shadowing(Oscillator):
     switched_model: float = 1.0
 
 
+class Remembering(Oscillator):
+    """A field with the name of a property that the package asks for."""
+
+    memory: float = 1.0
+
+
 class Carrier(ss.SwitchedSystem):
     """A sprung mass that carries another, which slides on it; the base drags the first through a damper."""
 
@@ -288,6 +294,7 @@ def bent(self, t, y, base, friction):
         (Oscillator(static_ratio=0.5), {}, r"static_ratio must be at least 1, but 0.5 was given"),
         (Lawless(), {}, r"law of a Lawless must be a number or an array, but .*static=True"),
         (Shadowing(), {}, r"switched_model of a Shadowing must have another name"),
+        (Remembering(), {}, r"memory of a Remembering must have another name"),
         (Oscillator, {}, r"system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but"),
     ],
 )  # fmt: skip
