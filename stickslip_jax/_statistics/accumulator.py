@@ -27,35 +27,11 @@ _OTHERS = [NUMBERS.index(name) for name in _NAMES[3:]]  # rows of `StickStream.n
 _X, _Y = ([_NAMES.index(pair[axis]) for pair in STREAMED_PAIRS] for axis in (0, 1))
 
 
-class StickSums(NamedTuple):
-    """Sums and histograms of all sticks, and of the durations of all slips, s.
+def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1: float) -> dict[str, Any]:
+    """Sums and histograms of the numbered sticks of finished samples, simulated up to `t1`, s, and of all slips.
 
-    `sticks`, `stick_bins`: by `STICK_QUANTITIES`. `pair_bins`: by `STREAMED_PAIRS`.
-    """
-
-    sticks: PowerSums
-    stick_bins: tuple[DyadicCounts, ...]
-    slips: PowerSums
-    slip_bins: DyadicCounts
-    pair_bins: tuple[DyadicCounts, ...]
-
-
-class OrderSums(NamedTuple):
-    """Sums and histograms of the 1st, 2nd, ... stick of each sample that has it, with one entry for each order.
-
-    `first_two`, `first_two_bins`: of the durations of the first and of the second stick, s.
-    """
-
-    by_order: PowerSums
-    order_bins: tuple[DyadicCounts, ...]
-    first_two: PowerSums
-    first_two_bins: DyadicCounts
-
-
-def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1: float) -> StickSums:
-    """Sums and histograms of the numbered sticks of finished samples, simulated up to `t1`, s.
-
-    `skipped`: how many sticks of each sample come before its first numbered one, 0 or 1.
+    By their names in the `StickAccumulator`. `skipped`: how many sticks of each sample come before its first numbered
+    one, 0 or 1.
 
     Raises:
         ValueError: Where a number of a stick is NaN: the loops check no bounds, and it would have no bin.
@@ -73,86 +49,74 @@ def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1
         raise ValueError("Sticks must have finite starts, ends and positions, but some are NaN.")
     fine = [_bins_within(*ends, BINS) for ends in zip(low, high, strict=True)]
     coarse = [_bins_within(*ends, BINS_OF_PAIRS) for ends in zip(low[:_SLIP], high[:_SLIP], strict=True)]
-    shapes = [(one.size,) for one in fine] + [(coarse[x].size, coarse[y].size) for x, y in zip(_X, _Y, strict=True)]
+    axes = [*((one,) for one in fine), *((coarse[x], coarse[y]) for x, y in zip(_X, _Y, strict=True))]
+    shapes = [tuple(axis.size for axis in own) for own in axes]
     counts, begin = _buffer(shapes)
     mean, scatter, third = total / np.maximum(number, 1), np.zeros((d, d)), np.zeros(d)
-    compiled.count(
-        *columns,
-        mean,
-        _scales(fine),
-        begin[:d] - [one.first for one in fine],
-        np.array([wide.exponent - one.exponent for wide, one in zip(coarse, fine, strict=False)] + [0]),
-        np.array([one.first for one in coarse] + [0]),
-        np.array([_X, _Y, [coarse[y].size for y in _Y], begin[d:-1]]).T,
-        counts,
-        scatter,
-        third,
-    )
-    found = [part.reshape(shape) for part, shape in zip(np.split(counts, begin[1:-1]), shapes, strict=True)]
+    bin_of = begin[:d] - [one.first for one in fine]
+    shift = np.array([wide.exponent - one.exponent for wide, one in zip(coarse, fine, strict=False)] + [0])
+    pair_bin_of = np.array([one.first for one in coarse] + [0])
+    pairs = np.array([_X, _Y, [coarse[y].size for y in _Y], begin[d:-1]]).T
+    compiled.count(*columns, mean, _scales(fine), bin_of, shift, pair_bin_of, pairs, counts, scatter, third)
     scatter += np.tril(scatter, -1).T
     of_sticks, of_slips = (
         PowerSums(np.array(number[at][0]), mean[at], scatter[at, at], third[at], low[at], high[at])
         for at in (slice(_SLIP), slice(_SLIP, d))
     )
-    each = [
-        DyadicCounts.with_counts((one,), count, BINS) if some else DyadicCounts.none(1, BINS)
-        for one, count, some in zip(fine, found, number, strict=False)
-    ]
+    found = zip(axes, shapes, np.split(counts, begin[1:-1]), [*number, *(number[0] for _ in _X)], strict=True)
+    bins = []
+    for own, shape, part, values in found:
+        most = BINS if len(own) == 1 else BINS_OF_PAIRS
+        one = DyadicCounts.with_counts(own, part.reshape(shape), most) if values else DyadicCounts.none(len(own), most)
+        bins.append(one)
     after = sticks.slip_after(t1).astype(np.float64)
     after = after[after > 0]
-    return StickSums(
-        of_sticks,
-        tuple(each[:_SLIP]),
-        of_slips.merge(PowerSums.of(after)),
-        each[_SLIP].merge(DyadicCounts.of(after, BINS)),
-        tuple(
-            DyadicCounts.with_counts((coarse[x], coarse[y]), count, BINS_OF_PAIRS)
-            if number[0]
-            else DyadicCounts.none(2, BINS_OF_PAIRS)
-            for x, y, count in zip(_X, _Y, found[d:], strict=True)
-        ),
-    )
+    return {
+        "sticks": of_sticks,
+        "stick_bins": tuple(bins[:_SLIP]),
+        "slips": of_slips.merge(PowerSums.of(after)),
+        "slip_bins": bins[_SLIP].merge(DyadicCounts.of(after, BINS)),
+        "pair_bins": tuple(bins[d:]),
+    }
 
 
-def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], orders: int) -> OrderSums:
-    """Sums and histograms of the 1st to the `orders`-th numbered stick.
+def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], orders: int) -> dict[str, Any]:
+    """Sums and histograms of the 1st to the `orders`-th numbered stick, by their names in the `StickAccumulator`.
 
     `skipped`: how many sticks of each sample come before its first numbered one.
     """
     # No more orders than there are sticks, but the first two in any case.
     most = max(2, min(orders, int(sticks.count.max(initial=0))))
-    columns, number = np.empty((_SLIP, most, len(sticks.count))), np.zeros(most, np.int64)
-    earlier, pair = np.empty(len(sticks.count)), np.empty((2, len(sticks.count)))
+    d, samples, compiled = _SLIP, len(sticks.count), sums.compiled()
+    columns, found = np.empty((d, most, samples)), np.zeros(most, np.int64)
+    earlier, pair = np.empty(samples), np.empty((2, samples))
     of_sticks = (sticks.start, sticks.end, sticks.position, sticks.numbers[_OTHERS], sticks.owner, sticks.order)
-    sums.compiled().numbered(*of_sticks, skipped, columns, number, earlier, pair)
-    first_two = pair[0, : number[1]], pair[1, : number[1]]
-    in_bins = DyadicCounts.of_columns(first_two, BINS_OF_PAIRS)
-    return OrderSums(*_by_order(columns, number, orders), PowerSums.of(*first_two), in_bins)
-
-
-def _by_order(
-    columns: Float[np.ndarray, "quantities orders sticks"], found: Int[np.ndarray, " orders"], orders: int
-) -> tuple[PowerSums, tuple[DyadicCounts, ...]]:
-    """Sums and histograms of each order, from the values and the number of sticks `found` that `numbered` gives."""
-    d, present = len(columns), found[:orders]
+    compiled.numbered(*of_sticks, skipped, columns, found, earlier, pair)
+    first_two, present = (pair[0, : found[1]], pair[1, : found[1]]), found[:orders]
+    pair_bins = DyadicCounts.of_columns(first_two, BINS_OF_PAIRS)
+    of_pairs = {"first_two": PowerSums.of(*first_two), "first_two_bins": pair_bins}
     if not np.any(present):
         no_bins = DyadicCounts.none(1, BINS_BY_ORDER, groups=orders)
-        return PowerSums.stacked([PowerSums.none(d)] * orders), (no_bins,) * d
+        return {"by_order": PowerSums.stacked([PowerSums.none(d)] * orders), "order_bins": (no_bins,) * d, **of_pairs}
     number = np.zeros(orders, np.int64)
     number[: len(present)] = present
     low, high, total = (np.full((orders, d), value) for value in (np.inf, -np.inf, 0.0))
-    sums.compiled().survey_orders(columns, present, low, high, total)
+    compiled.survey_orders(columns, present, low, high, total)
     axes = [_bins_within(*ends, BINS_BY_ORDER) for ends in zip(low.min(axis=0), high.max(axis=0), strict=True)]
     shapes = [(orders, axis.size) for axis in axes]
     counts, begin = _buffer(shapes)
     mean, scatter, third = total / np.maximum(number, 1)[:, None], np.zeros((orders, d, d)), np.zeros((orders, d))
     bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.size for axis in axes])
-    sums.compiled().count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
+    compiled.count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
     scatter += np.tril(scatter, -1).swapaxes(1, 2)
     parts = zip(axes, np.split(counts, begin[1:-1]), shapes, strict=True)
-    return PowerSums(number, mean, scatter, third, low, high), tuple(
-        DyadicCounts.with_counts((axis,), one.reshape(shape), BINS_BY_ORDER) for axis, one, shape in parts
-    )
+    return {
+        "by_order": PowerSums(number, mean, scatter, third, low, high),
+        "order_bins": tuple(
+            DyadicCounts.with_counts((axis,), one.reshape(shape), BINS_BY_ORDER) for axis, one, shape in parts
+        ),
+        **of_pairs,
+    }
 
 
 def _bins_within(low: float, high: float, bins: int) -> BinnedNumbers:
@@ -266,8 +230,8 @@ class StickAccumulator(NamedTuple):
         endings = [np.count_nonzero(sticks.ending == code) - np.sum(sticks.ending[at_zero] == code) for code in Ending]
         counts = (sticks.count, np.asarray(slips, np.int64))
         return cls(
-            **sums_of_sticks(sticks, skipped, t1)._asdict(),
-            **sums_of_orders(sticks, skipped, numbering.orders)._asdict(),
+            **sums_of_sticks(sticks, skipped, t1),
+            **sums_of_orders(sticks, skipped, numbering.orders),
             samples=PowerSums.of(*counts, fraction),
             sample_bins=(*(DyadicCounts.of(one, BINS, finest=0) for one in counts), DyadicCounts.of(fraction, BINS)),
             own_mean=PowerSums.of(own_mean),

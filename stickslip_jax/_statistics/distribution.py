@@ -68,7 +68,12 @@ def atoms_of(x: np.ndarray, y: np.ndarray, round_off: tuple[float, float]) -> At
     spans = [float(np.ptp(values)) if len(values) else 0.0 for values in (x, y)]
     axes = list(zip((x, y), round_off, spans, strict=True))
     both = np.flatnonzero(np.logical_and(*(repeated(*axis) for axis in axes)))
-    place = np.stack([_groups(values[both], _within(off, span)) for values, off, span in axes])
+    # The group that each value belongs to: neighbours no farther apart than `_within` share one.
+    place = np.empty((2, len(both)), int)
+    for group, (values, off, span) in zip(place, axes, strict=True):
+        order = np.argsort(values[both], kind="stable")
+        ranked = values[both[order]]
+        group[order] = np.cumsum(np.diff(ranked, prepend=ranked[:1]) > _within(off, span))
     _, first, pair, counts = np.unique(place, axis=1, return_index=True, return_inverse=True, return_counts=True)
     atoms = np.flatnonzero(counts > max(_REPEATS, _LEAST_SHARE * len(x)))
     atoms = atoms[np.argsort(-counts[atoms], kind="stable")]
@@ -80,14 +85,6 @@ def atoms_of(x: np.ndarray, y: np.ndarray, round_off: tuple[float, float]) -> At
 
 def _within(round_off: float, span: float) -> float:
     return max(round_off, _SHARE_OF_RANGE * span, float(np.finfo(float).tiny))
-
-
-def _groups(values: np.ndarray, within: float) -> np.ndarray:
-    """The number of the group that each value belongs to: neighbours no farther apart than `within` share one."""
-    order = np.argsort(values, kind="stable")
-    group = np.empty(len(values), int)
-    group[order] = np.cumsum(np.diff(values[order], prepend=values[order[:1]]) > within)
-    return group
 
 
 # Standard errors of statistics of pooled sticks: realisations are independent, the sticks of one are not.
@@ -487,10 +484,8 @@ def common_bins(distributions: Sequence[Distribution], bins: int | None = None) 
         bins = checks.whole_number("bins", bins, maximum=_MOST_BINS)
     found = list(distributions) if isinstance(distributions, (list, tuple)) else []
     if not found or not all(isinstance(one, Distribution) for one in found) or len({one.unit for one in found}) > 1:
-        raise ValueError(
-            "Argument distributions must be a list of distributions in one unit, such as many.statistics.duration of "
-            f"several ensembles, but {checks.show(distributions)} was given."
-        )
+        demand = "be a list of distributions in one unit, such as many.statistics.duration of several ensembles"
+        raise checks.refused("distributions", demand, distributions)
     most = default_bins(all(one.is_whole for one in found)) if bins is None else bins
     common = CommonBins.of((one.bins for one in found), most)
     if common is None:
@@ -522,7 +517,15 @@ class Summary:
     def __repr__(self) -> str:
         parts = [self.title]
         for caption, head, rows in self.tables:
-            lines = _lines(head, rows)
+            columns = range(len(head))
+            widths = [max(len(row[column]) for row in (head, *rows)) for column in columns]
+            # One that has too many columns for a line in two parts, with the names of its rows again.
+            groups = [columns] if tuple(head) != _HEAD else [columns[:_FIRST], (0, *columns[_FIRST:])]
+            lines = [
+                "  ".join(f"{row[column]:{'>' if column else '<'}{widths[column]}}" for column in group).rstrip()
+                for group in groups
+                for row in (head, *rows)
+            ]
             parts.append("\n".join([caption, "-" * max(map(len, lines)), *lines]))
         notes = [wrapped(note) for note in self.notes]
         return "\n\n".join([*parts, "\n".join(notes)] if notes else parts)
@@ -534,18 +537,18 @@ class Summary:
 
 def table_of(caption: str, distributions: Sequence[Distribution]) -> Table:
     """A table with a row for each of some distributions."""
-    return caption, _HEAD, tuple(map(_row, distributions))
+    rows = []
+    for of in distributions:
+        unit = "" if of.unit == "1" else f" ({of.unit})"
+        others = (of.standard_deviation, of.quantile(0.05), of.median, of.quantile(0.95), of.skewness, of.entropy())
+        cells = ("-" if math.isnan(one.value) else f"{one.value:.4g}" for one in others)
+        rows.append((f"{of.name}{unit}", shown(of.mean), *cells, f"{of.number:,}"))
+    return caption, _HEAD, tuple(rows)
 
 
 def summary_of_distributions(title: str, distributions: Sequence[Distribution]) -> Summary:
     """One table, a row for each of some distributions."""
     return Summary(title, (table_of("Mean +- standard error", distributions),), ())
-
-
-def _row(of: Distribution) -> tuple[str, ...]:
-    unit = "" if of.unit == "1" else f" ({of.unit})"
-    others = (of.standard_deviation, of.quantile(0.05), of.median, of.quantile(0.95), of.skewness, of.entropy())
-    return (f"{of.name}{unit}", shown(of.mean), *map(_value, others), f"{of.number:,}")
 
 
 def shown(estimate: Estimate) -> str:
@@ -565,10 +568,6 @@ def shown_share(share: Estimate) -> str:
     return f"{shown(percent)} %"
 
 
-def _value(estimate: Estimate) -> str:
-    return "-" if math.isnan(estimate.value) else f"{estimate.value:.4g}"
-
-
 def wrapped(text: str, indent: str = "", after: str = "") -> str:
     """A sentence in lines of at most `WIDEST` characters, indented; numbers stay beside their names and errors."""
     for sign in ("+-", "=", "<", "%"):
@@ -576,19 +575,3 @@ def wrapped(text: str, indent: str = "", after: str = "") -> str:
         text = text if sign == "%" else text.replace(f"{sign} ", f"{sign}\u00a0")
     lines = textwrap.wrap(text, WIDEST, initial_indent=indent, subsequent_indent=after, break_long_words=False)
     return "\n".join(lines).replace("\u00a0", " ")
-
-
-def _lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A table in text; one that has too many columns for a line in two parts, with the names of its rows again."""
-    columns = range(len(head))
-    widths = [max(len(row[column]) for row in (head, *rows)) for column in columns]
-    groups = [columns] if tuple(head) != _HEAD else [columns[:_FIRST], (0, *columns[_FIRST:])]
-    return [
-        "  ".join(_aligned([row[column] for column in group], [widths[column] for column in group])).rstrip()
-        for group in groups
-        for row in (head, *rows)
-    ]
-
-
-def _aligned(row: Sequence[str], widths: Sequence[int]) -> list[str]:
-    return [row[0].ljust(widths[0]), *(text.rjust(width) for text, width in zip(row[1:], widths[1:], strict=True))]

@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 import math
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -25,8 +25,6 @@ from .quantities import (
     FIRST_TWO,
     OWN_MEAN_DURATION,
     SAMPLE_QUANTITIES,
-    SLIP_AFTER,
-    SLIP_AFTER_START,
     SLIP_COUNT,
     SLIP_DURATION,
     SLIP_QUANTITIES,
@@ -131,25 +129,26 @@ class SlipStatistics(ByQuantity):
     def distributions(self) -> dict[str, Distribution]:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         """The distribution over all slips of each of the `SLIP_QUANTITIES`, by name."""
         every = np.ones(len(self._slips.start), bool)
-        return {one.name: self._distribution(one, one.label, every) for one in SLIP_QUANTITIES}
+        return {one.name: self._distribution(one, every) for one in SLIP_QUANTITIES}
 
     def order(self, number: int) -> OrderStatistics:
         """Statistics of the `number`-th slip of each sample that has so many. Raises ValueError below 1."""
         chosen = self._slips.order == checks.whole_number("number", number)
-        found = {one.name: self._distribution(one, one.label_of_order(number), chosen) for one in SLIP_QUANTITIES}
+        found = {one.name: self._distribution(one, chosen, number) for one in SLIP_QUANTITIES}
         return OrderStatistics.of(number, "slip", int(chosen.sum()), len(self.sticks.count), found, self.origin)
 
     @cached_property
     def _slips(self) -> FlatSlips:
         return slips_among(self.sticks, self.t1)
 
-    def _distribution(self, quantity: SampledQuantity, label: str, chosen: np.ndarray) -> Distribution:
-        """The distribution of a quantity of the `chosen` slips."""
+    def _distribution(self, quantity: SampledQuantity, chosen: np.ndarray, number: int | None = None) -> Distribution:
+        """The distribution of a quantity of the `chosen` slips: all, or the `number`-th ones."""
         column = getattr(self._slips, quantity.name.removeprefix("slip_"))
         values, samples = np.asarray(column, np.float64)[chosen], len(self.sticks.count)
-        assert quantity.unit is not None
+        label, unit = quantity.label_of_order(number), quantity.unit
+        assert unit is not None
         return Distribution(
-            label, quantity.unit, samples, PowerSums.of(values), DyadicCounts.of(values, BINS),
+            label, unit, samples, PowerSums.of(values), DyadicCounts.of(values, BINS),
             Clusters(values, self._slips.sample[chosen], samples, samples),
             4 * float(np.finfo(column.dtype).eps) * self.t1, quantity.is_whole, self.origin,
         )  # fmt: skip
@@ -229,17 +228,7 @@ class EnsembleStatistics(ByQuantity):
     def distributions(self) -> dict[str, Distribution]:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         """The distribution over all sticks of each of the `STICK_QUANTITIES`, by name."""
         sums, bins = self.accumulator.sticks, self.accumulator.stick_bins
-        return {
-            quantity.name: self._distribution(
-                quantity,
-                sums,
-                bins[index],
-                self._clusters(self._column(quantity.name)[self._pooled], self.sticks.sample[self._pooled]),
-                index=index,
-            )
-            for index, quantity in enumerate(STICK_QUANTITIES)
-            if quantity.name not in self.missing
-        }
+        return self._of_sticks(sums, bins, self._pooled, self.sticks.sample[self._pooled])
 
     @cached_property
     def _pooled(self) -> np.ndarray:
@@ -291,19 +280,14 @@ class EnsembleStatistics(ByQuantity):
     def endings(self) -> dict[Ending, Estimate]:
         """Share of all sticks that ended in each way."""
         counts, total = self.accumulator.endings, self.accumulator.endings.sum()
-        ending = self.sticks.ending[self._pooled].astype(np.int64)
-        clusters = self._clusters(ending, self.sticks.sample[self._pooled])
-        errors = clusters.errors_of_shares(ending, len(counts))
+        retained = self.sticks.ending[self._pooled].astype(np.int64)
+        errors = self._clusters(retained, self.sticks.sample[self._pooled]).errors_of_shares(retained, len(counts))
+        shares = {ending: float(counts[ending] / total) if total else np.nan for ending in Ending}
         return {
             ending: Estimate(
-                f"share of sticks {ending.name}",
-                float(counts[ending] / total) if total else np.nan,
-                float(errors[ending]),
-                "1",
-                self.samples,
-                self.origin,
+                f"share of sticks {ending.name}", share, float(errors[ending]), "1", self.samples, self.origin
             )
-            for ending in Ending
+            for ending, share in shares.items()
         }
 
     def order(self, number: int) -> OrderStatistics:
@@ -313,25 +297,15 @@ class EnsembleStatistics(ByQuantity):
             ValueError: Unless ``1 <= number <= orders``.
         """
         if checks.whole_number("number", number) > self.orders:
-            raise ValueError(
-                f"Argument number must be at most {self.orders}, but {checks.show(number)} was given; "
-                f"call simulate_ensemble(..., orders={checks.show(number)})."
-            )
+            hint = f"call simulate_ensemble(..., orders={checks.show(number)})"
+            raise checks.refused("number", f"be at most {self.orders}", number, hint)
         number = int(number)
         skipped = self.numbering.skipped(self.sticks)
         has = self.sticks.count - skipped >= number
         at = (self.sticks.first + skipped + number - 1)[has]
         sums = self.accumulator.by_order.one(number - 1)
-        distributions = {}
-        for index, quantity in enumerate(STICK_QUANTITIES):
-            if quantity.name in self.missing:
-                continue
-            bins = self.accumulator.order_bins[index]
-            bins = bins._replace(counts=bins.counts[number - 1])
-            clusters = self._clusters(self._column(quantity.name)[at], np.flatnonzero(has))
-            distributions[quantity.name] = self._distribution(
-                quantity, sums, bins, clusters, index=index, label=quantity.label_of_order(number)
-            )
+        bins = [one._replace(counts=one.counts[number - 1]) for one in self.accumulator.order_bins]
+        distributions = self._of_sticks(sums, bins, at, np.flatnonzero(has), number)
         return OrderStatistics.of(number, "stick", int(sums.number), self.samples, distributions, self.origin)
 
     def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
@@ -371,14 +345,20 @@ class EnsembleStatistics(ByQuantity):
             values = (self._column(of_x.name)[first + number_x], self._column(of_y.name)[first + number_y])
         exists = np.isfinite(values[0]) & np.isfinite(values[1])
         values, owner = tuple(column[exists] for column in values), owner[exists]
-        bins, correlation, of_all = self._streamed(x, y)
-        columns = [self._clusters(column, owner, of_all=of_all) for column in values]
+        bins, correlation, sums = None, None, self.accumulator
+        if (x, y) == FIRST_TWO:
+            bins, correlation = sums.first_two_bins, float(sums.first_two.correlation[0, 1])
+        elif (x, y) in STREAMED_PAIRS:
+            bins = sums.pair_bins[STREAMED_PAIRS.index((x, y))]
+            correlation = float(sums.sticks.correlation[NAMES.index(x), NAMES.index(y)])
+        clusters = [self._clusters(column, owner, of_all=bins is not None) for column in values]
+        labels = (of_x.axis_label(number_x), of_y.axis_label(number_y))
         return JointDistribution(
-            names=(_name(of_x, number_x), _name(of_y, number_y)),
-            labels=(of_x.axis_label(number_x), of_y.axis_label(number_y)),
+            names=(of_x.short_label, of_y.short_label) if number_x is None else labels,
+            labels=labels,
             units=(self.unit_of(of_x), self.unit_of(of_y)),
-            x=columns[0],
-            y=columns[1],
+            x=clusters[0],
+            y=clusters[1],
             bins=bins,
             streamed_correlation=correlation,
             round_off=(self._round_off(values[0]), self._round_off(values[1])),
@@ -398,12 +378,8 @@ class EnsembleStatistics(ByQuantity):
     @property
     def _summary(self) -> Summary:
         """The tables of `Ensemble.summary`, without what only the ensemble knows: which samples did not finish."""
-        tables = [
-            table_of(
-                "All sticks and slips (mean +- standard error)",
-                [getattr(self, quantity.name) for quantity in self.known(DISTRIBUTIONS)],
-            )
-        ]
+        every = [getattr(self, quantity.name) for quantity in self.known(DISTRIBUTIONS)]
+        tables = [table_of("All sticks and slips (mean +- standard error)", every)]
         for body, of, quantities in (
             ("stick", self, self.known(STICK_QUANTITIES)),
             ("slip", self.slips, SLIP_QUANTITIES),
@@ -420,35 +396,42 @@ class EnsembleStatistics(ByQuantity):
                 tables.append((caption, (body, f"samples with this {body}", *heads), rows))
         return Summary(f"{self.samples:,} samples on [0, {self.t1:g}] s", tuple(tables), ())
 
-    def _streamed(self, x: StickValue, y: StickValue) -> tuple[DyadicCounts | None, float | None, bool]:
-        """Histogram and correlation of a pair and whether they were summed over all samples."""
-        if (x, y) == FIRST_TWO:
-            return self.accumulator.first_two_bins, float(self.accumulator.first_two.correlation[0, 1]), True
-        if (x, y) in STREAMED_PAIRS:
-            bins = self.accumulator.pair_bins[STREAMED_PAIRS.index((x, y))]
-            return bins, float(self.accumulator.sticks.correlation[NAMES.index(x), NAMES.index(y)]), True
-        return None, None, False
-
     def _total(self, name: str) -> np.ndarray:
         """One of the `TOTALS` of each retained sample."""
         return self.totals[:, TOTALS.index(name)]
+
+    def _of_sticks(
+        self, sums: PowerSums, bins: Sequence[DyadicCounts], at: np.ndarray, owner: np.ndarray,
+        number: int | None = None,
+    ) -> dict[str, Distribution]:  # fmt: skip
+        """The distribution of each of the `STICK_QUANTITIES`, by name, over sticks: all, or the `number`-th ones.
+
+        `at`: which of the retained sticks these are; `owner`: the samples of those.
+        """
+        return {
+            one.name: self._distribution(
+                one, sums, bins[index], self._clusters(self._column(one.name)[at], owner), index, number
+            )
+            for index, one in enumerate(STICK_QUANTITIES)
+            if one.name not in self.missing
+        }
 
     def _of_samples(self, quantity: SampledQuantity, values: np.ndarray) -> Distribution:
         """The distribution of one of the `SAMPLE_QUANTITIES`, which has these `values` in the retained samples."""
         index, clusters = SAMPLE_QUANTITIES.index(quantity), self._clusters(values, np.arange(len(values)))
         bins = self.accumulator.sample_bins[index]
-        return self._distribution(quantity, self.accumulator.samples, bins, clusters, index=index)
+        return self._distribution(quantity, self.accumulator.samples, bins, clusters, index)
 
     def _distribution(
-        self, quantity: SampledQuantity, sums: PowerSums, bins: DyadicCounts, clusters: Clusters, *, index: int = 0,
-        label: str = "",
+        self, quantity: SampledQuantity, sums: PowerSums, bins: DyadicCounts, clusters: Clusters, index: int = 0,
+        number: int | None = None,
     ) -> Distribution:  # fmt: skip
-        """The distribution of a quantity whose sums are those of column `index`, under another `label` if given."""
+        """The distribution of a quantity of all, or the `number`-th, sticks; its sums are those of column `index`."""
         one = slice(index, index + 1)
         own = PowerSums(
             sums.number, sums.mean[one], sums.scatter[one, one], sums.third[one], sums.smallest[one], sums.largest[one]
         )
-        label, unit = label or quantity.label, self.unit_of(quantity)
+        label, unit = quantity.label_of_order(number), self.unit_of(quantity)
         round_off = self._round_off(np.concatenate([own.smallest, own.largest]) if sums.number else np.zeros(0))
         return Distribution(label, unit, self.samples, own, bins, clusters, round_off, quantity.is_whole, self.origin)
 
@@ -465,9 +448,9 @@ class EnsembleStatistics(ByQuantity):
         """A quantity of each retained stick; NaN where there is none."""
         if name == "slip_before":
             return np.asarray(StickStream.of(self.sticks).slip, np.float64)
-        if name in (SLIP_AFTER_START.name, SLIP_AFTER.name):
+        if name in ("slip_start", "slip_duration"):
             start, duration = slips_after(self.sticks, self.t1)
-            return start if name == SLIP_AFTER_START.name else duration
+            return start if name == "slip_start" else duration
         return np.asarray(getattr(self.sticks, name), np.float64)
 
 
@@ -475,14 +458,8 @@ def _stick_value(argument: str, value: object) -> tuple[SampledQuantity, int | N
     """A quantity of a stick, and the number of the stick if there is one."""
     name, number = value if isinstance(value, tuple) and len(value) == 2 else (value, None)
     if not (isinstance(name, str) and name in BY_NAME):
-        raise ValueError(
-            f"Argument {argument} must be one of {', '.join(map(repr, BY_NAME))}, or such a name with the number of "
-            f"the stick, as in ('duration', 1), but {checks.show(value)} was given."
-        )
+        options = f"{', '.join(map(repr, BY_NAME))}, or such a name with the number of the stick, as in ('duration', 1)"
+        raise checks.refused(argument, f"be one of {options}", value)
     if isinstance(value, tuple):
         number = checks.whole_number(f"{argument}[1]", number)
     return BY_NAME[name], number
-
-
-def _name(quantity: SampledQuantity, number: int | None) -> str:
-    return quantity.short_label if number is None else quantity.axis_label(number)

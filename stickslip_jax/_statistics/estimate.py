@@ -28,11 +28,12 @@ def unit_of_product(one: str, other: str, power: int = 1) -> str:
 
     Units that are no products of powers, such as "s per stick", stay as they are, in parentheses.
     """
-    powers = dict(_powers(one))
+    powers = _powers(one)
     for name, exponent in _powers(other).items():
         powers[name] = powers.get(name, 0) + power * exponent
-    above = [_shown(name, exponent) for name, exponent in powers.items() if exponent > 0]
-    below = [_shown(name, -exponent) for name, exponent in powers.items() if exponent < 0]
+    above, below = (
+        [name if abs(n) == 1 else f"{name}^{abs(n)}" for name, n in powers.items() if sign * n > 0] for sign in (1, -1)
+    )
     if not below:
         return " ".join(above) or "1"
     return f"{' '.join(above) or '1'}/{below[0] if len(below) == 1 else '(' + ' '.join(below) + ')'}"
@@ -55,10 +56,6 @@ def _powers(unit: str) -> dict[str, int]:
             elif factor != "1":
                 return {f"({unit.strip().removeprefix('(').removesuffix(')')})": 1}
     return {name: exponent for name, exponent in powers.items() if exponent}
-
-
-def _shown(name: str, exponent: int) -> str:
-    return name if exponent == 1 else f"{name}^{exponent}"
 
 
 # A number estimated from samples, with its error: it can be computed with like a number.
@@ -251,11 +248,6 @@ class Estimate:
         shown = html.escape(self.without_name().replace("+-", "±"))
         return f"<span>{html.escape(self.name)}: <b>{shown}</b></span>"
 
-    @property
-    def _is_correlated(self) -> bool:
-        """Whether it was computed from estimates whose errors are known, but not their correlation."""
-        return bool(self._slopes) and all(math.isfinite(source.standard_error) for source in self._slopes)
-
     def without_name(self) -> str:
         """Value, standard error and unit, as far as they are known."""
         if math.isnan(self.value):
@@ -263,7 +255,8 @@ class Estimate:
         unit = "" if self.unit == "1" else f" {self.unit}"
         if math.isnan(self.standard_error):
             why = "no error from one sample" if self.samples < 2 else "error not known"
-            if self._is_correlated:
+            # Of estimates whose errors are known, but not their correlation.
+            if self._slopes and all(math.isfinite(source.standard_error) for source in self._slopes):
                 why = "error not known: of estimates from the same random numbers"
             return f"{self.value:.6g}{unit} ({why})"
         if math.isinf(self.standard_error):
@@ -362,29 +355,21 @@ def _unit_of(other: SupportsFloat) -> str:
 
 def _combined(name: str, value: float, unit: str, *parts: tuple[float, SupportsFloat]) -> Estimate:
     """The estimate `value` with the error that follows from its derivatives by `parts`, (derivative, part) each."""
-    slopes: dict[_Source, float] = {}
-    for slope, part in parts:
-        if isinstance(part, Estimate):
-            for source, inner in _slopes_of(part).items():
-                before, more = slopes.get(source, 0.0), slope * inner
-                slopes[source] = 0.0 if abs(before + more) <= _ROUND_OFF * abs(more) else before + more
+    slopes: dict[_Source, float] = {}  # the derivatives by the estimates from samples that the parts come from
+    estimates = [(slope, part) for slope, part in parts if isinstance(part, Estimate)]
+    for slope, part in estimates:
+        numbers = float(part.value), float(part.standard_error), part.samples
+        itself = {_Source(part.origin, part.name, *numbers, part._shared): 1.0}
+        for source, inner in (itself if part._slopes is None else part._slopes).items():
+            before, more = slopes.get(source, 0.0), slope * inner
+            slopes[source] = 0.0 if abs(before + more) <= _ROUND_OFF * abs(more) else before + more
     slopes = {source: slope for source, slope in slopes.items() if slope != 0}
     if len(name) > _LONGEST_NAME:
         name = f"combination of {len(slopes)} estimates"
-    numbers = [part.samples for _, part in parts if isinstance(part, Estimate)]
-    error, samples = _error_and_samples(slopes, min(numbers))
+    error, samples = _error_and_samples(slopes, min(part.samples for _, part in estimates))
     combined = Estimate(name, value, error, unit, samples)
     object.__setattr__(combined, "_slopes", slopes)
     return combined
-
-
-def _slopes_of(estimate: Estimate) -> Mapping[_Source, float]:
-    """The derivatives of an estimate by those that it was computed from; by itself, if it is from samples."""
-    if estimate._slopes is not None:
-        return estimate._slopes
-    numbers = float(estimate.value), float(estimate.standard_error), estimate.samples
-    own = _Source(estimate.origin, estimate.name, *numbers, estimate._shared)
-    return {own: 1.0}
 
 
 def _error_and_samples(slopes: Mapping[_Source, float], fewest: int) -> tuple[float, int]:
@@ -395,7 +380,10 @@ def _error_and_samples(slopes: Mapping[_Source, float], fewest: int) -> tuple[fl
     uncertain = {source: slope for source, slope in slopes.items() if source.standard_error != 0}
     if not uncertain:
         return 0.0, fewest
-    groups = _groups(uncertain)
+    together: dict[Hashable, list[_Source]] = {}  # those of which the covariance is known
+    for source in uncertain:
+        together.setdefault(source if source.shared is None else source.shared[0], []).append(source)
+    groups = list(together.values())
     if len({sources[0].origin for sources in groups}) < len(groups):
         return math.nan, fewest
     variances = [_variance(sources, uncertain) for sources in groups]
@@ -405,14 +393,6 @@ def _error_and_samples(slopes: Mapping[_Source, float], fewest: int) -> tuple[fl
     shares = [variance / total for variance in variances]
     freedom = 1 / sum(share**2 / (sources[0].samples - 1) for share, sources in zip(shares, groups, strict=True))
     return math.sqrt(total), max(2, math.floor(freedom * (1 + 1e-12)) + 1)
-
-
-def _groups(sources: Mapping[_Source, float]) -> list[list[_Source]]:
-    """The sources, those together of which the covariance is known."""
-    found: dict[Hashable, list[_Source]] = {}
-    for source in sources:
-        found.setdefault(source if source.shared is None else source.shared[0], []).append(source)
-    return list(found.values())
 
 
 def _variance(sources: list[_Source], slopes: Mapping[_Source, float]) -> float:
@@ -534,10 +514,8 @@ Statistic: TypeAlias = Callable[[Any], Estimate]
 def require_ensemble(ensemble: object) -> Any:
     """`ensemble` itself, an `Ensemble`. Raises ValueError if it is no result of `simulate_ensemble`."""
     if not hasattr(ensemble, "status_counts") or not hasattr(ensemble, "moments"):
-        raise ValueError(
-            f"Argument ensemble must be the result of simulate_ensemble, but {checks.show(ensemble)} was given; "
-            "a single simulation has .stick_fraction, .sticks and .slips itself."
-        )
+        hint = "a single simulation has .stick_fraction, .sticks and .slips itself"
+        raise checks.refused("ensemble", "be the result of simulate_ensemble", ensemble, hint)
     return ensemble
 
 
@@ -558,10 +536,7 @@ def by_totals(statistic: Statistic, ensemble: object) -> tuple[np.ndarray, Estim
     whole = require_ensemble(ensemble)
     whole.finished_sticks()  # refuses an ensemble that has none
     if not callable(statistic) or isinstance(statistic, type):
-        raise ValueError(
-            "Argument statistic must be a function such as stick_fraction or mean_stick_duration, but "
-            f"{checks.show(statistic)} was given."
-        )
+        raise checks.refused("statistic", "be a function such as stick_fraction or mean_stick_duration", statistic)
     found: object = statistic(whole)
     if not isinstance(found, Estimate):
         raise ValueError(
@@ -612,29 +587,20 @@ def bootstrap_interval(
         return math.nan, math.nan
     center = estimate_from(Moments.of(totals)).value
     rng = np.random.default_rng(checks.whole_number("seed", seed, minimum=0))
+    middle = totals.mean(axis=0)
+    rows = totals - middle
+    products = (rows[:, :, None] * rows[:, None, :]).reshape(number, -1)
     at_once = max(1, _AT_ONCE // number)
     scores = np.empty(resamples)
     for first in range(0, resamples, at_once):
         weights = rng.multinomial(number, np.full(number, 1 / number), size=min(at_once, resamples - first))
-        for index, moments in enumerate(_weighted_moments(totals, weights), first):
-            one = estimate_from(moments)
+        # How often each resample holds each row: moments of the resamples are sums with these weights.
+        means, squares = weights @ rows / number, weights @ products
+        for index, (mean, square) in enumerate(zip(means, squares, strict=True), first):
+            scatter = square.reshape(len(mean), -1) - number * np.outer(mean, mean)
+            one = estimate_from(Moments(number, middle + mean, scatter))
             scores[index] = (one.value - center) / one.standard_error if one.standard_error > 0 else math.nan
     if not np.any(np.isfinite(scores)):  # all samples are the same
         return math.nan, math.nan
     low, high = np.nanquantile(scores, ((1 + level) / 2, (1 - level) / 2))
     return whole.value - float(low) * whole.standard_error, whole.value - float(high) * whole.standard_error
-
-
-def _weighted_moments(totals: np.ndarray, weights: np.ndarray) -> list[Moments]:
-    """`Moments` of resamples of the rows of `totals` (samples, d).
-
-    `weights` (resamples, samples): how often each resample holds each row.
-    """
-    number, center = len(totals), totals.mean(axis=0)
-    rows = totals - center
-    products = (rows[:, :, None] * rows[:, None, :]).reshape(number, -1)
-    means, squares = weights @ rows / number, weights @ products
-    return [
-        Moments(number, center + mean, square.reshape(len(mean), -1) - number * np.outer(mean, mean))
-        for mean, square in zip(means, squares, strict=True)
-    ]

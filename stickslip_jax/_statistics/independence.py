@@ -5,7 +5,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import optimize, stats
@@ -216,7 +216,7 @@ def check_significance(significance: float) -> None:
     """Raise ValueError unless `significance` is a number between 0 and 1."""
     checks.numeric("significance", significance)
     if not 0 < significance < 1:
-        raise ValueError(f"Argument significance must lie between 0 and 1, but {checks.show(significance)} was given.")
+        raise checks.refused("significance", "lie between 0 and 1", significance)
 
 
 # Test whether the values of the first, second, third, ... stick of a motion are identically distributed.
@@ -278,12 +278,12 @@ def identically_distributed(
     remarks = [sequences.remark, f"Each of the {samples} samples gives a value of one order; {has.sum()} have one."]
     if left := [str(order) for order in wanted if order not in kept]:
         remarks.append(f"Orders left out, with fewer than {FEWEST_VALUES} values: {', '.join(left)}.")
-    if len(kept) >= 2:
-        tests, reason = (_all_at_once(kept), _by_pairs(kept)), ""
-    else:
+    reason = ""
+    if len(kept) < 2:
         reason = f"fewer than two orders have {FEWEST_VALUES} values"
-        names = ("Anderson-Darling", "Kolmogorov-Smirnov")
-        tests = tuple(HypothesisTest(name, reason=reason) for name in names)
+        tests = tuple(HypothesisTest(name, reason=reason) for name in ("Anderson-Darling", "Kolmogorov-Smirnov"))
+    else:
+        tests = (_all_at_once(kept), _by_pairs(kept))
     question = f"Are the {plural(quantity)} of all orders identically distributed?"
     return Verdict(question, significance, tests, samples, len(sequences.values), reason, tuple(remarks))
 
@@ -296,9 +296,7 @@ def _orders(orders: Any) -> tuple[int, ...]:
     few = orders[: MOST_ORDERS + 1]
     chosen = sorted({checks.whole_number(f"orders[{at}]", order) for at, order in enumerate(few)})
     if not 2 <= len(chosen) == len(orders):
-        raise ValueError(
-            f"Argument orders must hold at least two different whole numbers, but {checks.show(orders)} was given."
-        )
+        raise checks.refused("orders", "hold at least two different whole numbers", orders)
     return tuple(chosen)
 
 
@@ -312,38 +310,28 @@ def _all_at_once(groups: dict[int, np.ndarray]) -> HypothesisTest:
     spread = float(np.ptp(means))
     effect = spread / deviation if deviation > 0 else math.copysign(math.inf, spread) if spread else 0.0
     return HypothesisTest(
-        f"Anderson-Darling, orders {', '.join(map(str, groups))}",
-        statistic,
-        p_value,
-        effect,
-        "largest difference of means (in standard deviations)",
-        sizes=tuple(int(size) for size in sizes),
-    )
+        f"Anderson-Darling, orders {', '.join(map(str, groups))}", statistic, p_value, effect,
+        "largest difference of means (in standard deviations)", sizes=tuple(sizes.tolist()),
+    )  # fmt: skip
 
 
 def _by_pairs(groups: dict[int, np.ndarray]) -> HypothesisTest:
-    pairs = tuple(_pair(a, b, groups[a], groups[b]) for a, b in itertools.combinations(groups, 2))
+    pairs = []
+    for (a, first), (b, second) in itertools.combinations(groups.items(), 2):
+        # The cost of the exact distribution is the product of the sizes; the limiting one is close beyond 100 each.
+        method = "exact" if len(first) * len(second) <= 10_000 else "asymp"
+        with warnings.catch_warnings():
+            # Where round-off takes an exact p-value above 1, scipy warns and takes the limiting one, also about 1.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            distance, p_value = np.asarray(stats.ks_2samp(first, second, method=method), float).tolist()
+        name, sizes = f"Kolmogorov-Smirnov, orders {a} and {b}", (len(first), len(second))
+        pairs.append(HypothesisTest(name, distance, p_value, distance, "distance", sizes=sizes))
     farthest = max(pairs, key=lambda pair: pair.effect)
     return HypothesisTest(
-        f"Kolmogorov-Smirnov, {len(pairs)} pairs of orders",
-        farthest.statistic,
-        min(holm([pair.p_value for pair in pairs])),
-        farthest.effect,
-        "largest distance",
-        sizes=tuple(len(group) for group in groups.values()),
-        parts=pairs,
-    )
-
-
-def _pair(a: int, b: int, first: np.ndarray, second: np.ndarray) -> HypothesisTest:
-    # The cost of the exact distribution is the product of the sizes; the limiting one is close beyond a hundred each.
-    method = "exact" if len(first) * len(second) <= 10_000 else "asymp"
-    with warnings.catch_warnings():
-        # Where round-off takes an exact p-value above 1, scipy warns and takes the limiting one, also about 1.
-        warnings.simplefilter("ignore", RuntimeWarning)
-        distance, p_value = np.asarray(stats.ks_2samp(first, second, method=method), float).tolist()
-    name, sizes = f"Kolmogorov-Smirnov, orders {a} and {b}", (len(first), len(second))
-    return HypothesisTest(name, distance, p_value, distance, "distance", sizes=sizes)
+        f"Kolmogorov-Smirnov, {len(pairs)} pairs of orders", farthest.statistic,
+        min(holm([pair.p_value for pair in pairs])), farthest.effect, "largest distance",
+        sizes=tuple(len(group) for group in groups.values()), parts=tuple(pairs),
+    )  # fmt: skip
 
 
 # Tests whether values that follow each other, of one quantity or two, are independent; and identically distributed.
@@ -405,16 +393,34 @@ def independent(
     lag, first = checks.whole_number("lag", lag, maximum=_MOST), checks.whole_number("first", first, maximum=_MOST)
     bins = checks.whole_number("bins", bins, minimum=2, maximum=1000)
     earlier, later = quantity if isinstance(quantity, tuple) and len(quantity) == 2 else (quantity, quantity)
-    pairs, remarks, values = _pairs(source, (earlier, later), lag, first, starts_before)
-    at = np.flatnonzero(pairs.order == first)
-    early, late = pairs.early[at], pairs.late[at]
-    chi_square = _chi_square(early, late, bins, pooled=earlier == later)
-    tests = (_spearman(early, late, pairs.names), chi_square, _serial(pairs))
+    sources = [sequences_of(source, earlier, starts_before)]
+    alike = earlier == later
+    if not alike:
+        sources.append(sequences_of(source, later, starts_before))
+    # The next of the other kind may belong to the same stick.
+    shift = lag - (IN_A_CYCLE.index(earlier) < IN_A_CYCLE.index(later))
+    # All pairs of an earlier and a later value, sample after sample, those of a sample in order of time.
+    counts = np.maximum(np.minimum(sources[0].count, sources[-1].count - shift) - first + 1, 0)
+    order = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first  # of the earlier one
+    early, late = (
+        one.values[np.repeat(one.first, counts) + order - 1 + ahead]
+        for one, ahead in ((sources[0], 0), (sources[-1], shift))
+    )
+    names = f"{TESTED[earlier].label} {first} and {TESTED[later].label} {first + shift}"
+    apart = "them" if lag == 1 else f"{lag} apart"
+    question = f"Are the {plural(earlier)} independent of the {plural(later)} that follow {apart}?"
+    if alike:
+        names = f"orders {first} and {first + shift}"
+        question = f"Are the {plural(earlier)}, {'consecutive' if lag == 1 else apart}, independent?"
+
+    # The pair of each sample that comes first, for two tests.
+    one_each = order == first
+    tests = (*_tests_of_pairs(early[one_each], late[one_each], names, bins, alike), _serial(early, late, order, counts))
     reason = "" if any(test.made for test in tests) else tests[0].reason
-    given = len(pairs.count)
-    remarks = (*remarks, f"{len(at)} of {given} samples have {'values of ' * (earlier == later)}{pairs.names}.")
-    asked = _question(earlier, later, lag)
-    return Verdict(asked, significance, tests, given, values, reason, remarks)
+    having = f"{one_each.sum()} of {len(counts)} samples have {'values of ' * alike}{names}."
+    values = sum(len(one.values) for one in sources)
+    remarks = (*dict.fromkeys(one.remark for one in sources), having)
+    return Verdict(question, significance, tests, len(counts), values, reason, remarks)
 
 
 def independent_and_identical(
@@ -446,83 +452,25 @@ def independent_and_identical(
     return Verdict(question, significance, tests, parts[0].samples, parts[0].values, reason, remarks)
 
 
-def _question(earlier: str, later: str, lag: int) -> str:
-    if earlier == later:
-        return f"Are the {plural(earlier)}, {'consecutive' if lag == 1 else f'{lag} apart'}, independent?"
-    apart = "them" if lag == 1 else f"{lag} apart"
-    return f"Are the {plural(earlier)} independent of the {plural(later)} that follow {apart}?"
+def _tests_of_pairs(
+    early: np.ndarray, late: np.ndarray, names: str, bins: int, pooled: bool
+) -> tuple[HypothesisTest, HypothesisTest]:
+    """Spearman's and the chi-square test of independent pairs.
 
-
-class _Pairs(NamedTuple):
-    """All pairs of an earlier and a later value, sample after sample, those of a sample in order of time.
-
-    - `early`, `late`: the values; `order`: that of the earlier one in its sample, from `first` on; (pairs,).
-    - `count`: number of pairs of each sample, (samples,). `names`: of the pair that comes first.
+    The latter counts pairs in quantile bins, pooled or of each side, joined until cells expect enough. Which bins are
+    joined depends only on the sums over rows and columns, which carry no information on dependence.
     """
-
-    early: np.ndarray
-    late: np.ndarray
-    order: np.ndarray
-    count: np.ndarray  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
-    names: str
-
-
-def _pairs(
-    source: StickSource, quantities: tuple[str, str], lag: int, first: int, starts_before: float | None
-) -> tuple[_Pairs, tuple[str, ...], int]:
-    """The pairs, remarks on the values that were used and left out, and the number of those that were used."""
-    alike = quantities[0] == quantities[1]
-    earlier = sequences_of(source, quantities[0], starts_before)
-    later = earlier if alike else sequences_of(source, quantities[1], starts_before)
-    places = [IN_A_CYCLE.index(quantity) for quantity in quantities]
-    shift = lag - (places[0] < places[1])  # the next of the other kind may belong to the same stick
-    count = np.maximum(np.minimum(earlier.count, later.count - shift) - first + 1, 0)
-    order = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + first
-    at = [np.repeat(one.first, count) + order - 1 for one in (earlier, later)]
-    names = f"orders {first} and {first + shift}"
-    if not alike:
-        names = " and ".join(
-            f"{TESTED[quantity].label} {number}"
-            for quantity, number in zip(quantities, (first, first + shift), strict=True)
-        )
-    pairs = _Pairs(earlier.values[at[0]], later.values[at[1] + shift], order, count, names)
-    values = len(earlier.values) + (0 if alike else len(later.values))
-    return pairs, tuple(dict.fromkeys((earlier.remark, later.remark))), values
-
-
-def _too_few(early: np.ndarray, late: np.ndarray) -> str:
+    spearman, chi_square, sizes, reason = f"Spearman, {names}", "Chi-square", (len(early),), ""
     if len(early) < FEWEST_PAIRS:
-        return f"fewer than {FEWEST_PAIRS} samples have such a pair"
-    return "all values of one order are equal" if np.ptp(early) == 0 or np.ptp(late) == 0 else ""
-
-
-def _spearman(early: np.ndarray, late: np.ndarray, names: str) -> HypothesisTest:
-    name, sizes = f"Spearman, {names}", (len(early),)
-    if reason := _too_few(early, late):
-        return HypothesisTest(name, sizes=sizes, reason=reason)
+        reason = f"fewer than {FEWEST_PAIRS} samples have such a pair"
+    elif np.ptp(early) == 0 or np.ptp(late) == 0:
+        reason = "all values of one order are equal"
+    if reason:
+        none = HypothesisTest(spearman, sizes=sizes, reason=reason)
+        return none, dataclasses.replace(none, name=chi_square)
     correlation, p_value = np.asarray(stats.spearmanr(early, late), float).tolist()
-    return HypothesisTest(name, correlation, p_value, correlation, "rank correlation", sizes=sizes)
+    of_ranks = HypothesisTest(spearman, correlation, p_value, correlation, "rank correlation", sizes=sizes)
 
-
-def _chi_square(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> HypothesisTest:
-    sizes = (len(early),)
-    if reason := _too_few(early, late):
-        return HypothesisTest("Chi-square", sizes=sizes, reason=reason)
-    table = _table(early, late, bins, pooled)
-    shape = " x ".join(map(str, table.shape))
-    name = f"Chi-square, {shape} quantile bins"
-    if min(table.shape) < 2:
-        return HypothesisTest(name, sizes=sizes, reason=f"a cell would expect fewer than {FEWEST_EXPECTED}")
-    statistic, p_value = np.asarray(stats.chi2_contingency(table, correction=False)[:2], float).tolist()
-    cramer = math.sqrt(statistic / (table.sum() * (min(table.shape) - 1)))
-    return HypothesisTest(name, statistic, p_value, cramer, "Cramer's V", sizes=sizes)
-
-
-def _table(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> np.ndarray:
-    """Counts of pairs in quantile bins, pooled or of each side, joined until cells expect enough.
-
-    Which bins are joined depends only on the sums over rows and columns, which carry no information on dependence.
-    """
     bins = max(2, min(bins, math.isqrt(len(early) // FEWEST_EXPECTED)))
     both = np.concatenate([early, late])
     sides = ((both, early), (both, late)) if pooled else ((early, early), (late, late))
@@ -530,10 +478,10 @@ def _table(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> np.n
     place = [np.searchsorted(own, values, "left") for own, (_, values) in zip(edges, sides, strict=True)]
     shape = [len(own) + 1 for own in edges]
     table = np.bincount(place[0] * shape[1] + place[1], minlength=shape[0] * shape[1]).reshape(shape)
-    while True:
+    while min(table.shape) >= 2:
         sums = table.sum(axis=1), table.sum(axis=0)
-        if sums[0].min() * sums[1].min() >= FEWEST_EXPECTED * len(early) or min(table.shape) < 2:
-            return table
+        if sums[0].min() * sums[1].min() >= FEWEST_EXPECTED * len(early):
+            break
         axis = int(sums[1].min() < sums[0].min())
         if table.shape[axis] == 2 < table.shape[1 - axis]:
             axis = 1 - axis
@@ -541,18 +489,26 @@ def _table(early: np.ndarray, late: np.ndarray, bins: int, pooled: bool) -> np.n
         beside = [at for at in (smallest - 1, smallest + 1) if 0 <= at < len(sums[axis])]
         start = min(smallest, min(beside, key=lambda at: sums[axis][at]))
         table = np.add.reduceat(table, [at for at in range(len(sums[axis])) if at != start + 1], axis=axis)
+    chi_square = f"Chi-square, {table.shape[0]} x {table.shape[1]} quantile bins"
+    if min(table.shape) < 2:
+        reason = f"a cell would expect fewer than {FEWEST_EXPECTED}"
+        return of_ranks, HypothesisTest(chi_square, sizes=sizes, reason=reason)
+    statistic, p_value = np.asarray(stats.chi2_contingency(table, correction=False)[:2], float).tolist()
+    cramer = math.sqrt(statistic / (table.sum() * (min(table.shape) - 1)))
+    return of_ranks, HypothesisTest(chi_square, statistic, p_value, cramer, "Cramer's V", sizes=sizes)
 
 
-def _serial(among: _Pairs) -> HypothesisTest:
-    """Rank correlation of all pairs, ranked separately for each order; its error from sums over samples."""
-    counts = among.count
+def _serial(early: np.ndarray, late: np.ndarray, order: np.ndarray, counts: np.ndarray) -> HypothesisTest:
+    """Rank correlation of all pairs, ranked separately for each order; its error from sums over samples.
+
+    `early`, `late`, `order` of the former: (pairs,). `counts`: the number of pairs of each sample.
+    """
     having = counts > 0
     pairs, samples = int(counts.sum()), int(having.sum())
     name, sizes = f"Serial rank correlation, {pairs} pairs in {samples} samples", (pairs, samples)
     if samples < FEWEST_PAIRS:
         return HypothesisTest(name, sizes=sizes, reason=f"fewer than {FEWEST_PAIRS} samples have such a pair")
-    order = among.order
-    a, b = _scores(among.early, order), _scores(among.late, order)
+    a, b = _scores(early, order), _scores(late, order)
     norms = math.sqrt(a @ a), math.sqrt(b @ b)
     if min(norms) == 0:
         return HypothesisTest(name, sizes=sizes, reason="all values of one order are equal")

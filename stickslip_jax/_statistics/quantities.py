@@ -37,8 +37,10 @@ class SampledQuantity:
         """The name as words: "duration"."""
         return self.name.replace("_", " ")
 
-    def label_of_order(self, number: int) -> str:
-        """The label where it is the `number`-th stick's: "1st stick duration"; or slip's: "1st slip duration"."""
+    def label_of_order(self, number: int | None) -> str:
+        """The label where it is the `number`-th stick's: "1st stick duration"; or slip's; None: of any one's."""
+        if number is None:
+            return self.label
         word = "stick" if "stick" in self.label else "slip"
         return self.label.replace(word, f"{ordinal(number)} {word}")
 
@@ -134,52 +136,66 @@ class Sequences(NamedTuple):
     count: Int[np.ndarray, " samples"]  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
     remark: str
 
-    @property
-    def order(self) -> np.ndarray:
-        """The order of each value within its sample, from 1; (values,)."""
-        return np.arange(len(self.values)) - np.repeat(self.first, self.count) + 1
-
-
-class _Intervals(NamedTuple):
-    """The stick or slip from which each stick's value is known, arrays (all sticks,).
-
-    - `begin`: when that stick or slip begins, s.
-    - `length`: durations of all such sticks or slips, up to the end of the simulation, s, in any order.
-    - `exists`: whether there is such a value. `complete`: whether the simulation did not cut it. `values`: the value.
-    """
-
-    begin: Float[np.ndarray, " sticks"]
-    length: Float[np.ndarray, " intervals"]
-    exists: Bool[np.ndarray, " sticks"]
-    complete: Bool[np.ndarray, " sticks"]
-    values: Float[np.ndarray, " sticks"]
-
 
 def sequences_of(source: StickSource, quantity: str, starts_before: float | None) -> Sequences:
     """The values of `quantity` that begin before `starts_before` (s; None: ``t1 - longest``, as explained above).
 
     Arguments, and errors raised, as in `identically_distributed`.
     """
-    if not (isinstance(quantity, str) and quantity in TESTED):
-        raise ValueError(
-            f"Argument quantity must be one of {', '.join(map(repr, TESTED))}, but {checks.show(quantity)} was given."
-        )
+    checks.chosen("quantity", quantity, TESTED)
     if not (isinstance(starts_before, float) and starts_before == math.inf) and starts_before is not None:
         checks.numeric("starts_before", starts_before)
-    given = _sticks_of(source)
+    given = source.numbered_sticks() if isinstance(source, WithNumberedSticks) else source
+    if not isinstance(given, FlatSticks):
+        raise ValueError(
+            "Argument source must be the result of simulate_ensemble or its flat_sticks, "
+            f"but {type(source).__name__} was given."
+        )
+    shapes = [np.shape(column) for column in (*given.numbers, given.ending)]
+    if any(shape != (given.count.sum(),) for shape in shapes):
+        raise ValueError(
+            f"Argument source must have as many sticks as its counts add up to, {given.count.sum()}, "
+            f"but arrays of shapes {', '.join(map(str, shapes))} were given."
+        )
+    if not (np.all(np.isfinite(given.start)) and np.all(np.isfinite(given.end))):
+        raise ValueError("Argument source must have finite starts and ends, but some are NaN or infinite.")
     sticks = given._replace(count=given.count.astype(np.int64), numbers=given.numbers.astype(np.float64))
-    interval = _INTERVALS[quantity](sticks) if quantity in _INTERVALS else _at_start(sticks, quantity)
-    longest, horizon = np.max(interval.length, initial=0.0), _horizon(sticks)
+    horizon, has = float(np.max(sticks.end, initial=0.0)), sticks.count > 0
+    # The slip after each stick. That after the last one of a sample is cut; there is none if that stick itself was cut.
+    is_cut, is_last = sticks.ending == Ending.HORIZON, np.zeros(len(sticks.start), bool)
+    is_last[(sticks.first + sticks.count - 1)[has]] = True
+    slips = ~(is_last & is_cut)
+    slip = np.where(slips, np.where(is_last, horizon, np.append(sticks.start[1:], 0.0)) - sticks.end, 0.0)
+    # Each value is known from a stick or slip: when that `begin`s, the `length` of all such ones up to the end of the
+    # simulation, in any order, whether there `exists` such a value, and whether the simulation did not cut it.
+    duration, everything = sticks.duration, np.ones(len(sticks.start), bool)
+    match quantity:
+        case "duration":  # from the stick itself
+            values, begin, length, exists, complete = duration, sticks.start, duration, everything, ~is_cut
+        case "slip_start":  # from the stick before the slip
+            values, begin, length, exists, complete = sticks.end, sticks.start, duration, ~is_cut, ~is_cut
+        case "slip_duration":  # from the slip itself
+            values, begin, length, exists, complete = slip, sticks.end, slip, slips, ~is_last
+        case _:  # known when the stick starts: from the slip before, which may be cut
+            values, length, exists, complete = getattr(sticks, quantity), slip, everything, everything
+            begin = np.roll(sticks.end, 1)
+            begin[sticks.first[has]] = 0.0
+    longest = np.max(length, initial=0.0)
     before = horizon - longest if starts_before is None else float(starts_before)
-    used = interval.complete & (interval.begin < before)
-    values = interval.values[used]
+    used = complete & (begin < before)
+    values = values[used]
     if not np.all(np.isfinite(values)):
         raise ValueError(f"Argument source must have finite {plural(quantity)}, but some are NaN or infinite.")
-    scale = horizon if quantity in _INTERVALS else np.max(np.abs(values), initial=0.0)
-    values = _rounded(values, scale * float(np.finfo(given.numbers.dtype).eps))
+    # Rounded to multiples of a power of two that is at least 256 times the round-off: in periodic motion all sticks are
+    # equally long up to that, and tests by rank would find a pattern in it.
+    is_time = quantity in ("duration", "slip_start", "slip_duration")
+    scale = horizon if is_time else np.max(np.abs(values), initial=0.0)
+    if error := scale * float(np.finfo(given.numbers.dtype).eps):
+        grid = math.ldexp(1.0, math.frexp(256 * error)[1])
+        values = grid * np.round(values / grid)
     count = np.bincount(sticks.sample[used], minlength=len(sticks.count))
     remark = f"Used {len(values)} {plural(quantity)}"
-    if left := int(interval.exists.sum()) - len(values):
+    if left := int(exists.sum()) - len(values):
         late = "" if before == math.inf else f"begin at {max(before, 0):.4g} s or later, or "
         remark += f"; left out {left}, which {late}are cut by the end of the simulation"
     return Sequences(values, np.cumsum(count) - count, count, remark + ".")
@@ -189,80 +205,6 @@ def plural(quantity: str) -> str:
     """A tested quantity in sentences: "stick durations"."""
     label = TESTED[quantity].label
     return f"values of the {label}" if label.endswith("the stick") else f"{label}s"
-
-
-def _sticks_of(source: StickSource) -> FlatSticks:
-    """The numbered sticks of an ensemble's finished samples, or `source` itself if it is `FlatSticks`."""
-    sticks = source.numbered_sticks() if isinstance(source, WithNumberedSticks) else source
-    if not isinstance(sticks, FlatSticks):
-        raise ValueError(
-            "Argument source must be the result of simulate_ensemble or its flat_sticks, "
-            f"but {type(source).__name__} was given."
-        )
-    shapes = [np.shape(column) for column in (*sticks.numbers, sticks.ending)]
-    if any(shape != (sticks.count.sum(),) for shape in shapes):
-        raise ValueError(
-            f"Argument source must have as many sticks as its counts add up to, {sticks.count.sum()}, "
-            f"but arrays of shapes {', '.join(map(str, shapes))} were given."
-        )
-    if not (np.all(np.isfinite(sticks.start)) and np.all(np.isfinite(sticks.end))):
-        raise ValueError("Argument source must have finite starts and ends, but some are NaN or infinite.")
-    return sticks
-
-
-def _horizon(sticks: FlatSticks) -> float:
-    """The end of the last stick of all, s."""
-    return float(np.max(sticks.end, initial=0.0))
-
-
-def _rounded(values: np.ndarray, error: float) -> np.ndarray:
-    """The values rounded to multiples of a power of two that is at least 256 times the rounding `error`.
-
-    In periodic motion all sticks are equally long up to round-off, in which tests by rank would find a pattern.
-    """
-    if error == 0:
-        return values
-    grid = math.ldexp(1.0, math.frexp(256 * error)[1])
-    return grid * np.round(values / grid)
-
-
-def _durations(sticks: FlatSticks) -> _Intervals:
-    """The duration of each stick, known from that stick."""
-    length = sticks.duration
-    everything = np.ones(len(length), bool)
-    return _Intervals(sticks.start, length, everything, sticks.ending != Ending.HORIZON, length)
-
-
-def _slips(sticks: FlatSticks) -> _Intervals:
-    """The duration of the slip after each stick, known from that slip.
-
-    The slip after the last stick of a sample is cut; there is none if that stick itself was cut.
-    """
-    is_last = np.zeros(len(sticks.start), bool)
-    is_last[(sticks.first + sticks.count - 1)[sticks.count > 0]] = True
-    stop = np.where(is_last, _horizon(sticks), np.append(sticks.start[1:], 0.0))
-    exists = ~(is_last & (sticks.ending == Ending.HORIZON))
-    length = np.where(exists, stop - sticks.end, 0.0)
-    return _Intervals(sticks.end, length, exists, ~is_last, length)
-
-
-def _slip_starts(sticks: FlatSticks) -> _Intervals:
-    """The instant at which the slip after each stick begins, known from that stick."""
-    known = _durations(sticks)
-    return known._replace(exists=known.complete, values=sticks.end)
-
-
-def _at_start(sticks: FlatSticks, quantity: str) -> _Intervals:
-    """A quantity such as the position, known when the stick starts: from the slip before, which may be cut."""
-    is_first = np.zeros(len(sticks.start), bool)
-    is_first[sticks.first[sticks.count > 0]] = True
-    begin = np.where(is_first, 0.0, np.append(0.0, sticks.end[:-1]))
-    everything = np.ones(len(begin), bool)
-    return _Intervals(begin, _slips(sticks).length, everything, everything, getattr(sticks, quantity))
-
-
-_INTERVALS = {DURATION.name: _durations, SLIP_START.name: _slip_starts, SLIP_DURATION.name: _slips}
-"""Quantities that are times; all others are known when the stick starts."""
 
 
 # The first stick of every sample.

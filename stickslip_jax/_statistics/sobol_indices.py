@@ -136,101 +136,62 @@ def sobol_indices(
         ValueError: For outputs that do not fit the design or are not finite, and for other arguments.
     """
     if not isinstance(design, Design) or not design.factors:
-        raise ValueError(
-            "Argument design must be made by stickslip_jax.design.saltelli, but "
-            f"{checks.show(design)} was given."
-        )  # fmt: skip
+        raise checks.refused("design", "be made by stickslip_jax.design.saltelli", design)
     check_level(level)
     checks.whole_number("resamples", resamples, minimum=100)
     seed = checks.whole_number("seed", seed, minimum=0)
     names, table = _output_table(outputs, design)
-    count, (factors, rows) = table.shape[1], (len(design.factors), design.base_samples)
+    factors, rows = len(design.factors), design.base_samples
     assert rows is not None
-    terms = [_Terms.of(table[:, index].reshape(rows, -1), factors, design.second_order) for index in range(count)]
-    values = [term.indices(term.products.mean(axis=0)) for term in terms]
-    resampled = _resampled(terms, rows, resamples, seed)  # for each output, (resamples, indices)
-    tails = ((1 - level) / 2, (1 + level) / 2)
-    # (statistics, indices, outputs): value, error, low, high
-    all_statistics = np.stack(
-        [
-            np.stack([value, draws.std(axis=0, ddof=1), *np.quantile(draws, tails, axis=0)])
-            for value, draws in zip(values, resampled, strict=True)
-        ],
-        axis=-1,
-    )
+    pairs = list(combinations(range(factors), 2)) if design.second_order else []
+
+    # Of each output (base rows, indices + 2): the numerators of all indices, first-order, total and second-order, and
+    # the mean and mean square of A and B. Indices are made of their means over base rows.
+    products = []
+    for column in table.T:
+        given = column.reshape(rows, -1)
+        y = given - given.mean()
+        a, b, ab, ba = y[:, :1], y[:, -1:], y[:, 1 : factors + 1], y[:, factors + 1 : -1]
+        second = [ba[:, [i]] * ab[:, [j]] - a * b for i, j in pairs]
+        of_all = [b * (ab - a), (a - ab) ** 2 / 2, *second, (a + b) / 2, (a**2 + b**2) / 2]
+        products.append(np.concatenate(of_all, axis=1))
+
+    # The means over all base rows, then those of resamples of these, which are the same for all outputs.
+    rng = np.random.default_rng(seed)
+    means = [np.empty((1 + resamples, one.shape[1])) for one in products]
+    for mean, one in zip(means, products, strict=True):
+        mean[0] = one.mean(axis=0)
+    for draw in range(1, 1 + resamples):
+        weights = np.bincount(rng.integers(rows, size=rows), minlength=rows) / rows
+        for mean, one in zip(means, products, strict=True):
+            mean[draw] = weights @ one
+
+    tails, each = ((1 - level) / 2, (1 + level) / 2), []
+    for mean, column in zip(means, table.T, strict=True):
+        variance = mean[:, -1:] - mean[:, -2:-1] ** 2
+        if np.ptp(column) == 0:
+            variance = np.zeros_like(variance)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = mean[:, :-2] / np.where(variance > 0, variance, math.nan)
+        for at, (i, j) in enumerate(pairs, 2 * factors):
+            found[:, at] -= found[:, i] + found[:, j]
+        value, draws = found[0], found[1:]
+        each.append(np.stack([value, draws.std(axis=0, ddof=1), *np.quantile(draws, tails, axis=0)]))
+    statistics = np.stack(each, axis=-1)  # (statistics, indices, outputs): value, error, low, high
     if names is None:
-        all_statistics = all_statistics[..., 0]
+        statistics = statistics[..., 0]
+    kinds = {"first": statistics[:, :factors], "total": statistics[:, factors : 2 * factors]}
+    if design.second_order:
+        kinds["second"] = np.full((len(statistics), factors, factors, *statistics.shape[2:]), math.nan)
+        for at, (i, j) in enumerate(pairs, 2 * factors):
+            kinds["second"][:, i, j] = kinds["second"][:, j, i] = statistics[:, at]
     arrays: dict[str, Any] = {"second": None, "second_error": None, "second_interval": None}
-    for name, part in _parts(factors, design.second_order).items():
-        found = all_statistics[:, part]
-        if name == "second":
-            found = _symmetric(found, factors)
+    for name, found in kinds.items():
         arrays |= {name: found[0], f"{name}_error": found[1], f"{name}_interval": found[2:]}
     return SobolIndices(
         factors=design.factors, outputs=names or (), level=float(level), base_samples=rows, samples=len(design),
         resamples=int(resamples), **arrays,
     )  # fmt: skip
-
-
-@dataclasses.dataclass(frozen=True)
-class _Terms:
-    """What the indices of one output are made of: means over base rows.
-
-    `products` (base rows, indices + 2): the numerators of all indices, and the mean and mean square of A and B.
-    """
-
-    products: np.ndarray
-    factors: int
-    constant: bool
-
-    @classmethod
-    def of(cls, outputs: np.ndarray, factors: int, second_order: bool) -> "_Terms":
-        """`outputs` (base rows, rows of each)."""
-        y = outputs - outputs.mean()
-        a, b, ab = y[:, :1], y[:, -1:], y[:, 1 : factors + 1]
-        columns = [b * (ab - a), (a - ab) ** 2 / 2]
-        if second_order:
-            ba = y[:, factors + 1 : -1]
-            columns += [ba[:, [i]] * ab[:, [j]] - a * b for i, j in combinations(range(factors), 2)]
-        columns += [(a + b) / 2, (a**2 + b**2) / 2]
-        return cls(np.concatenate(columns, axis=1), factors, bool(np.ptp(outputs) == 0))
-
-    def indices(self, means: np.ndarray) -> np.ndarray:
-        """First-order, total and second-order indices, (..., indices), from means of the products, (..., products)."""
-        variance = means[..., -1:] - means[..., -2:-1] ** 2
-        if self.constant:
-            variance = np.zeros_like(variance)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            found = means[..., :-2] / np.where(variance > 0, variance, math.nan)
-        for at, (i, j) in enumerate(combinations(range(self.factors), 2), 2 * self.factors):
-            if at < found.shape[-1]:
-                found[..., at] -= found[..., i] + found[..., j]
-        return found
-
-
-def _resampled(terms: list[_Terms], rows: int, resamples: int, seed: int) -> list[np.ndarray]:
-    """The indices of resamples of the base rows, for each output (resamples, indices)."""
-    rng = np.random.default_rng(seed)
-    means = [np.empty((resamples, term.products.shape[1])) for term in terms]
-    for draw in range(resamples):
-        weights = np.bincount(rng.integers(rows, size=rows), minlength=rows) / rows
-        for mean, term in zip(means, terms, strict=True):
-            mean[draw] = weights @ term.products
-    return [term.indices(mean) for mean, term in zip(means, terms, strict=True)]
-
-
-def _parts(factors: int, second_order: bool) -> dict[str, slice]:
-    """Where each kind of index is among all of them."""
-    parts = {"first": slice(factors), "total": slice(factors, 2 * factors)}
-    return parts | {"second": slice(2 * factors, None)} if second_order else parts
-
-
-def _symmetric(pairs: np.ndarray, factors: int) -> np.ndarray:
-    """Numbers (statistics, pairs, ...) as matrices (statistics, factors, factors, ...)."""
-    matrix = np.full((len(pairs), factors, factors, *pairs.shape[2:]), math.nan)
-    for at, (i, j) in enumerate(combinations(range(factors), 2)):
-        matrix[:, i, j] = matrix[:, j, i] = pairs[:, at]
-    return matrix
 
 
 def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None, np.ndarray]:
@@ -248,10 +209,8 @@ def _output_table(outputs: Any, design: Design) -> tuple[tuple[str, ...] | None,
     except ValueError:
         array: np.ndarray = np.empty(0)
     if array.ndim not in (1, 2) or len(array) != len(design) or not array.size or array.dtype.kind not in "biuf":
-        raise ValueError(
-            f"Argument outputs must hold a number for each of the {len(design)} samples of the design, (samples,) or "
-            f"(samples, outputs), but {checks.show(outputs)} was given."
-        )
+        demand = f"hold a number for each of the {len(design)} samples of the design, (samples,) or (samples, outputs)"
+        raise checks.refused("outputs", demand, outputs)
     table = (array[:, None] if array.ndim == 1 else array).astype(np.float64)
     wrong = ~np.isfinite(table)
     if wrong.any():

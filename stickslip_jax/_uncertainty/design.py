@@ -67,14 +67,20 @@ class Design:
         names = None if self.names is None else checked_names(self.names)
         if names is not None and len(names) != numbers.shape[1]:
             raise checks.refused("names", f"hold one name for each of the {numbers.shape[1]} columns of {name}", names)
-        realization = checked_realization(self.realization, len(numbers))
+        realization = numbers_or_none("realization", self.realization, ndim=1)
+        if realization.shape != (len(numbers),) or realization.dtype.kind not in "iu":
+            demand = f"hold a whole number for each of the {len(numbers)} samples"
+            raise checks.refused("realization", demand, self.realization)
+        outside = (realization < 0) | (realization >= _MOST_REALIZATIONS)
+        refuse_first("realization", realization, outside, "numbers from 0 to 4294967295")
+        realization = realization.astype(np.int64)
+        realization.setflags(write=False)
         for field, value in ((name, numbers), ("names", names), ("realization", realization)):
             object.__setattr__(self, field, value)
         if self.base_samples is not None and not self.factors:
-            raise ValueError(
-                f"Argument base_samples must fit the {len(numbers)} rows of a design for Sobol' indices, but "
-                f"{self.base_samples} was given; make such designs with stickslip_jax.design.saltelli."
-            )
+            demand = f"fit the {len(numbers)} rows of a design for Sobol' indices"
+            hint = "make such designs with stickslip_jax.design.saltelli"
+            raise checks.refused("base_samples", demand, self.base_samples, hint)
 
     def __len__(self) -> int:
         return len(self.realization)
@@ -207,17 +213,6 @@ def refuse_first(name: str, array: np.ndarray, wrong: np.ndarray, allowed: str) 
         raise ValueError(
             f"Argument {name} must hold {allowed}, but {name}[{', '.join(map(str, place))}] = {array[place]} was given."
         )
-
-
-def checked_realization(realization: object, samples: int) -> np.ndarray:
-    """`realization` as a read-only array (samples,) of int64. Raises ValueError for anything but whole numbers."""
-    array = numbers_or_none("realization", realization, ndim=1)
-    if array.shape != (samples,) or array.dtype.kind not in "iu":
-        raise checks.refused("realization", f"hold a whole number for each of the {samples} samples", realization)
-    refuse_first("realization", array, (array < 0) | (array >= _MOST_REALIZATIONS), "numbers from 0 to 4294967295")
-    array = array.astype(np.int64)
-    array.setflags(write=False)
-    return array
 
 
 # Designs of uniform numbers: random, Latin hypercube, Sobol' sequence, and Saltelli's for Sobol' indices.
@@ -372,10 +367,8 @@ def realizations(realization: Realization, samples: int, more: dict[str, np.ndar
         return realization
     words = {"own": np.arange(samples), "common": np.zeros(samples, np.int64), **(more or {})}
     if realization not in words:
-        options = ", ".join(map(repr, words))
-        raise checks.refused(
-            "realization", f"be {options} or an array with a whole number for each sample", realization
-        )
+        demand = f"be {', '.join(map(repr, words))} or an array with a whole number for each sample"
+        raise checks.refused("realization", demand, realization)
     return words[realization]
 
 
@@ -400,9 +393,7 @@ def _columns(names: object, dimensions: object) -> tuple[tuple[str, ...] | None,
         return names, len(names or ())
     dimensions = checks.whole_number("dimensions", dimensions, maximum=_MOST_DIMENSIONS)
     if names is not None and len(names) != dimensions:
-        raise ValueError(
-            f"Argument dimensions must be {len(names)}, the number of names, but {dimensions} was given; leave it out."
-        )
+        raise checks.refused("dimensions", f"be {len(names)}, the number of names", dimensions, "leave it out")
     return names, dimensions
 
 
@@ -410,10 +401,9 @@ def _power_of_two(name: str, number: object) -> int:
     number = checks.whole_number(name, number, maximum=MOST_SAMPLES)
     if number & (number - 1):
         below = 1 << (number.bit_length() - 1)
-        raise ValueError(
-            f"Argument {name} must be a power of two, for which the points of a Sobol' sequence are balanced, but "
-            f"{number} was given; take {below} or {2 * below}, or latin_hypercube or random for any number."
-        )
+        demand = "be a power of two, for which the points of a Sobol' sequence are balanced"
+        hint = f"take {below} or {2 * below}, or latin_hypercube or random for any number"
+        raise checks.refused(name, demand, number, hint)
     return number
 
 
@@ -496,10 +486,8 @@ def table(
     checks.truth("uniform", uniform)
     if not hasattr(numbers, "items"):
         if names is None and not uniform:
-            raise ValueError(
-                "Argument names must be given with an array of numbers, one name for each column, such as "
-                "['mu', 'stiffness'], but None was given."
-            )
+            demand = "be given with an array of numbers, one name for each column, such as ['mu', 'stiffness']"
+            raise checks.refused("names", demand, None)
         array: Any = numbers
     else:
         if names is not None:
@@ -527,15 +515,13 @@ def _named_columns(argument: str, given: Any) -> dict[str, np.ndarray]:
             f"Argument {argument} must have a different name for each column, such as 'mu', but the names "
             f"{checks.show(names)} were given."
         )
-    return {name: _column(f"{argument}[{name!r}]", column) for name, column in pairs}
-
-
-def _column(name: str, given: object) -> np.ndarray:
-    """A column called `name`. Raises ValueError for what holds no numbers, none at all, or too many."""
-    if isinstance(given, range):  # which has no numbers yet
-        check_size(len(given), 1, name)
-    column = numbers_or_none(name, given, ndim=1)
-    if not column.size:
-        raise checks.refused(name, "be a one-dimensional sequence of real numbers, at least one", given)
-    refuse_first(name, column, ~np.isfinite(column), "finite numbers")
-    return column
+    columns = {}
+    for name, column in pairs:
+        own = f"{argument}[{name!r}]"
+        if isinstance(column, range):  # which has no numbers yet
+            check_size(len(column), 1, own)
+        columns[name] = numbers_or_none(own, column, ndim=1)
+        if not columns[name].size:
+            raise checks.refused(own, "be a one-dimensional sequence of real numbers, at least one", column)
+        refuse_first(own, columns[name], ~np.isfinite(columns[name]), "finite numbers")
+    return columns

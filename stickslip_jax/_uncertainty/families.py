@@ -86,10 +86,10 @@ class Truncated(RandomNumber):
 
     def check_relations(self) -> None:
         if not isinstance(self.distribution, RandomNumber):
-            raise ValueError(
-                "Argument distribution must be a distribution of stickslip_jax such as Normal(mean, std), but "
-                f"{checks.show(self.distribution)} was given; of other distributions give an array of draws."
-            )
+            raise checks.refused(
+                "distribution", "be a distribution of stickslip_jax such as Normal(mean, std)", self.distribution,
+                "of other distributions give an array of draws",
+            )  # fmt: skip
         if not self.distribution.is_continuous:
             raise checks.refused(
                 "distribution", "be continuous", self.distribution, "leave out those of its values that are not wanted"
@@ -97,8 +97,8 @@ class Truncated(RandomNumber):
         limits = [limit for limit in (self.low, self.high) if limit is not None]
         if any(checks.is_traced(value) for value in (*limits, *self._shares())):
             return
-        if len(limits) == 2 and not limits[0] < limits[1]:
-            raise ValueError(f"Argument high must be above low = {self.low}, but {self.high} was given.")
+        if len(limits) == 2:
+            _check_order(*limits)
         below, above = (float(share) for share in self._shares())
         if not below < above:
             raise ValueError(
@@ -376,9 +376,8 @@ class Discrete(RandomNumber):
             return
         tolerance = 1e-6 if given.dtype == np.float32 else 1e-9
         if len(given) != len(self.values) or abs(float(np.sum(np.asarray(given, float))) - 1) > tolerance:
-            raise checks.refused(
-                "probabilities", f"hold one number for each of the {len(self.values)} values, with sum 1", given
-            )
+            demand = f"hold one number for each of the {len(self.values)} values, with sum 1"
+            raise checks.refused("probabilities", demand, given)
 
     def _cumulative(self, dtype) -> FloatArray:
         """The probability of each value or one below it."""

@@ -35,9 +35,8 @@ _ROUND_OFF = 1e-6
 def _as_names(names: object) -> tuple[str, ...]:
     found = tuple(names) if isinstance(names, Sequence) and not isinstance(names, (str, bytes, range)) else ()
     if len(found) < 2 or not all(isinstance(name, str) and name for name in found) or len(set(found)) < len(found):
-        raise checks.refused(
-            "names", "hold two or more different names of random numbers, such as ('mu', 'stiffness')", names
-        )
+        demand = "hold two or more different names of random numbers, such as ('mu', 'stiffness')"
+        raise checks.refused("names", demand, names)
     return found
 
 
@@ -282,9 +281,7 @@ class Inputs:
         """
         design = samples if isinstance(samples, Design) else None
         samples = samples.samples if isinstance(samples, Design) else samples
-        model = model._replace(y0=_columns(model.y0))
-        if design is not None and not design.is_uniform:
-            model = _with_values(model, design)
+        model = _with_columns(model, design)
         for name, value in model._asdict().items():
             checks.tree(name, value)
         entries = tuple(Input(path, *found) for path, *found in varying(model))
@@ -296,23 +293,40 @@ class Inputs:
                 )
         covered = design is not None and design.is_uniform and design.names is None
         if key is None and not covered and any(entry.is_random for entry in entries):
-            raise ValueError(
-                "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
-                "was given."
-            )
+            demand = "be a key such as jax.random.key(0) where law, system or y0 are random"
+            raise checks.refused("key", demand, None)
         streams = [entry.stream for entry in entries]
         assert len(set(streams)) == len(streams), "two names share a random word"
-        names = _short([entry.path for entry in entries])
-        columns = _columns_of(design, entries) if design is not None and design.is_uniform else ()
-        correlated = () if copula is None else _positions("correlation", copula.names, entries)
+        # Short names: the shortest endings of the paths that no other path has.
+        paths, names = [entry.path for entry in entries], []
+        for path in paths:
+            sizes = range(1 if path[0] != "y0" else len(path), len(path) + 1)
+            size = next(size for size in sizes if sum(other[-size:] == path[-size:] for other in paths) == 1)
+            names.append(shown(path[-size:]))
+        # Which entries the columns of a design of uniform numbers, and a copula, are for.
+        random = tuple(place for place, entry in enumerate(entries) if entry.is_random)
+
+        def named(argument: str, names: tuple[str, ...]) -> tuple[int, ...]:
+            return tuple(random[matching(argument, name, [paths[place] for place in random])] for name in names)
+
+        columns = ()
+        if design is not None and design.names is not None and design.is_uniform:
+            columns = named("samples", design.names)
+        elif design is not None and design.is_uniform:
+            columns = random
+            if len(random) != design.dimensions:
+                raise ValueError(
+                    f"Argument samples must be a design with one column for each of the {len(random)} random numbers "
+                    f"({', '.join(entries[place].name for place in random)}), but it has {design.dimensions}; "
+                    "give it names."
+                )
+        correlated = () if copula is None else named("correlation", copula.names)
         for place in (*columns, *correlated):
             if not _has_quantiles(entries[place].source):
-                raise ValueError(
-                    f"Argument {names[place]} must be a distribution with quantiles (icdf or ppf) to follow a design "
-                    f"or a correlation, but {checks.show(entries[place].source)} was given."
-                )
+                demand = "be a distribution with quantiles (icdf or ppf) to follow a design or a correlation"
+                raise checks.refused(names[place], demand, entries[place].source)
         key_data = None if key is None else key_data_of(key)
-        return cls(model, entries, names, samples, key_data, design, columns, copula, correlated)
+        return cls(model, entries, tuple(names), samples, key_data, design, columns, copula, correlated)
 
     @property
     def are_random(self) -> bool:
@@ -330,14 +344,34 @@ class Inputs:
         Beyond the last sample, arrays repeat their last value.
         """
         samples = self._repeating_last(first, number)
+        return tuple(
+            np.asarray(entry.source, dtype)[samples] if u is None else self._quantiles(entry, u, first)
+            for entry, u in zip(self.entries, self.uniforms(first, number, dtype), strict=True)
+        )
 
-        def values(entry, u):
-            if u is None:
-                return np.asarray(entry.source, dtype)[samples]
-            return _quantiles(entry, u, lambda: self._keys(entry, first, number))
-
-        uniforms = self.uniforms(first, number, dtype)
-        return tuple(values(entry, u) for entry, u in zip(self.entries, uniforms, strict=True))
+    def _quantiles(self, entry: Input, u: Array, first: int) -> AnyArray:
+        """The values of `entry` at the uniform numbers `u` of the samples from `first` on."""
+        source = entry.source
+        if isinstance(source, RandomNumber):
+            return _of_distribution(source, u)
+        for name, argument in (("ppf", np.asarray(u)), ("icdf", u)):
+            if callable(getattr(source, name, None)):
+                try:
+                    values = np.asarray(getattr(source, name)(argument), u.dtype)
+                except NotImplementedError:
+                    continue  # some packages give every distribution the method, and few of them an answer
+                if values.shape == u.shape:
+                    return values
+                raise ValueError(
+                    f"Argument {entry.name} must be a distribution of one number, but {name} of {checks.show(source)} "
+                    f"gave an array of shape {values.shape} for {len(u)} samples."
+                )
+        # A distribution that only samples: by keys of its own, one for each sample.
+        assert self.key_data is not None
+        samples = jnp.asarray(np.arange(first, first + len(u), dtype=np.uint32))
+        own = random_words(random_words(self.key_data, samples), jnp.uint32(entry.stream))
+        keys = jax.random.wrap_key_data(jnp.stack(own, axis=-1))
+        return np.asarray(jax.vmap(source.sample)(keys), u.dtype)
 
     def with_start(self, y0: tuple[Number, ...]) -> "Inputs":
         """The same inputs; where none of them is an initial value, with the checked initial state `y0`."""
@@ -351,7 +385,7 @@ class Inputs:
             rows, _ = self.design.block(int(samples[0]), int(samples[-1] - samples[0]) + 1, dtype)
             for place, column in zip(self.columns, rows[samples - samples[0]].T, strict=True):
                 found[place] = jnp.asarray(column)
-        own = [place for place in _random(self.entries) if found[place] is None]
+        own = [place for place, entry in enumerate(self.entries) if entry.is_random and found[place] is None]
         streams = np.array([self.entries[place].stream for place in own], np.uint32)
         if own:
             drawn = _uniforms(self.key_data, np.uint32(first), streams, number=number, dtype=dtype)
@@ -428,25 +462,22 @@ class Inputs:
             number = min(_AT_ONCE, self.samples - first)
             drawn = [np.asarray(column)[:number] for column in self.drawn(first, _AT_ONCE, dtype)]
             for entry, name, values in zip(self.entries, self.names, drawn, strict=True):
-                self._check_values(entry, name, values, first)
+                about = entry.about or Quantity()
+                wrong = about.outside(values)
+                if not np.any(wrong):
+                    continue
+                at = int(np.argmax(wrong))
+                if not entry.is_random:
+                    about.check(f"{name}[{first + at}]", float(values[at]))
+                try:
+                    about.check(name, float(values[at]))
+                except ValueError as error:
+                    raise ValueError(
+                        f"Argument {name} must be a distribution within the bounds of {name}, but "
+                        f"{np.count_nonzero(wrong)} of the draws {first} to {first + number - 1} are outside, first "
+                        f"that of sample {first + at}; restrict it with Truncated(..., low=..., high=...). {error}"
+                    ) from error
             self._check_relations(drawn, first)
-
-    def _check_values(self, entry: Input, name: str, values: np.ndarray, first: int) -> None:
-        about = entry.about or Quantity()
-        wrong = about.outside(values)
-        if not np.any(wrong):
-            return
-        at = int(np.argmax(wrong))
-        if not entry.is_random:
-            about.check(f"{name}[{first + at}]", float(values[at]))
-        try:
-            about.check(name, float(values[at]))
-        except ValueError as error:
-            raise ValueError(
-                f"Argument {name} must be a distribution within the bounds of {name}, but {np.count_nonzero(wrong)} of "
-                f"the draws {first} to {first + len(values) - 1} are outside, first that of sample {first + at}; "
-                f"restrict it with Truncated(..., low=..., high=...). {error}"
-            ) from error
 
     def _check_relations(self, drawn: list[np.ndarray], first: int) -> None:
         """What several numbers of a module must satisfy together, sample by sample where they vary."""
@@ -458,22 +489,14 @@ class Inputs:
             try:
                 type(module).check_relations(module)  # made for single numbers, but comparisons may hold for arrays
             except (ValueError, TypeError):
-                inside = [(path[len(depth):], values) for path, values in zip(paths, drawn, strict=True)
-                          if path[: len(depth)] == depth]  # fmt: skip
+                inside = [place for place, path in enumerate(paths) if path[: len(depth)] == depth]
+                own = tuple(paths[place][len(depth) :] for place in inside)
                 for sample in range(len(drawn[0])):
-                    one = with_numbers(module, tuple(path for path, _ in inside),
-                                       [float(values[sample]) for _, values in inside])  # fmt: skip
+                    one = with_numbers(module, own, [float(drawn[place][sample]) for place in inside])
                     try:
                         type(one).check_relations(one)
                     except ValueError as error:
                         raise ValueError(f"Sample {first + sample} does not fit: {error}") from error
-
-    def _keys(self, entry: Input, first: int, number: int) -> Array:
-        """A key of `entry` for each sample."""
-        samples = np.arange(first, first + number, dtype=np.uint32)
-        assert self.key_data is not None
-        own = random_words(random_words(self.key_data, jnp.asarray(samples)), jnp.uint32(entry.stream))
-        return jax.random.wrap_key_data(jnp.stack(own, axis=-1))
 
 
 @jax.jit
@@ -491,81 +514,32 @@ def _uniforms(key_data: Array, first: Array, streams: Array, *, number: int, dty
     return jax.vmap(lambda stream: uniform(random_words(own, stream)[0], dtype))(streams)
 
 
-def _quantiles(entry: Input, u: Array, keys: Callable[[], Array]) -> AnyArray:
-    """The values of `entry` at the uniform numbers `u`; of a distribution that only samples, by keys of its own."""
-    source = entry.source
-    if isinstance(source, RandomNumber):
-        return _of_distribution(source, u)
-    for name, argument in (("ppf", np.asarray(u)), ("icdf", u)):
-        if callable(getattr(source, name, None)):
-            try:
-                values = np.asarray(getattr(source, name)(argument), u.dtype)
-            except NotImplementedError:  # some packages give every distribution the method, and few of them an answer
-                continue
-            if values.shape == u.shape:
-                return values
-            raise ValueError(
-                f"Argument {entry.name} must be a distribution of one number, but {name} of {checks.show(source)} "
-                f"gave an array of shape {values.shape} for {len(u)} samples."
-            )
-    return np.asarray(jax.vmap(source.sample)(keys()), u.dtype)
-
-
 def _has_quantiles(source: object) -> bool:
     return not isinstance(source, type) and any(callable(getattr(source, name, None)) for name in ("icdf", "ppf"))
 
 
-def _positions(argument: str, names: tuple[str, ...], entries: tuple[Input, ...]) -> tuple[int, ...]:
-    """The entries with these names. Raises ValueError for a name that fits none of them, or several."""
-    random = _random(entries)
-    paths = [entries[place].path for place in random]
-    return tuple(random[matching(argument, name, paths)] for name in names)
-
-
-def _random(entries: tuple[Input, ...]) -> tuple[int, ...]:
-    """Which entries are drawn."""
-    return tuple(place for place, entry in enumerate(entries) if entry.is_random)
-
-
-def _columns_of(design: Design, entries: tuple[Input, ...]) -> tuple[int, ...]:
-    """The entries that the columns of a design of uniform numbers are for."""
-    if design.names is not None:
-        return _positions("samples", design.names, entries)
-    random = _random(entries)
-    if len(random) != design.dimensions:
-        raise ValueError(
-            f"Argument samples must be a design with one column for each of the {len(random)} random numbers "
-            f"({', '.join(entries[place].name for place in random)}), but it has {design.dimensions}; "
-            "give it names."
-        )
-    return random
-
-
-def _with_values(model: StochasticModel, design: Design) -> StochasticModel:
-    """The model with the columns of a design of values in place of the numbers that they are named after."""
-    assert design.values is not None
-    if design.names is None:
-        raise ValueError("Argument samples must be a design whose values have names of numbers, such as 'mu'.")
-    known = [path for path, _ in numbers_in(model._asdict(), whole=True)]
-    paths = tuple(known[matching("samples", name, known)] for name in design.names)
-    for path in paths:  # an optional number that is not set has no place in the tree
-        if number_at(model, path) is None:
-            raise ValueError(f"Argument {shown(path)} must be a number where a design varies it, but None was given.")
-    return with_numbers(model, paths, [np.array(column) for column in design.values.T])
-
-
-def _columns(y0: Any) -> Any:
-    """`y0` with a column for each coordinate, where it is an array (samples, coordinates).
-
-    Raises ValueError for one distribution, which cannot be that of all coordinates.
+def _with_columns(model: StochasticModel, design: Design | None) -> StochasticModel:
+    """The model with a column for each coordinate, where `y0` is an array (samples, coordinates), and with the columns
+    of a design of values in place of the numbers that they are named after.
     """
-    if is_distribution(y0):
-        raise checks.refused(
-            "y0", "hold a number or a distribution for each number of the state, as (Uniform(0.0, 1.0), 0.0)", y0
-        )
+    y0 = model.y0
+    if is_distribution(y0):  # which cannot be that of all coordinates
+        demand = "hold a number or a distribution for each number of the state, as (Uniform(0.0, 1.0), 0.0)"
+        raise checks.refused("y0", demand, y0)
     if isinstance(y0, (tuple, list)):
-        return tuple(y0)
-    return tuple(checks.numbers("y0", y0).T) if checks.dimensions(y0) == 2 else y0
+        model = model._replace(y0=tuple(y0))
+    elif checks.dimensions(y0) == 2:  # (samples, coordinates): a column for each coordinate
+        model = model._replace(y0=tuple(checks.numbers("y0", y0).T))
+    if design is not None and design.values is not None:  # they stand for the numbers that they are named after
+        if design.names is None:
+            raise ValueError("Argument samples must be a design whose values have names of numbers, such as 'mu'.")
+        known = [path for path, _ in numbers_in(model._asdict(), whole=True)]
+        paths = tuple(known[matching("samples", name, known)] for name in design.names)
+        for path in paths:  # an optional number that is not set has no place in the tree
+            if number_at(model, path) is None:
+                raise checks.refused(shown(path), "be a number where a design varies it", None)
+        model = with_numbers(model, paths, [np.array(column) for column in design.values.T])
+    return model
 
 
 def varying(tree: Any, path: NumberPath = (), about: Any = None) -> Iterator[tuple[NumberPath, Any, Quantity | None]]:
@@ -585,16 +559,3 @@ def varying(tree: Any, path: NumberPath = (), about: Any = None) -> Iterator[tup
             yield from varying(value, (*path, index), Quantity() if path == ("y0",) else None)
     elif _has_quantiles(tree):
         yield path, tree, None
-
-
-def _short(paths: list[NumberPath]) -> tuple[str, ...]:
-    """The shortest endings of the paths that no other path has."""
-    names = []
-    for path in paths:
-        if path[0] == "y0":
-            names.append(shown(path))
-            continue
-        sizes = range(1, len(path) + 1)
-        size = next(size for size in sizes if sum(other[-size:] == path[-size:] for other in paths) == 1)
-        names.append(shown(path[-size:]))
-    return tuple(names)

@@ -40,7 +40,16 @@ def parameters_of(where: Mapping[str, object], wrt: object) -> tuple[Parameter, 
     if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
         raise checks.refused("wrt", "be a parameter's name or several different ones", wrt)
     known = list(numbers_in(where))
-    return tuple(_chosen(name, known) for name in names)
+    found = []
+    for name in names:
+        path, value = known[matching("wrt", name, [path for path, _ in known])]
+        if value is None:
+            raise ValueError(
+                f"Argument wrt must name numbers that are set, but {name!r} is not; give it a value, a zero as "
+                "jnp.asarray(0.0)."
+            )
+        found.append(Parameter(name, path, float(value)))
+    return tuple(found)
 
 
 def number_at(tree: Any, path: NumberPath) -> Any:
@@ -100,16 +109,6 @@ def matching(argument: str, name: str, paths: list[NumberPath]) -> int:
     )
 
 
-def _chosen(name: str, known: Sequence[tuple[NumberPath, Any]]) -> Parameter:
-    path, value = known[matching("wrt", name, [path for path, _ in known])]
-    if value is None:
-        raise ValueError(
-            f"Argument wrt must name numbers that are set, but {name!r} is not; give it a value, a zero as "
-            "jnp.asarray(0.0)."
-        )
-    return Parameter(name, path, float(value))
-
-
 def paths_of_numbers(where: Mapping[str, object]) -> Iterator[NumberPath]:
     """Paths of all numbers, those in distributions too, and of optional numbers that are not set, in the objects by
     name.
@@ -127,7 +126,8 @@ def numbers_in(where: Mapping[str, object], *, whole: bool = False) -> Iterator[
 
 
 def _numbers(tree: object, path: NumberPath, whole: bool) -> Iterator[tuple[NumberPath, Any]]:
-    if whole and is_distribution(tree) and not _is_law(tree):
+    is_law = isinstance(tree, eqx.Module) and not callable(getattr(tree, "icdf", None))
+    if whole and is_distribution(tree) and not is_law:
         yield path, tree
     elif isinstance(tree, eqx.Module):
         for field in dataclasses.fields(tree):
@@ -143,10 +143,6 @@ def _numbers(tree: object, path: NumberPath, whole: bool) -> Iterator[tuple[Numb
             yield from _numbers(value, (*path, index), whole)
     elif _is_number(tree) or (whole and isinstance(tree, np.ndarray) and tree.ndim == 1):
         yield path, tree
-
-
-def _is_law(value: object) -> bool:
-    return isinstance(value, eqx.Module) and not callable(getattr(value, "icdf", None))
 
 
 def _is_number(value: object) -> bool:
@@ -172,18 +168,7 @@ def check_realizations(found: PyTree, first: int) -> None:
     """Check stacked realisations, those of samples `first`, ``first + 1``, ... Raises ValueError for the first of them
     that its constructors would have refused.
     """
-    for sample in np.flatnonzero(_suspicious(found)):
-        one = jax.tree.map(lambda leaf, sample=sample: leaf[sample], found)
-        try:
-            check_numbers(one)
-        except ValueError as error:
-            raise ValueError(
-                f"Argument law must give realisations that fit, but sample {first + sample}: {error}"
-            ) from error
-
-
-def _suspicious(found: PyTree) -> np.ndarray:
-    """Which realisations the constructors may refuse, (samples,): looked at all at once."""
+    # Which of them the constructors may refuse: looked at all at once.
     suspicious = np.zeros(len(jax.tree.leaves(found)[0]), bool)
     for module in modules_in(found):
         arrays = {field.name: getattr(module, field.name) for field in dataclasses.fields(module)}
@@ -195,18 +180,21 @@ def _suspicious(found: PyTree) -> np.ndarray:
             times = arrays["times"]
             suspicious |= _any(np.diff(times, axis=-1) <= 0) | (times[..., 0] != 0)
         if "durations" in arrays:
-            suspicious |= _suspicious_intervals(**arrays)
-    return suspicious
-
-
-def _suspicious_intervals(durations: np.ndarray, **others: np.ndarray) -> np.ndarray:
-    used = durations > 0
-    found = _any(~(durations >= 0)) | _any(used[..., 1:] & ~used[..., :-1])
-    for name, values in others.items():
-        found |= _any(used & ~np.isfinite(values))
-        if name == "velocities":
-            found |= _any((values[..., 1:] == values[..., :-1]) & used[..., 1:])
-    return found
+            durations = arrays.pop("durations")
+            used = durations > 0
+            suspicious |= _any(~(durations >= 0)) | _any(used[..., 1:] & ~used[..., :-1])
+            for name, values in arrays.items():
+                suspicious |= _any(used & ~np.isfinite(values))
+                if name == "velocities":
+                    suspicious |= _any((values[..., 1:] == values[..., :-1]) & used[..., 1:])
+    for sample in np.flatnonzero(suspicious):
+        one = jax.tree.map(lambda leaf, sample=sample: leaf[sample], found)
+        try:
+            check_numbers(one)
+        except ValueError as error:
+            raise ValueError(
+                f"Argument law must give realisations that fit, but sample {first + sample}: {error}"
+            ) from error
 
 
 def _any(wrong: np.ndarray) -> np.ndarray:

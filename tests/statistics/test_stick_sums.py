@@ -158,25 +158,25 @@ def test_sums_and_histograms_are_those_of_plain_python(compiled, dtype, rest, or
     numbered = [one[skip:] for one, skip in zip(rows, skipped, strict=True)]
     every = joined(numbered)
     sums = accumulator.sums_of_sticks(stream, skipped, T1)
-    assert_sums(sums.sticks, every)
-    for a, bins in enumerate(sums.stick_bins):
+    assert_sums(sums["sticks"], every)
+    for a, bins in enumerate(sums["stick_bins"]):
         assert_bins(bins, [(row[a],) for row in every])
-    for bins, (x, y) in zip(sums.pair_bins, ((1, 2), (0, 1)), strict=True):
+    for bins, (x, y) in zip(sums["pair_bins"], ((1, 2), (0, 1)), strict=True):
         assert_bins(bins, [(row[x], row[y]) for row in every])
     slips = slips_by_hand(found, dtype, any(one and one[0][0] == 0 for one in found))
-    assert_sums(sums.slips, [(slip,) for slip in slips])
-    assert_bins(sums.slip_bins, [(slip,) for slip in slips])
+    assert_sums(sums["slips"], [(slip,) for slip in slips])
+    assert_bins(sums["slip_bins"], [(slip,) for slip in slips])
 
     sums = accumulator.sums_of_orders(stream, skipped, orders)
     by_order = [[one[order] for one in numbered if len(one) > order] for order in range(orders)]
     for order, mine in enumerate(by_order):
-        assert_sums(sums.by_order.one(order), mine)
+        assert_sums(sums["by_order"].one(order), mine)
     group = [order for order, mine in enumerate(by_order) for _ in mine]
-    for a, bins in enumerate(sums.order_bins):
+    for a, bins in enumerate(sums["order_bins"]):
         assert_bins(bins, [(row[a],) for row in joined(by_order)], group)
     first_two = [(one[0][1], one[1][1]) for one in numbered if len(one) > 1]
-    assert_sums(sums.first_two, first_two)
-    assert_bins(sums.first_two_bins, first_two)
+    assert_sums(sums["first_two"], first_two)
+    assert_bins(sums["first_two_bins"], first_two)
 
 
 def assert_same(one, other):
@@ -202,15 +202,15 @@ def test_many_sticks_and_none(samples, dtype):
             duration = numbered.end.astype(float) - numbered.start
             columns = [np.asarray(values, float) for values in (numbered.start, duration, numbered.position)]
             sums = accumulator.sums_of_sticks(stream, skipped, T1)
-            assert_same(sums.sticks, PowerSums.of(*columns))
-            assert_same(sums.stick_bins, tuple(DyadicCounts.of(values, BINS) for values in columns))
+            assert_same(sums["sticks"], PowerSums.of(*columns))
+            assert_same(sums["stick_bins"], tuple(DyadicCounts.of(values, BINS) for values in columns))
             pairs = ((columns[1], columns[2]), (columns[0], columns[1]))
             expected = tuple(DyadicCounts.of_columns(pair, accumulator.BINS_OF_PAIRS) for pair in pairs)
-            assert_same(sums.pair_bins, expected)
+            assert_same(sums["pair_bins"], expected)
             slips = np.concatenate([np.asarray(by, float) for by in (stream.slip, stream.slip_after(T1))])
             slips = slips[slips > 0]
-            assert_same(sums.slips, PowerSums.of(slips))
-            assert_same(sums.slip_bins, DyadicCounts.of(slips, BINS))
+            assert_same(sums["slips"], PowerSums.of(slips))
+            assert_same(sums["slip_bins"], DyadicCounts.of(slips, BINS))
 
 
 def test_numbers_that_are_nan_are_refused():
@@ -232,14 +232,16 @@ def test_a_further_quantity_needs_no_loop_of_its_own(rest, monkeypatch):
     monkeypatch.setattr(accumulator, "_OTHERS", [at])
     monkeypatch.setattr(accumulator, "_SLIP", 4)
     sums, orders = accumulator.sums_of_sticks(stream, skipped, T1), accumulator.sums_of_orders(stream, skipped, 3)
-    assert_same(sums.stick_bins[:3], before[0].stick_bins)
+    assert_same(sums["stick_bins"][:3], before[0]["stick_bins"])
     for name in ("slips", "slip_bins", "pair_bins"):
-        assert_same(getattr(sums, name), getattr(before[0], name))
-    assert_same(orders.order_bins[:3], before[1].order_bins)
+        assert_same(sums[name], before[0][name])
+    assert_same(orders["order_bins"][:3], before[1]["order_bins"])
     numbered = [[row[at] for row in one[skip:]] for one, skip in zip(found, skipped, strict=True)]
-    assert_bins(sums.stick_bins[3], [(value,) for value in joined(numbered)])
-    assert sums.sticks.mean[3] == pytest.approx(np.mean(joined(numbered)), rel=1e-13)
-    assert orders.by_order.mean[1, 3] == pytest.approx(np.mean([one[1] for one in numbered if len(one) > 1]), rel=1e-13)
+    assert_bins(sums["stick_bins"][3], [(value,) for value in joined(numbered)])
+    assert sums["sticks"].mean[3] == pytest.approx(np.mean(joined(numbered)), rel=1e-13)
+    assert orders["by_order"].mean[1, 3] == pytest.approx(
+        np.mean([one[1] for one in numbered if len(one) > 1]), rel=1e-13
+    )
 
 
 @pytest.mark.parametrize("threads", [1, 2])
