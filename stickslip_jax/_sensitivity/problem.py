@@ -411,7 +411,7 @@ def warn_if_grazing(problem: SensitivityProblem) -> tuple[str, ...]:
             "however small, makes a stick there, and one of the other sign none. The derivative is given as NaN; "
             "change y0, or make it random.",
             RuntimeWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     return tuple(moved)
 
@@ -436,7 +436,7 @@ def warn_at_special_speeds(problem: SensitivityProblem, already_warned: tuple[st
             f"sticks has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it "
             "is taken. The slope over about `relative_bandwidth` is given; see docs/sensitivity.md.",
             RuntimeWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
 
 
