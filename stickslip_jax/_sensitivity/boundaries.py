@@ -82,15 +82,12 @@ class BoundaryDistances(NamedTuple):
         }
         return self._replace(**limited)
 
+    def after(self, deterministic_until: FloatArray, where: BoolArray) -> "BoundaryDistances":
+        """The same distances, active only `where` that is true and they have a density.
 
-def vanishes_from_start(start: FloatArray, ending: IntArray, deterministic_until: FloatArray) -> BoolArray:
-    """Whether the stick in a record begins at t = 0 and may vanish, as its duration falls to 0.
-
-    `deterministic_until`: when the first random thing happens in the sample, s. A stick that ended before, but for the
-    first change of the base itself, has the same duration in all samples; one that lasts until `t1` is not short.
-    """
-    is_random = (deterministic_until == 0) | (ending == Ending.BASE_SWITCHED)
-    return (ending >= 0) & (start == 0) & (ending != Ending.HORIZON) & is_random
+        Before anything random happens (`deterministic_until`, s) none has, except that to the base's first change.
+        """
+        return self.only(where & (self.time >= deterministic_until), where)
 
 
 class IntervalLane(NamedTuple):
@@ -113,20 +110,7 @@ def cross_with_distances(
     duration, velocity, memory = law.next_interval(memory, drawn, motion.t.dtype)
     duration = jnp.where(duration >= scales.t1, scales.t1, duration)  # no infinity enters the arithmetic
     moved, totals, stick, _ = cross_interval(scales, motion, totals, duration, velocity)
-    distances = _distances(scales, motion, cut_velocity, stick, duration, velocity)
     cut = jnp.where(stick.ending == Ending.BASE_SWITCHED, velocity, 0)
-    return IntervalLane(memory, moved, totals, cut), stick, distances, duration
-
-
-def _distances(
-    scales: Scales,
-    motion: MassState,
-    cut_velocity: FloatArray,
-    stick: StickRecord,
-    duration: FloatArray,
-    velocity: FloatArray,
-) -> BoundaryDistances:
-    """The signed distances of one interval."""
     stuck, moving = stick.ending >= 0, velocity != 0
     arc = _first_arc(scales, motion, cut_velocity, duration, velocity)
     # When the mass would have arrived, crossings included, had the interval lasted a little longer: the distance to the
@@ -148,7 +132,7 @@ def _distances(
     after_switch = misses & (to_switch < to_horizon) & (to_horizon > 0)
     after_horizon = misses & (to_horizon < to_switch) & (to_switch > 0)
     missed = jnp.where(after_switch, end, jnp.where(after_horizon, scales.t1, motion.t + arc.top))
-    return BoundaryDistances(
+    distances = BoundaryDistances(
         time=jnp.where(stuck, stick.start, missed),
         exists=stuck,
         is_slip=jnp.zeros_like(stuck),
@@ -157,6 +141,7 @@ def _distances(
         horizon=SignedDistance(to_horizon, stuck | after_horizon),
         crossing_held=SignedDistance(to_edge, may_cross),
     )
+    return IntervalLane(memory, moved, totals, cut), stick, distances, duration
 
 
 class _MovingArc(NamedTuple):
@@ -270,16 +255,35 @@ class BoundarySums(NamedTuple):
         return cls(zeros, zeros)
 
     @classmethod
-    def over(
-        cls, two_sided: tuple[SignedDistance, ...], one_sided: tuple[SignedDistance, ...], bandwidths: FloatArray
-    ) -> "BoundarySums":
+    def over(cls, distances: BoundaryDistances, bandwidths: FloatArray) -> "BoundarySums":
         """The sums over distances known on both sides of 0, and over those known only while positive."""
+        pairs = [(distance, two_sided_kernel) for distance in distances.two_sided]
+        pairs += [(distance, one_sided_kernel) for distance in distances.one_sided]
+        return cls._weighed(pairs, bandwidths)
 
-        def of(bandwidth: FloatArray, kernels: tuple[Kernel, Kernel]) -> FloatArray:
-            found = [kernels[0](distance.value, bandwidth, distance.is_active) for distance in two_sided]
-            found += [kernels[1](distance.value, bandwidth, distance.is_active) for distance in one_sided]
+    @classmethod
+    def over_vanishing(
+        cls, start: FloatArray, duration: FloatArray, ending: IntArray, deterministic_until: FloatArray,
+        bandwidths: FloatArray,
+    ) -> "BoundarySums":  # fmt: skip
+        """The sums over a stick of a record, if it begins at t = 0 and may vanish, as its duration falls to 0.
+
+        `deterministic_until`: when the first random thing happens in the sample, s. A stick that ended before, but for
+        the first change of the base itself, has the same duration in all samples; one that lasts until `t1` is not
+        short.
+        """
+        is_random = (deterministic_until == 0) | (ending == Ending.BASE_SWITCHED)
+        may_vanish = (ending >= 0) & (start == 0) & (ending != Ending.HORIZON) & is_random
+        return cls._weighed([(SignedDistance(duration, may_vanish), one_sided_kernel)], bandwidths)
+
+    @classmethod
+    def _weighed(cls, distances: list[tuple[SignedDistance, Kernel]], bandwidths: FloatArray) -> "BoundarySums":
+        """The sums over distances by their kernels, and how many are inside the windows of these."""
+
+        def of(bandwidth: FloatArray, counted: bool) -> FloatArray:
+            kernels = [(inside_window if counted else kernel, *distance) for distance, kernel in distances]
+            found = [kernel(value, bandwidth, is_active) for kernel, value, is_active in kernels]
             return sum(found[1:], found[0])
 
         # A Python loop: jax 0.10.2 cannot vmap over the windows where this is differentiated inside a loop.
-        both = (two_sided_kernel, one_sided_kernel), (inside_window, inside_window)
-        return cls(*(tuple(of(bandwidth, kernels) for bandwidth in bandwidths) for kernels in both))
+        return cls(*(tuple(of(bandwidth, counted) for bandwidth in bandwidths) for counted in (False, True)))

@@ -38,12 +38,6 @@ from .statistic import AnyStatistic, statistic_of
 _PROPORTIONAL = 1e-9  # of the squares: what is not proportional, relative to the whole
 
 
-def warn_of_products(problem: SensitivityProblem, accumulated: JointAccumulator) -> None:
-    """RuntimeWarning for each pair of parameters whose derivatives are proportional in every sample."""
-    for sentence in products_among(problem, accumulated):
-        warnings.warn(f"{sentence}; vary one of them only.", RuntimeWarning, 4)
-
-
 def products_among(problem: SensitivityProblem, accumulated: JointAccumulator) -> list[str]:
     """A sentence for each pair of parameters whose derivatives are proportional in every sample."""
     first, second = accumulated.halves
@@ -52,13 +46,29 @@ def products_among(problem: SensitivityProblem, accumulated: JointAccumulator) -
         return found
     squares = moments.scatter / moments.number + np.outer(moments.mean, moments.mean)  # means of products of columns
     places = [_columns(accumulated, index, squares) for index in range(len(problem.parameters))]
-    for one, other in combinations(range(len(places)), 2):
-        exponent = _exponent(squares, places[one], places[other])
-        if exponent is None:
+    for (one, at_one), (other, at_other) in combinations(zip(problem.parameters, places, strict=True), 2):
+        if len(at_one) != len(at_other):
             continue
-        names = [problem.parameters[index].name for index in (one, other)]
-        values = [problem.parameters[index].value for index in (one, other)]
-        found.append(_sentence(names, exponent * values[1] / values[0] if values[0] else math.nan))
+        of_one, of_other, product = squares[at_one, at_one], squares[at_other, at_other], squares[at_one, at_other]
+        if not (np.any(of_one > 0) and np.any(of_other > 0)):
+            continue
+        scale = of_one / of_one.sum() + of_other / of_other.sum()  # columns have different units
+        weight = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1), 0)
+        a, b, ab = (float(weight @ values) for values in (of_one, of_other, product))
+        if not a * b - ab * ab <= _PROPORTIONAL * a * b:
+            continue
+        # The columns of the other are ab / a times those of the one. In the combination on which all depends, this is
+        # the exponent of the other if that of the one is 1.
+        exponent = ab / a * other.value / one.value if one.value else math.nan
+        together = f"one combination of them, {one.name} * {other.name}^{exponent:.3g} near their values"
+        if math.isclose(exponent, 1, rel_tol=1e-3):
+            together = f"their product {one.name} * {other.name}"
+        elif math.isclose(exponent, -1, rel_tol=1e-3):
+            together = f"their ratio {one.name} / {other.name}"
+        found.append(
+            f"{one.name} and {other.name} act on this only through {together}: their derivatives are proportional in "
+            "every sample, so that nothing found here can tell them apart (a fit to both has rank 1)"
+        )
     return found
 
 
@@ -67,46 +77,14 @@ def _columns(accumulated: JointAccumulator, parameter: int, squares: np.ndarray)
 
     Kernels, and differences, estimate event parts to first order only: they are less exactly proportional.
     """
-    found: list[list[int]] = [[], []]
-    for number, _ in enumerate(accumulated.sizes):
-        offset, one = accumulated.slice_of(number).start, accumulated.single(number).columns[parameter]
-        for columns, kind in zip(found, ((one.pathwise,), one.derivative), strict=True):
-            columns += [offset + column + part for column in kind for part in (0, 1)]
-    pathwise, whole = (np.array(columns) for columns in found)
-    return pathwise if np.any(squares[pathwise, pathwise] > 0) else whole
-
-
-def _exponent(squares: np.ndarray, one: np.ndarray, other: np.ndarray) -> float | None:
-    """The factor c with which all columns `other` are c times the columns `one`; None if they are not proportional."""
-    if len(one) != len(other):
-        return None
-    of_one, of_other, product = squares[one, one], squares[other, other], squares[one, other]
-    if not (np.any(of_one > 0) and np.any(of_other > 0)):
-        return None
-    scale = of_one / of_one.sum() + of_other / of_other.sum()  # columns have different units
-    weight = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1), 0)
-    a, b, ab = (float(weight @ values) for values in (of_one, of_other, product))
-    return ab / a if a * b - ab * ab <= _PROPORTIONAL * a * b else None
-
-
-def _sentence(names: list[str], exponent: float) -> str:
-    """`exponent`: that of the second parameter, if that of the first is 1, in the combination on which all depends."""
-    one, other = names
-    together = f"one combination of them, {one} * {other}^{exponent:.3g} near their values"
-    if math.isclose(exponent, 1, rel_tol=1e-3):
-        together = f"their product {one} * {other}"
-    elif math.isclose(exponent, -1, rel_tol=1e-3):
-        together = f"their ratio {one} / {other}"
-    return (
-        f"{one} and {other} act on this only through {together}: their derivatives are proportional in every sample, "
-        "so that nothing found here can tell them apart (a fit to both has rank 1)"
-    )
+    each = [(accumulated.slice_of(number).start, accumulated.single(number).columns[parameter])
+            for number in range(len(accumulated.sizes))]  # fmt: skip
+    pathwise = np.array([first + one.pathwise + part for first, one in each for part in (0, 1)])
+    whole = [first + column + part for first, one in each for column in one.derivative for part in (0, 1)]
+    return pathwise if np.any(squares[pathwise, pathwise] > 0) else np.array(whole)
 
 
 # `sensitivity`: derivatives of stick statistics, corrected for sticks that appear and vanish.
-
-
-_ESTIMATORS = get_args(Estimator)
 
 
 def sensitivity(
@@ -178,18 +156,49 @@ def sensitivity(
     Raises:
         ValueError: For invalid arguments, in single precision also where there is no closed form.
     """
-    _check_options(elasticity, estimator, step, relative_bandwidth)
+    chosen = _asked_for(elasticity, estimator, step, relative_bandwidth)
     problem, pilot = problem_of(
         statistic, system, law, wrt, t1, samples, key, y0, method=method, threads=threads, chunk=chunk
     )
     kinds = problem.kinds()
     problem = problem._replace(statistics=tuple(one for kind in kinds for one in kind.statistics))
-    asked = estimator or _asked_for(step, relative_bandwidth)
-    require_differences(asked, method)
-    if asked == "finite-difference" or not (asked or all(cheaper(kind) == "corrected" for kind in kinds)):
-        found = _by_differences(problem, kinds, pilot, elasticity, step)
+    require_differences(chosen, method)
+    if chosen is None:
+        chosen = "corrected" if all(cheaper(kind) == "corrected" for kind in kinds) else "finite-difference"
+    widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
+    if chosen == "corrected":
+        kinds = [kind.in_closed_form() for kind in kinds]
+        for kind in kinds:
+            require_precision(kind)
+            require_correctable(kind)
+        sources = [source_of(kind, pilot, widest) for kind in kinds]
     else:
-        found = _corrected(problem, kinds, pilot, elasticity, relative_bandwidth)
+        # The given step, or the wider of two that agree.
+        choices = [estimate.OUTPUT if kind.is_output else estimate.PAIRED for kind in kinds]
+        steps = [widest * np.array(choice) if step is None else np.array([step]) for choice in choices]
+        sources = [differenced(kind, pilot, of, with_pathwise=False) for kind, of in zip(kinds, steps, strict=True)]
+    accumulated = run_chunks(sources, problem.samples, problem.threads)
+    grazing = warn_if_grazing(kinds[0]) if chosen == "corrected" else ()
+    widths = [source.widths for source, kind in zip(sources, kinds, strict=True) for _ in kind.statistics]
+    found = results_of(problem, accumulated, widths, elasticity, chosen, grazing)
+    for sentence in products_among(problem, accumulated):
+        warnings.warn(f"{sentence}; vary one of them only.", RuntimeWarning, 2)
+    checked = range(len(found))  # the statistics whose windows are compared
+    if chosen == "corrected":
+        sudden = problem.has_sudden_switches
+        checked = [
+            at for at, one in enumerate(problem.statistics) if sudden or not problem.only(one).ignores_stick_count
+        ]
+        if checked:
+            warn_at_special_speeds(kinds[0], grazing)
+    _warn_of_disagreement(problem, accumulated, checked, grazing)
+    few = min((one.sticks_in_window for at in checked for one in found[at].values()), default=estimate.FEW)
+    if chosen == "corrected" and few < estimate.FEW:
+        warnings.warn(
+            f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     single = [next(iter(one.values())) if isinstance(wrt, str) else Sensitivities(one) for one in found]
     if not isinstance(statistic, (list, tuple)):
         return single[0]
@@ -197,11 +206,30 @@ def sensitivity(
     return Sensitivities({given: by_statistic[statistic_of(given)] for given in statistic})
 
 
-def _asked_for(step: float | None, relative_bandwidth: float | None) -> Estimator | None:
-    """The estimator that the given option belongs to, if any."""
-    if step is not None:
-        return "finite-difference"
-    return None if relative_bandwidth is None else "corrected"
+def _asked_for(
+    elasticity: bool, estimator: Estimator | None, step: float | None, relative_bandwidth: float | None
+) -> Estimator | None:
+    """The estimator that the options ask for, if any. Raises ValueError for what they must not be."""
+    if not isinstance(elasticity, bool):
+        raise ValueError(f"Argument elasticity must be True or False, but {checks.show(elasticity)} was given.")
+    check_estimator(estimator)
+    options: tuple[tuple[str, float | None, Estimator], ...] = (
+        ("step", step, "finite-difference"), ("relative_bandwidth", relative_bandwidth, "corrected")
+    )  # fmt: skip
+    for name, value, of in options:
+        if value is not None:
+            checks.positive(name, value)
+            if estimator not in (None, of):
+                raise ValueError(
+                    f"Argument {name} must be left out with estimator={estimator!r}, but {value} was given."
+                )
+    if step is not None and relative_bandwidth is not None:
+        raise ValueError(
+            f"Argument step must be left out with relative_bandwidth, but step={step} and relative_bandwidth="
+            f"{relative_bandwidth} were given; step is for estimator='finite-difference', relative_bandwidth for "
+            "estimator='corrected'."
+        )
+    return estimator or next((of for _, value, of in options if value is not None), None)
 
 
 def cheaper(problem: SensitivityProblem) -> Estimator:
@@ -217,7 +245,7 @@ def cheaper(problem: SensitivityProblem) -> Estimator:
 def check_estimator(estimator: Estimator | None) -> None:
     """Raise ValueError for what is no estimator."""
     if estimator is not None:
-        checks.chosen("estimator", estimator, _ESTIMATORS)
+        checks.chosen("estimator", estimator, get_args(Estimator))
 
 
 def require_differences(estimator: Estimator | None, method: Exact | Regularized) -> None:
@@ -230,36 +258,6 @@ def require_differences(estimator: Estimator | None, method: Exact | Regularized
         )
 
 
-def _corrected(
-    problem: SensitivityProblem,
-    kinds: list[SensitivityProblem],
-    pilot: Pilot,
-    elasticity: bool,
-    relative_bandwidth: float | None,
-) -> list[dict[str, Sensitivity]]:
-    kinds = [kind.in_closed_form() for kind in kinds]
-    for kind in kinds:
-        require_precision(kind)
-        require_correctable(kind)
-    widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
-    sources = [source_of(kind, pilot, widest) for kind in kinds]
-    accumulated = run_chunks(sources, problem.samples, problem.threads)
-    grazing = warn_if_grazing(kinds[0])
-    widths = [source.widths for source, kind in zip(sources, kinds, strict=True) for _ in kind.statistics]
-    results = results_of(problem, accumulated, widths, elasticity, "corrected", grazing)
-    warn_of_products(problem, accumulated)
-    with_events = [
-        number
-        for number, statistic in enumerate(problem.statistics)
-        if not (kinds[0].only(statistic).ignores_stick_count and not kinds[0].has_sudden_switches)
-    ]
-    if with_events:
-        warn_at_special_speeds(kinds[0], grazing)
-        _warn_of_disagreement(problem, accumulated, with_events, grazing)
-        _warn_of_few([results[number] for number in with_events])
-    return results
-
-
 def source_of(problem: SensitivityProblem, pilot: Pilot, widest: float) -> Source:
     """How the corrected derivatives of statistics of one kind are found."""
     if problem.is_paired:
@@ -269,16 +267,6 @@ def source_of(problem: SensitivityProblem, pilot: Pilot, widest: float) -> Sourc
     if problem.is_counted:
         return counted(problem, pilot, widest * np.array(estimate.COUNTED))
     return recorded(problem, pilot, widest * np.array(estimate.RECORDED))
-
-
-def _warn_of_few(results: list[dict[str, Sensitivity]]) -> None:
-    few = min(result.sticks_in_window for by_name in results for result in by_name.values())
-    if few < estimate.FEW:
-        warnings.warn(
-            f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
-            RuntimeWarning,
-            stacklevel=4,
-        )
 
 
 def _warn_of_disagreement(
@@ -300,47 +288,5 @@ def _warn_of_disagreement(
             "how far one looks for sticks about to appear or vanish, or does not exist. That of the narrowest window "
             "is given, with a standard error of NaN; compare with estimator='finite-difference' at several steps.",
             RuntimeWarning,
-            stacklevel=4,
-        )
-
-
-def _by_differences(
-    problem: SensitivityProblem, kinds: list[SensitivityProblem], pilot: Pilot, elasticity: bool, step: float | None
-) -> list[dict[str, Sensitivity]]:
-    """Finite differences with the given `step`, or with the wider of two steps that agree."""
-    widest = relative_bandwidth_of(problem, pilot)
-    sources = []
-    for kind in kinds:
-        choice = estimate.OUTPUT if kind.is_output else estimate.PAIRED
-        steps = np.array([step]) if step is not None else widest * np.array(choice)
-        sources.append(differenced(kind, pilot, steps, with_pathwise=False))
-    accumulated = run_chunks(sources, problem.samples, problem.threads)
-    widths = [source.widths for source, kind in zip(sources, kinds, strict=True) for _ in kind.statistics]
-    results = results_of(problem, accumulated, widths, elasticity, "finite-difference", ())
-    warn_of_products(problem, accumulated)
-    _warn_of_disagreement(problem, accumulated, range(len(results)), ())
-    return results
-
-
-def _check_options(
-    elasticity: bool, estimator: Estimator | None, step: float | None, relative_bandwidth: float | None
-) -> None:
-    if not isinstance(elasticity, bool):
-        raise ValueError(f"Argument elasticity must be True or False, but {checks.show(elasticity)} was given.")
-    check_estimator(estimator)
-    for name, value, of in (
-        ("step", step, "finite-difference"),
-        ("relative_bandwidth", relative_bandwidth, "corrected"),
-    ):
-        if value is not None:
-            checks.positive(name, value)
-            if estimator not in (None, of):
-                raise ValueError(
-                    f"Argument {name} must be left out with estimator={estimator!r}, but {value} was given."
-                )
-    if step is not None and relative_bandwidth is not None:
-        raise ValueError(
-            f"Argument step must be left out with relative_bandwidth, but step={step} and relative_bandwidth="
-            f"{relative_bandwidth} were given; step is for estimator='finite-difference', relative_bandwidth for "
-            "estimator='corrected'."
+            stacklevel=3,
         )

@@ -11,7 +11,7 @@ from jaxtyping import Array, PyTree
 from .._dynamics.common.lanes import Engine
 from .._dynamics.common.path import SegmentLaws
 from .._dynamics.interval.arcs import Scales
-from .._dynamics.interval.crossing import scales_of, start_motion, status_of
+from .._dynamics.interval.crossing import start_motion, status_of
 from .._dynamics.interval.engine import IntervalEngine, is_over
 from .._dynamics.sticks import StickRecord, start_totals
 from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
@@ -23,9 +23,7 @@ from .boundaries import (
     BoundaryDistances,
     BoundarySums,
     IntervalLane,
-    SignedDistance,
     cross_with_distances,
-    vanishes_from_start,
     zero_with_derivative,
 )
 from .step_boundaries import EngineStep, crossed_after, distances_of_step, is_candidate
@@ -63,8 +61,7 @@ class IntervalRecording(Engine[Scales, IntervalSample, IntervalLane, Trace, IntA
     with_distances: bool = eqx.field(static=True, default=True)
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[IntervalSample, IntervalLane]:
-        law, zero = self.engine.law, jnp.zeros((), dtype)
-        x, velocity = self.engine.y0
+        law, (x, velocity), zero = self.engine.law, self.engine.y0, jnp.zeros((), dtype)
         motion = start_motion(self.shared(dtype), (x, velocity))
         memory = law.begin(key_data, dtype)
         first, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
@@ -72,7 +69,7 @@ class IntervalRecording(Engine[Scales, IntervalSample, IntervalLane, Trace, IntA
         return IntervalSample(key_data, first if self.fixed_start else zero), lane
 
     def shared(self, dtype) -> Scales:
-        return scales_of(self.engine.system, self.engine.t1, dtype)
+        return self.engine.shared(dtype)
 
     def draw(self, sample: IntervalSample, number: Array, dtype) -> PyTree:
         return self.engine.law.draw(sample.key_data, number, dtype)
@@ -189,16 +186,14 @@ class Likelihood(NamedTuple):
 class Counted(NamedTuple):
     """The totals of each sample.
 
-    `event_parts` and `in_window` hold one entry per window. Their values are zero; the derivative of `event_parts` is
-    the event part of that of the number of sticks, the derivative of `in_window` counts the distances inside the
-    kernel's window.
+    `sums`: their values are zero; the derivative of `event_parts` is the event part of that of the number of sticks,
+    the derivative of `in_window` counts the distances inside the kernel's window.
     """
 
     status: AnyArray
     stick_time: AnyArray
     sticks: AnyArray
-    event_parts: tuple[AnyArray, ...]
-    in_window: tuple[AnyArray, ...]
+    sums: BoundarySums
 
 
 class _Motion(NamedTuple):
@@ -221,13 +216,9 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
     likelihood: Likelihood | None
     fixed_start: bool = eqx.field(static=True)
 
-    @property
-    def _recording(self) -> IntervalRecording:
-        return IntervalRecording(self.engine, self.fixed_start)
-
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[tuple[Array, Array], _Motion]:
-        sample, lane = self._recording.begin(key_data, dtype)
-        return sample.key_data, _Motion(lane, BoundarySums.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
+        _, lane = IntervalRecording(self.engine, self.fixed_start).begin(key_data, dtype)
+        return key_data, _Motion(lane, BoundarySums.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
 
     def shared(self, dtype) -> Scales:
         return self.engine.shared(dtype)
@@ -238,32 +229,10 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
     def step(
         self, shared: Scales, sample: tuple[Array, Array], motion: _Motion, drawn: tuple[PyTree, BoolArray]
     ) -> tuple[_Motion, None]:
-        (lane, sums, switches), (drawn, is_first) = motion, drawn
-        moved, stick, distances, duration = cross_with_distances(self.engine.law, shared, lane, drawn)
-        sums = self._with_interval(sums, distances, stick.start - lane.motion.t, is_first & self.fixed_start)
-        return _Motion(moved, sums, switches + (lane.motion.t + duration < shared.t1)), None
-
-    def ended(self, motion: _Motion, before: _Motion) -> BoolArray:
-        return self._recording.ended(motion.lane, before.lane)
-
-    def results(self, sample: tuple[Array, Array], motion: _Motion) -> Counted:
-        totals, (event_parts, in_window) = motion.lane.totals, motion.sums
-        time = totals.stick_time
-        if self.likelihood is not None:
-            # Score of a Poisson process: d log p / d rate = switches / rate - t1.
-            rate = jnp.asarray(self.likelihood.rate, time.dtype)
-            score = zero_with_derivative(motion.switches / rate - self.engine.t1, rate, jnp.ones((), bool))
-            event_parts = tuple(part + (totals.sticks - self.likelihood.sticks) * score for part in event_parts)
-            time = time + (time - self.likelihood.stick_time) * score
-        status = status_of(motion.lane.motion, jnp.asarray(self.engine.t1, time.dtype))
-        return Counted(status, time, totals.sticks, event_parts, in_window)
-
-    def _with_interval(
-        self, sums: BoundarySums, distances: BoundaryDistances, arrival: FloatArray, is_fixed: BoolArray
-    ) -> BoundarySums:
-        """`sums` with what one interval adds; `is_fixed`: whether nothing before the arrival was random."""
+        (lane, sums, switches), (drawn, is_first), law = motion, drawn, self.engine.law
+        moved, stick, distances, duration = cross_with_distances(law, shared, lane, drawn)
+        arrival, is_fixed = stick.start - lane.motion.t, is_first & self.fixed_start  # nothing before it was random
         exact, switch_where = jnp.zeros_like(arrival), ~is_fixed
-        law = self.engine.law
         if law.gap_rate is not None:
             rate = jnp.asarray(getattr(law, law.gap_rate), arrival.dtype)
             # A gap that ends at the arrival, E / rate with its random number E held fixed.
@@ -271,11 +240,29 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
             exact = zero_with_derivative(rate, gap - arrival, distances.exists)
             switch_where = jnp.zeros((), bool)
         sums = sums._replace(event_parts=tuple(part + exact for part in sums.event_parts))
-        distances, bandwidths = distances.only(~is_fixed, switch_where), jnp.asarray(self.bandwidths, arrival.dtype)
-        return jax.tree.map(jnp.add, sums, BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths))
+        bandwidths = jnp.asarray(self.bandwidths, arrival.dtype)
+        more = BoundarySums.over(distances.only(~is_fixed, switch_where), bandwidths)
+        sums = jax.tree.map(jnp.add, sums, more)
+        return _Motion(moved, sums, switches + (lane.motion.t + duration < shared.t1)), None
+
+    def ended(self, motion: _Motion, before: _Motion) -> BoolArray:
+        return is_over(motion.lane.motion, before.lane.motion, self.engine.t1)
+
+    def results(self, sample: tuple[Array, Array], motion: _Motion) -> Counted:
+        totals, sums = motion.lane.totals, motion.sums
+        time = totals.stick_time
+        if self.likelihood is not None:
+            # Score of a Poisson process: d log p / d rate = switches / rate - t1.
+            rate = jnp.asarray(self.likelihood.rate, time.dtype)
+            score = zero_with_derivative(motion.switches / rate - self.engine.t1, rate, jnp.ones((), bool))
+            more = (totals.sticks - self.likelihood.sticks) * score
+            sums = sums._replace(event_parts=tuple(part + more for part in sums.event_parts))
+            time = time + (time - self.likelihood.stick_time) * score
+        status = status_of(motion.lane.motion, jnp.asarray(self.engine.t1, time.dtype))
+        return Counted(status, time, totals.sticks, sums)
 
 
-# Counts of sticks as in `counting.py`, for any motion that is simulated in time steps.
+# Counts of sticks as above, for any motion that is simulated in time steps.
 #
 # Most steps are close to no boundary. The others are collected for a block, and their signed distances are found
 # together.
@@ -317,27 +304,21 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
         return _StepMotion(moved, motion.sums), trace
 
     def after_block(self, samples: StepSample, motions: _StepMotion, records: Trace) -> _StepMotion:
-        if records.candidates is None:
+        if records.is_candidate is None:
             return motions
-        return motions._replace(sums=self._with_block(samples, motions.sums, records))
-
-    def ended(self, motion: _StepMotion, before: _StepMotion) -> BoolArray:
-        return self._recording.ended(motion.recorded, before.recorded)
-
-    def results(self, sample: StepSample, motion: _StepMotion) -> Counted:
-        totals = self.engine.results(sample.smooth, motion.recorded.lane)
-        return Counted(totals.status, totals.stick_time, totals.sticks, *motion.sums)
-
-    def _with_block(self, samples: StepSample, sums: BoundarySums, trace: Trace) -> BoundarySums:
-        """`sums` with those over all candidates of a block added."""
         bandwidths = jnp.asarray(self.bandwidths, samples.deterministic_until.dtype)
-        sums = _with_first_sticks(samples, sums, trace.sticks, bandwidths)
-        assert trace.is_candidate is not None
-        steps, lanes = trace.is_candidate.shape
-        found = jnp.cumsum(trace.is_candidate.reshape(-1))
-        taken = jax.tree.map(lambda leaf: leaf.reshape(steps * lanes, *leaf.shape[2:]), trace.candidates)
 
-        def some_more(carry):
+        def with_vanishing(sums, stick):
+            of_stick = stick.start, stick.end - stick.start, stick.ending
+            more = BoundarySums.over_vanishing(*of_stick, samples.deterministic_until, bandwidths)
+            return jax.tree.map(jnp.add, sums, more), None
+
+        sums, _ = lax.scan(with_vanishing, motions.sums, records.sticks)
+        steps, lanes = records.is_candidate.shape
+        found = jnp.cumsum(records.is_candidate.reshape(-1))
+        taken = jax.tree.map(lambda leaf: leaf.reshape(steps * lanes, *leaf.shape[2:]), records.candidates)
+
+        def with_some_more(carry):
             # As many candidates at once as there are lanes: the k-th is where k have been found.
             done, sums = carry
             wanted = done + jnp.arange(1, lanes + 1)
@@ -345,25 +326,19 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
             lane, exists = at % lanes, wanted <= found[-1]
             smooth, deterministic_until = jax.tree.map(lambda leaf: leaf[lane], samples)
             distances = self._recording.distances_of(jax.tree.map(lambda leaf: leaf[at], taken), smooth)
-            # Before anything random happens no distance has a density, except that to the base's first change.
-            distances = distances.only(exists & (distances.time >= deterministic_until), exists)
-            more = BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths)
+            more = BoundarySums.over(distances.after(deterministic_until, exists), bandwidths)
             return done + lanes, jax.tree.map(lambda so_far, new: _put(so_far, lane, new), sums, more)
 
-        return lax.while_loop(lambda carry: carry[0] < found[-1], some_more, (jnp.zeros_like(found[-1]), sums))[1]
+        begun = jnp.zeros_like(found[-1]), sums
+        _, sums = lax.while_loop(lambda carry: carry[0] < found[-1], with_some_more, begun)
+        return motions._replace(sums=sums)
 
+    def ended(self, motion: _StepMotion, before: _StepMotion) -> BoolArray:
+        return self._recording.ended(motion.recorded, before.recorded)
 
-def _with_first_sticks(
-    samples: StepSample, sums: BoundarySums, sticks: StickRecord, bandwidths: FloatArray
-) -> BoundarySums:
-    """`sums` with those over sticks from t = 0, which vanish as their duration falls to 0."""
-
-    def add(sums, stick):
-        may_vanish = vanishes_from_start(stick.start, stick.ending, samples.deterministic_until)
-        duration = SignedDistance(stick.end - stick.start, may_vanish)
-        return jax.tree.map(jnp.add, sums, BoundarySums.over((), (duration,), bandwidths)), None
-
-    return lax.scan(add, sums, sticks)[0]
+    def results(self, sample: StepSample, motion: _StepMotion) -> Counted:
+        totals = self.engine.results(sample.smooth, motion.recorded.lane)
+        return Counted(totals.status, totals.stick_time, totals.sticks, motion.sums)
 
 
 def _put(so_far: FloatArray, lane: IntArray, more: FloatArray) -> FloatArray:

@@ -12,9 +12,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from .._dynamics.common.lanes import Job, summarize
-from .._dynamics.common.method import Arguments, Exact, Regularized
+from .._dynamics.common.method import Exact
 from .._dynamics.simulate import simulate
-from .._dynamics.switched.engine import steps_for
 from .._ensemble.setup import EnsembleSetup
 from .._excitation.excitation import BaseMotion, is_random
 from .._excitation.segments import SegmentLaw
@@ -25,8 +24,9 @@ from .._systems.system import System
 from .._uncertainty.families import RandomNumber
 from .._uncertainty.numbers import number_at, shown, with_numbers
 from .counting import recording
-from .estimators import counting_engine, score_paths, wrapped_paths
+from .estimators import counting_engine, score_paths
 from .problem import (
+    LANES,
     Pilot,
     SensitivityProblem,
     buffer_sizes_for,
@@ -49,9 +49,8 @@ def output_means(problem: SensitivityProblem, samples: int) -> Callable[[Array],
 
     NaN where a sample needs more steps, or intervals of the base, than twice as many as at the parameters given.
     """
-    statistic, model = problem.statistic, problem.model
+    statistic, model, method = problem.statistic, problem.model, problem.method
     assert isinstance(statistic, OfOutput)
-    assert model is not None
     for parameter in problem.parameters:
         if any(isinstance(number_at(model, parameter.path[:end]), RandomNumber) for end in range(len(parameter.path))):
             raise ValueError(
@@ -59,18 +58,24 @@ def output_means(problem: SensitivityProblem, samples: int) -> Callable[[Array],
                 "distribution; use sensitivity."
             )
     key = jax.random.wrap_key_data(problem.key_data)
-    options = (problem.samples, 0, key, None, problem.method, "totals", Numbering(1, True))
+    options = (problem.samples, 0, key, None, method, "totals", Numbering(1, True))
     inputs = EnsembleSetup.checked(model, problem.t1, *options).inputs
     rows = -(-samples // _OUTPUT_LANES)
     columns = tuple(jnp.asarray(column) for column in inputs.drawn(0, rows * _OUTPUT_LANES, problem.dtype))
     numbers = jnp.asarray(inputs.realization_numbers(0, rows * _OUTPUT_LANES))
     bases = inputs.realizations(0, rows * _OUTPUT_LANES, problem.t1)
-    paths, method = tuple(parameter.path for parameter in problem.parameters), _method_of(problem)
+    paths = tuple(parameter.path for parameter in problem.parameters)
+    if isinstance(method, Exact) and not problem.by_intervals:
+        method = Exact(max_steps=_SPARE * problem.steps)  # a number that does not depend on the parameters
+    room = {}
+    if isinstance(problem.law, SegmentLaw):
+        room = {"capacity": _SPARE * problem.law.segments(problem.t1)}
 
     def sample(values: Array, column: tuple[Array, ...], number: Array, base: Any) -> Float[Array, "2"]:
         system, law, y0 = with_numbers(inputs.filled(column), paths, values)
         if base is None:
-            base = _realization(law, problem, jax.random.fold_in(key, number)) if is_random(law) else law
+            # The numbers of the law may be traced.
+            base = law.sample(jax.random.fold_in(key, number), problem.t1, **room) if is_random(law) else law
         one = simulate(system, base, t1=problem.t1, y0=y0, method=method)
         finished = one.status == Status.FINISHED
         short = (one.status == Status.OUT_OF_STEPS) | (one.status == Status.BASE_TOO_SHORT)
@@ -88,26 +93,7 @@ def output_means(problem: SensitivityProblem, samples: int) -> Callable[[Array],
     return means
 
 
-def _method_of(problem: SensitivityProblem) -> Exact | Regularized:
-    """The method, with a number of steps that does not depend on the parameters."""
-    if problem.by_intervals or not isinstance(problem.method, Exact):
-        return problem.method
-    excitation, step = Arguments(problem.system, problem.law, problem.method, problem.t1).checked_step("law")
-    return Exact(max_steps=_SPARE * steps_for(problem.system, excitation, problem.t1, step))
-
-
-def _realization(law: Any, problem: SensitivityProblem, key: Array) -> Any:
-    """The realisation of a law whose numbers may be traced."""
-    if isinstance(law, SegmentLaw):
-        assert isinstance(problem.law, SegmentLaw)
-        return law.sample(key, problem.t1, capacity=_SPARE * problem.law.segments(problem.t1))
-    return law.sample(key, problem.t1)
-
-
 # A statistic as a function of parameters, for the user's own objectives, with the corrected derivative.
-
-
-_LANES = 256
 
 
 def differentiable(
@@ -152,9 +138,9 @@ def differentiable(
     if isinstance(statistic, (list, tuple)):
         raise checks.refused("statistic", "be one statistic (sensitivity takes several)", statistic)
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
-    rows, bandwidth = -(-problem.samples // _LANES), relative_bandwidth_of(problem, pilot)
+    rows, bandwidth = -(-problem.samples // LANES), relative_bandwidth_of(problem, pilot)
     if problem.is_output:
-        means = output_means(problem, rows * _LANES)
+        means = output_means(problem, rows * LANES)
     else:
         require_precision(problem)
         require_correctable(problem)
@@ -220,8 +206,8 @@ def _counted(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: 
     # One window, the widest: comparing several is not possible inside a compiled function.
     engine = counting_engine(problem, pilot, np.array([] if problem.is_paired else [bandwidth]))
     weights = jnp.asarray(problem.statistic.weights(problem.t1), problem.dtype)
-    paths = wrapped_paths(problem)
-    varying = problem.varying_leaves(0, rows * _LANES)
+    paths = problem.paths("engine")
+    varying = problem.varying_leaves(0, rows * LANES)
     by = score_paths(engine, paths)
     by_score = tuple(other for path, other in zip(paths, by, strict=True) if other != path)
 
@@ -232,9 +218,9 @@ def _counted(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: 
         if varied is not None:
             here = with_numbers(here, by, varied)
         job = Job(here, problem.key_data, np.uint32(0), np.int32(rows), varying)
-        counted = summarize(job, lanes=_LANES, rows=rows, dtype=problem.dtype)
+        counted = summarize(job, lanes=LANES, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
-        sticks = sum(counted.event_parts, jnp.asarray(counted.sticks, problem.dtype))
+        sticks = sum(counted.sums.event_parts, jnp.asarray(counted.sticks, problem.dtype))
         totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (counted.stick_time, sticks, done)]
         return weights @ jnp.stack([jnp.sum(leaf, dtype=problem.dtype) for leaf in totals])
 
@@ -246,24 +232,24 @@ def _recorded(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows:
     engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
     buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.is_paired else 2 * buffer.candidates)
     bandwidths = np.array([bandwidth])
-    varying = tuple(jnp.asarray(column) for column in problem.varying_leaves(0, rows * _LANES))
+    varying = tuple(jnp.asarray(column) for column in problem.varying_leaves(0, rows * LANES))
 
     def means(values: Array, varied: Array | None = None) -> Array:
         here = with_numbers(engine, paths, values if varied is None else varied)
         here = wrapped(here, partial(recording, fixed_start=problem.fixed_start))
 
         def chunk(first):
-            mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, _LANES), varying)
+            mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, LANES), varying)
             job = Job(here, problem.key_data, first, np.int32(1), mine)
-            recorded = record_sequences(job, lanes=_LANES, buffer=buffer, dtype=problem.dtype)
-            features = features_of(problem.statistic, here, recorded, bandwidths)
+            recorded = record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
+            features = features_of(problem.statistic, recorded, bandwidths)
             status, sticks, candidates = recorded.counts
             done = (status == Status.FINISHED)[:, None]
             lost = jnp.any((sticks >= buffer.slots) | (candidates > buffer.candidates))
             parts = jnp.where(done, features.parts + features.event_parts[:, 0], 0)
             return jnp.where(lost, jnp.nan, jnp.sum(parts, axis=0))
 
-        firsts = jnp.arange(rows, dtype=jnp.uint32) * np.uint32(_LANES)
+        firsts = jnp.arange(rows, dtype=jnp.uint32) * np.uint32(LANES)
         return jnp.sum(lax.map(chunk, firsts), axis=0)
 
     return means

@@ -230,11 +230,11 @@ def estimate_by_windows(
     def derivative(moments: Moments, window: int) -> Gradient:
         return gradient_of_ratio(moments, columns.derivative[window], columns.pathwise, elasticity_at)
 
-    if windows_disagree(accumulator, columns, in_window):
+    windows, halves = _windows_of_halves(accumulator, columns, in_window), accumulator.halves
+    if windows is None:
         narrowest = _usable(columns, in_window)[-1]
         return derivative(accumulator.moments, narrowest)._replace(standard_error=math.nan), narrowest
-    halves = accumulator.halves
-    for_second, for_first = (_widest(half, columns, in_window, _AGREE, accumulator.tolerance) for half in halves)
+    for_first, for_second = windows
     whole = derivative(accumulator.moments, max(for_first, for_second))
     if for_first == for_second:
         return whole, for_first
@@ -254,15 +254,27 @@ def influence_by_windows(
         return slope_by_means(moments, columns.derivative[window], elasticity_at)
 
     halves, whole = accumulator.halves, accumulator.moments
-    if windows_disagree(accumulator, columns, in_window):
+    windows = _windows_of_halves(accumulator, columns, in_window)
+    if windows is None:
         unknown = np.full_like(whole.mean, math.nan)
         return unknown, unknown
-    for_second, for_first = (_widest(half, columns, in_window, _AGREE, accumulator.tolerance) for half in halves)
+    for_first, for_second = windows
     share = halves[0].number / max(whole.number, 1)
     if for_first == for_second:
         both = slope(whole, for_first)
         return share * both, (1 - share) * both
     return share * slope(halves[0], for_first), (1 - share) * slope(halves[1], for_second)
+
+
+def _windows_of_halves(
+    accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow
+) -> tuple[int, int] | None:
+    """The windows for the first and the second half, each chosen by the other; None where no two windows agree."""
+    if windows_disagree(accumulator, columns, in_window):
+        return None
+    first, second = accumulator.halves
+    for_second = _widest(first, columns, in_window, _AGREE, accumulator.tolerance)
+    return _widest(second, columns, in_window, _AGREE, accumulator.tolerance), for_second
 
 
 def windows_disagree(accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow) -> bool:
@@ -318,74 +330,55 @@ def results_of(
     estimator: Estimator,
     without_derivative: tuple[str, ...],
 ) -> list[dict[str, Sensitivity]]:
-    """The results of each statistic by the names of the parameters; NaN by those `without_derivative`."""
-    found, slopes = [], []
-    for number in range(len(problem.statistics)):
-        one, own = accumulated.single(number), accumulated.slice_of(number)
-        found.append(_single(problem, number, one, widths[number], elasticity, estimator, without_derivative))
-        for parameter, where, in_window in zip(problem.parameters, one.columns, one.in_window, strict=True):
-            of_halves = influence_by_windows(one, where, in_window, parameter.value if elasticity else None)
-            whole = [np.zeros(len(half.mean)) for half in accumulated.halves]
-            for slope, mine in zip(whole, of_halves, strict=True):
-                slope[own] = mine
-            slopes.append(whole)
-    return _with_shared_errors(found, accumulated, slopes)
+    """The results of each statistic by the names of the parameters; NaN by those `without_derivative`.
 
-
-def _single(
-    problem: SensitivityProblem, number: int, accumulator: Accumulator, widths: np.ndarray, elasticity: bool,
-    estimator: Estimator, without_derivative: tuple[str, ...],
-) -> dict[str, Sensitivity]:  # fmt: skip
-    """The results of one statistic."""
-    results, statistic = {}, problem.statistics[number]
-    by_parameter = zip(problem.parameters, accumulator.columns, accumulator.in_window, strict=True)
-    for parameter, where, in_window in by_parameter:
-        found, chosen = estimate_by_windows(accumulator, where, in_window, parameter.value if elasticity else None)
-        if parameter.name in without_derivative:
-            found = found._replace(derivative=math.nan, standard_error=math.nan)
-        pathwise = found.pathwise if estimator == "corrected" else math.nan
-        results[parameter.name] = Sensitivity(
-            statistic=statistic.name,
-            parameter=parameter.name,
-            parameter_value=parameter.value,
-            unit=statistic.unit,
-            value=found.value,
-            value_error=found.value_error,
-            derivative=found.derivative,
-            standard_error=found.standard_error,
-            pathwise=pathwise,
-            event=found.derivative - pathwise,
-            is_elasticity=elasticity,
-            estimator=estimator,
-            samples=accumulator.moments.number,
-            asked=problem.samples,
-            sticks_in_window=int(in_window[chosen]),
-            relative_bandwidth=float(widths[chosen]),
-            parameter_unit=unit_at(problem.model, parameter.path),
-            origin=tuple(int(word) for word in np.asarray(problem.key_data)),
-        )
-    return results
-
-
-def _with_shared_errors(
-    found: list[dict[str, Sensitivity]], accumulated: JointAccumulator, slopes: list[list[np.ndarray]]
-) -> list[dict[str, Sensitivity]]:
-    """The results, which know how their errors are correlated.
-
-    `slopes`: the derivative of each result by the means of all columns, in both halves of the samples. The correlation
-    follows from these (delta method); the errors stay as they are.
+    They know how their errors are correlated: that follows from the derivative of each result by the means of all
+    columns, in both halves of the samples (delta method). The errors themselves are those of each alone.
     """
+    found: list[Sensitivity] = []
+    slopes = []
+    for number, statistic in enumerate(problem.statistics):
+        one, own = accumulated.single(number), accumulated.slice_of(number)
+        for parameter, where, in_window in zip(problem.parameters, one.columns, one.in_window, strict=True):
+            at = parameter.value if elasticity else None
+            gradient, window = estimate_by_windows(one, where, in_window, at)
+            if parameter.name in without_derivative:
+                gradient = gradient._replace(derivative=math.nan, standard_error=math.nan)
+            pathwise = gradient.pathwise if estimator == "corrected" else math.nan
+            result = Sensitivity(
+                statistic=statistic.name,
+                parameter=parameter.name,
+                parameter_value=parameter.value,
+                unit=statistic.unit,
+                value=gradient.value,
+                value_error=gradient.value_error,
+                derivative=gradient.derivative,
+                standard_error=gradient.standard_error,
+                pathwise=pathwise,
+                event=gradient.derivative - pathwise,
+                is_elasticity=elasticity,
+                estimator=estimator,
+                samples=one.moments.number,
+                asked=problem.samples,
+                sticks_in_window=int(in_window[window]),
+                relative_bandwidth=float(widths[number][window]),
+                parameter_unit=unit_at(problem.model, parameter.path),
+                origin=tuple(int(word) for word in np.asarray(problem.key_data)),
+            )
+            found.append(result)
+            whole = np.zeros((2, len(accumulated.halves[0].mean)))
+            whole[:, own] = influence_by_windows(one, where, in_window, at)
+            slopes.append(whole)
     covariance = np.zeros((len(slopes), len(slopes)))
-    for half, moments in enumerate(accumulated.halves):
-        of = np.array([one[half] for one in slopes])
+    for moments, of in zip(accumulated.halves, np.stack(slopes, axis=1), strict=True):
         covariance = covariance + of @ moments.covariance_of_mean @ of.T
     spread = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.where(spread[:, None] * spread > 0, covariance / (spread[:, None] * spread), 0)
     np.fill_diagonal(correlation, 1)
-    errors = np.array([one.standard_error for by_name in found for one in by_name.values()])
-    shared, places = SharedErrors(correlation * errors[:, None] * errors), iter(range(len(errors)))
-    return [
-        {name: dataclasses.replace(one, _shared=(shared, next(places))) for name, one in by_name.items()}
-        for by_name in found
-    ]
+    errors = np.array([one.standard_error for one in found])
+    shared = SharedErrors(correlation * errors[:, None] * errors)
+    found = [dataclasses.replace(one, _shared=(shared, place)) for place, one in enumerate(found)]
+    each = len(problem.parameters)
+    by_statistic = [found[first : first + each] for first in range(0, len(found), each)]
+    return [{one.parameter: one for one in of_statistic} for of_statistic in by_statistic]

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._compiler import WIDE_VECTORS, CompiledNatively
-from .._dynamics.common.lanes import Engine, Job, summarize
+from .._dynamics.common.lanes import Engine, Job, SampleTotals, summarize
 from .._dynamics.engine_choice import compiled_for
 from .._dynamics.sticks import FlatSticks
 from .._ensemble.call import simulate_batch
@@ -24,9 +24,10 @@ from .._numerics.sums import Moments
 from .._statistics.accumulator import Numbering
 from .._systems.system import is_built_in
 from .._uncertainty.inputs import StochasticModel
-from .._uncertainty.numbers import NumberPath, Parameter, check_numbers, number_at, with_numbers
+from .._uncertainty.numbers import NumberPath, check_numbers, number_at, with_numbers
+from .boundaries import BoundarySums
 from .counting import IntervalCounting, Likelihood, StepCounting, recording
-from .problem import Pilot, SensitivityProblem, buffer_sizes_for, lanes_and_rows, sequence_lanes
+from .problem import LANES, ROWS, Pilot, SensitivityProblem, buffer_sizes_for
 from .statistic import (
     BufferSizes,
     Features,
@@ -40,7 +41,6 @@ from .statistic import (
     record_sequences,
     single_engine,
     wrapped,
-    wrapped_path,
 )
 
 # Chunks of realisations with derivatives: compiled functions, and the threads that call them.
@@ -83,27 +83,20 @@ class Accumulator(NamedTuple):
     """Sums over the finished samples: moments of `Rows.columns`, for each half of the samples (every other one).
 
     - `in_window`: how many distances were inside each window.
-    - `pathwise`: for each parameter, the path whose pathwise part is that of its derivative; empty: its own path.
     - `tolerance`: in standard errors, how far windows may differ where it is not by chance.
     """
 
     halves: tuple[Moments, Moments]
     in_window: Float[np.ndarray, "parameters windows"]
-    pathwise: tuple[int, ...] = ()
     tolerance: float = 0.0
 
     @property
     def columns(self) -> tuple[DerivativeColumns, ...]:
-        """Where the derivatives by each parameter stand in the moments. The first paths are those of the parameters."""
+        """Where the derivatives by each parameter stand in the moments."""
         parameters, windows = self.in_window.shape
-        paths = (len(self.halves[0].mean) - 2) // (2 * windows + 2)
-        return tuple(
-            DerivativeColumns(
-                tuple(2 + 2 * (index * windows + window) for window in range(windows)),
-                2 + 2 * (paths * windows + pathwise),
-            )
-            for index, pathwise in enumerate(self.pathwise or range(parameters))
-        )
+        derivatives = 2 + 2 * np.arange(parameters * windows).reshape(parameters, windows)
+        pathwise = 2 + 2 * (parameters * windows + np.arange(parameters))
+        return tuple(map(DerivativeColumns, map(tuple, derivatives.tolist()), pathwise.tolist()))
 
     @property
     def moments(self) -> Moments:
@@ -114,13 +107,12 @@ class Accumulator(NamedTuple):
 class JointAccumulator(NamedTuple):
     """The sums of several statistics over the same samples: moments of their columns one after the other, by halves.
 
-    - `sizes`: how many columns each statistic has. `in_window`, `pathwise`, `tolerance`: of each, as in `Accumulator`.
+    - `sizes`: how many columns each statistic has. `in_window`, `tolerance`: of each, as in `Accumulator`.
     """
 
     halves: tuple[Moments, Moments]
     sizes: tuple[int, ...]
     in_window: tuple[Float[np.ndarray, "parameters windows"], ...]
-    pathwise: tuple[tuple[int, ...], ...]
     tolerance: tuple[float, ...]
 
     @classmethod
@@ -131,8 +123,8 @@ class JointAccumulator(NamedTuple):
         columns = np.concatenate(each, axis=1)
         first, second = (Moments.of(columns[half::2][done[half::2]]) for half in (0, 1))
         in_window = tuple(one.in_window[:, done].sum(axis=1) for one in rows)
-        about = tuple(source.pathwise for source in sources), tuple(source.tolerance for source in sources)
-        return cls((first, second), tuple(one.shape[1] for one in each), in_window, *about)
+        tolerance = tuple(source.tolerance for source in sources)
+        return cls((first, second), tuple(one.shape[1] for one in each), in_window, tolerance)
 
     def merge(self, other: "JointAccumulator") -> "JointAccumulator":
         """The sums of both."""
@@ -149,7 +141,7 @@ class JointAccumulator(NamedTuple):
         """The sums of one statistic alone."""
         own = self.slice_of(number)
         first, second = (Moments(half.number, half.mean[own], half.scatter[own, own]) for half in self.halves)
-        return Accumulator((first, second), self.in_window[number], self.pathwise[number], self.tolerance[number])
+        return Accumulator((first, second), self.in_window[number], self.tolerance[number])
 
 
 class Source(NamedTuple):
@@ -157,13 +149,12 @@ class Source(NamedTuple):
 
     - `rows`: of samples ``first .. first + number - 1``, for each statistic, as a function of these two.
     - `per_task`: the largest `number`. `widths`: of the windows, or the steps, relative to the parameter.
-    - `pathwise`, `tolerance`: as in `Accumulator`.
+    - `tolerance`: as in `Accumulator`.
     """
 
     rows: Callable[[int, int], list[Rows]]
     per_task: int
     widths: Float[np.ndarray, " windows"]
-    pathwise: tuple[int, ...] = ()
     tolerance: float = 0.0
 
 
@@ -214,23 +205,19 @@ def units_of(engine: Engine, paths: tuple[NumberPath, ...]) -> Float[np.ndarray,
     return np.array([abs(float(number_at(engine, path))) or 1.0 for path in paths])
 
 
-_Slopes: TypeAlias = tuple[Array, tuple[Array, ...], tuple[Array, ...]]
-"""Derivatives of stick time, and of `event_parts` and `in_window` of `Counted`, (paths, rows, lanes)."""
-
-
 def _count(
     job: Job, chosen: AnyArray, *, paths: tuple[NumberPath, ...], lanes: int, rows: int, dtype: DType
-) -> tuple[tuple[Array, Array], _Slopes, IntArray]:
-    """Total stick time and number of sticks, their derivatives by the `chosen` ones of the numbers at `paths`, and
-    status; (rows, lanes).
+) -> tuple[tuple[Array, Array], tuple[Array, BoundarySums], IntArray]:
+    """Total stick time and number of sticks, (rows, lanes); derivatives of stick time, and of the sums in `Counted`, by
+    the `chosen` ones of the numbers at `paths`, (chosen, rows, lanes); and status.
     """
 
     def run(values):
         varied = job._replace(engine=with_numbers(job.engine, paths, values))
         counted = summarize(varied, lanes=lanes, rows=rows, dtype=dtype)
-        return (counted.stick_time, counted.event_parts, counted.in_window), (counted.sticks, counted.status)
+        return (counted.stick_time, counted.sums), (counted.sticks, counted.status)
 
-    (time, _, _), slopes, (sticks, status) = derivatives_of(run, job.engine, paths, dtype, jnp.asarray(chosen))
+    (time, _), slopes, (sticks, status) = derivatives_of(run, job.engine, paths, dtype, jnp.asarray(chosen))
     return (time, sticks), slopes, status
 
 
@@ -246,24 +233,18 @@ def _sequence(
 ) -> tuple[tuple[Features, ...], tuple[Features, ...], RecordedCounts]:
     """`Features` of each statistic, their derivatives by the numbers at `paths` along a first axis, and the counts.
 
-    The derivatives are pathwise parts, event parts, and how many distances the windows hold.
+    The derivatives are pathwise parts, event parts, and how many distances the windows hold; none without `paths`.
     """
 
     def run(values):
         varied = job._replace(engine=with_numbers(job.engine, paths, values))
         recorded = record_sequences(varied, lanes=lanes, buffer=buffer, dtype=dtype)
-        features = tuple(features_of(one, varied.engine, recorded, bandwidths) for one in statistics)
-        return features, recorded.counts
+        return tuple(features_of(one, recorded, bandwidths) for one in statistics), recorded.counts
 
+    if not paths:
+        features, counts = run(())
+        return features, (), counts
     return derivatives_of(run, job.engine, paths, dtype)
-
-
-def _values(
-    statistics: tuple[StickStatistic, ...], job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType
-) -> tuple[tuple[Float[Array, "lanes 2"], ...], RecordedCounts]:
-    """Parts of each statistic, and the counts of each lane. `buffer.candidates` must be 0."""
-    recorded = record_sequences(job, lanes=lanes, buffer=buffer, dtype=dtype)
-    return tuple(features_of(one, job.engine, recorded, np.zeros(0)).parts for one in statistics), recorded.counts
 
 
 _COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
@@ -272,9 +253,7 @@ count_chunk = {
     True: CompiledNatively(_count, _COUNT_STATIC, compiler_options=WIDE_VECTORS),
     False: jax.jit(_count, static_argnames=_COUNT_STATIC),
 }
-_BUFFER = ("statistics", "lanes", "buffer", "dtype")
-value_chunk = jax.jit(_values, static_argnames=_BUFFER)
-sequence_chunk = jax.jit(_sequence, static_argnames=("paths", *_BUFFER))
+sequence_chunk = jax.jit(_sequence, static_argnames=("statistics", "paths", "lanes", "buffer", "dtype"))
 
 
 # Sensitivities by event parts: from engines that count, and from recorded stick sequences.
@@ -283,22 +262,22 @@ sequence_chunk = jax.jit(_sequence, static_argnames=("paths", *_BUFFER))
 _TOGETHER = 2  # derivatives in one pass of time steps: XLA (jaxlib 0.10) makes no native loop of three with damping
 _MOST_TRIES = 6  # with larger and larger buffers of a realisation
 
-_Result = TypeVar("_Result")
-
 
 def counted(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
     """Derivatives by all parameters with a counting engine, a window per bandwidth; without any, the pathwise part."""
-    engine = counting_engine(problem, pilot, bandwidths)
-    paths = wrapped_paths(problem)
+    engine, paths = counting_engine(problem, pilot, bandwidths), problem.paths("engine")
     # The derivative by a rate comes from the likelihood; its pathwise part is found beside it.
     every = tuple(dict.fromkeys((*score_paths(engine, paths), *paths)))
-    count = counter(problem, engine, every)
+    count, pathwise = counter(problem, engine, every), [every.index(path) for path in paths]
 
-    def rows(first: int, samples: int) -> list[Rows]:
-        return [one._replace(in_window=one.in_window[: len(paths)]) for one in count(first, samples)]
+    def rows(first: int, number: int) -> list[Rows]:
+        own = slice(len(paths))
+        return [
+            Rows(status, parts, slopes[own], path_parts[pathwise], in_window[own])
+            for status, parts, slopes, path_parts, in_window in count(first, number)
+        ]
 
-    pathwise = tuple(every.index(path) for path in paths)
-    return Source(rows, lanes_and_rows(problem)[2], bandwidths, pathwise)
+    return Source(rows, problem.per_task, bandwidths)
 
 
 def counting_engine(
@@ -329,114 +308,96 @@ def score_paths(engine: Engine, paths: tuple[NumberPath, ...]) -> tuple[NumberPa
     return tuple((*outer, "likelihood", "rate") if path == rate else path for path in paths)
 
 
-def wrapped_paths(problem: SensitivityProblem) -> tuple[NumberPath, ...]:
-    """Paths of the parameters in an engine that counts or records."""
-    return tuple(map(wrapped_path, problem.paths()))
-
-
 def counter(
     problem: SensitivityProblem, engine: Engine, paths: tuple[NumberPath, ...]
 ) -> Callable[[int, int], list[Rows]]:
     """A function of a task's first sample and number of samples, with derivatives by the numbers at `paths`."""
-    lanes, rows, _ = lanes_and_rows(problem)
-    units = units_of(engine, paths)[:, None]
+    units, t1 = units_of(engine, paths)[:, None], problem.t1
     together = len(paths) if problem.by_intervals else min(len(paths), _TOGETHER)
     parts = -(-len(paths) // together)
     chosen = np.minimum(np.arange(parts * together, dtype=np.int32), len(paths) - 1).reshape(parts, together)
 
     def count(first: int, number: int) -> list[Rows]:
-        job = problem.job(engine, first, lanes * rows, -(-number // lanes))
+        job = problem.job(engine, first, LANES * ROWS, -(-number // LANES))
         found = [
-            count_chunk[is_built_in(engine)](job, part, paths=paths, lanes=lanes, rows=rows, dtype=problem.dtype)
+            count_chunk[is_built_in(engine)](job, part, paths=paths, lanes=LANES, rows=ROWS, dtype=problem.dtype)
             for part in chosen
         ]
         totals, _, status = found[0]  # the same in all
         slopes = jax.tree.map(lambda *each: np.concatenate(each)[: len(paths)], *(one[1] for one in found))
-        d_time, d_events, d_window = slopes
+        d_time, (d_events, d_window) = jax.tree.map(lambda leaf: flat(leaf, number), slopes)
         totals = np.stack([flat(leaf, number) for leaf in totals], axis=-1)
-        time, event_parts = flat(d_time, number) / units, [flat(leaf, number) / units for leaf in d_events]
-        in_window = [flat(leaf, number) for leaf in d_window]
-        in_window = np.stack(in_window, axis=-1) if in_window else np.zeros((*time.shape, 1))
+        time, event_parts = d_time / units, [leaf / units for leaf in d_events]
         no_window = np.zeros((*time.shape, 1))
+        in_window = np.stack(d_window, axis=-1) if d_window else no_window
         for index, path in enumerate(paths):
             if "likelihood" in path:  # uses no window: it rests on all sticks
                 in_window[index] = no_window[index] = totals[:, 1:]
-        status, t1 = flat(status, number).astype(int), problem.t1
-        return [
-            _counted_rows(one, t1, status, totals, time, [], no_window)
-            if one.ignores_stick_count
-            else _counted_rows(one, t1, status, totals, time, event_parts, in_window)
-            for one in problem.totals
-        ]
+        status = flat(status, number).astype(int)
+
+        def rows_of(statistic: OfTotals) -> Rows:
+            weights = statistic.weights(t1)
+            parts = totals @ weights[:, :2].T + weights[:, 2]
+            # The number of sticks has no pathwise derivative: it is locally constant.
+            pathwise = time[..., None] * weights[:, 0]
+            if statistic.ignores_stick_count or not event_parts:
+                return Rows(status, parts, pathwise[:, :, None], pathwise, no_window)
+            slopes = [np.stack([time, part], axis=-1) @ weights[:, :2].T for part in event_parts]
+            return Rows(status, parts, np.stack(slopes, axis=2), pathwise, in_window)
+
+        return list(map(rows_of, problem.totals))
 
     return count
 
 
-def _counted_rows(
-    statistic: OfTotals, t1: float, status: np.ndarray, totals: np.ndarray, time: np.ndarray,
-    event_parts: list[np.ndarray], in_window: np.ndarray,
-) -> Rows:  # fmt: skip
-    """The rows of one statistic. `time`: derivatives of stick time; `event_parts`: of the number of sticks."""
-    weights = statistic.weights(t1)
-    # The number of sticks has no pathwise derivative: it is locally constant.
-    pathwise = time[..., None] * weights[:, 0]
-    slopes = [np.stack([time, part], axis=-1) @ weights[:, :2].T for part in event_parts] or [pathwise]
-    parts = totals @ weights[:, :2].T + weights[:, 2]
-    return Rows(status, parts, np.stack(slopes, axis=2), pathwise, in_window)
-
-
 def recorded(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
-    """Derivatives by all parameters from recorded stick sequences, with a window per bandwidth."""
-    units = units_of(problem.engine(), problem.paths())[:, None, None]
-    record = recorder(problem, buffer_sizes_for(problem, pilot), bandwidths)
-
-    def rows_of(features: Features, slopes: Features, status: AnyArray, number: int) -> Rows:
-        pathwise, events = (np.asarray(leaf, float)[:, :number] for leaf in (slopes.parts, slopes.event_parts))
-        derivatives = (pathwise[:, :, None] + events) / units[..., None]
-        parts, in_window = np.asarray(features.parts, float)[:number], np.asarray(slopes.in_window, float)[:, :number]
-        return Rows(np.asarray(status)[:number], parts, derivatives, pathwise / units, in_window)
+    """Derivatives by all parameters from recorded stick sequences, with a window per bandwidth; without any, the
+    pathwise part.
+    """
+    engine, paths = problem.engine(), problem.paths("engine")
+    units = units_of(engine, problem.paths())[:, None, None]
+    buffer = buffer_sizes_for(problem, pilot)
 
     def rows(first: int, number: int) -> list[Rows]:
-        *found, status = record(first)
-        return [rows_of(features, slopes, status, number) for features, slopes in zip(*found, strict=True)]
+        job = problem.job(engine, first, problem.sequence_lanes)
+        found, slopes, counts = with_sequences(problem, job, buffer, bandwidths, paths)
+        status = np.asarray(counts.status)[:number]
 
-    return Source(rows, sequence_lanes(problem), bandwidths)
+        def rows_of(features: Features, slopes: Features) -> Rows:
+            parts = np.asarray(features.parts, float)[:number]
+            pathwise, events, in_window = (np.asarray(leaf, float)[:, :number] for leaf in slopes)
+            derivatives = (pathwise[:, :, None] + events) / units[..., None]
+            return Rows(status, parts, derivatives, pathwise / units, in_window)
 
+        return list(map(rows_of, found, slopes))
 
-_Recorded: TypeAlias = tuple[tuple[Features, ...], tuple[Features, ...], AnyArray]
-
-
-def recorder(problem: SensitivityProblem, buffer: BufferSizes, bandwidths: np.ndarray) -> Callable[[int], _Recorded]:
-    """A function of a chunk's first sample: `Features` of each statistic, their derivatives, status."""
-    engine = wrapped(problem.engine(), partial(recording, fixed_start=problem.fixed_start))
-    paths, lanes = wrapped_paths(problem), sequence_lanes(problem)
-
-    def record(first: int) -> _Recorded:
-        job = problem.job(engine, first, lanes)
-
-        def run(buffer: BufferSizes) -> tuple[_Recorded, RecordedCounts]:
-            features, slopes, counts = sequence_chunk(
-                problem.statistics, job, np.asarray(bandwidths, problem.dtype), paths=paths, lanes=lanes, buffer=buffer,
-                dtype=problem.dtype,
-            )  # fmt: skip
-            return (features, slopes, counts.status), counts
-
-        return with_buffer(run, buffer)
-
-    return record
+    return Source(rows, problem.sequence_lanes, bandwidths)
 
 
-def with_buffer(
-    run: Callable[[BufferSizes], tuple[_Result, RecordedCounts]], buffer: BufferSizes, tries: int = _MOST_TRIES
-) -> _Result:
-    """The result of `run`, with larger buffers until all fits, or `tries` are used up."""
-    result, (status, sticks, candidates) = run(buffer)
-    # One slot more than there are sticks: a stick of zero length may be inserted.
-    slots, candidates = (8 * -(-int(most) // 8) for most in (np.max(sticks) + 1, np.max(candidates)))
-    larger = BufferSizes(buffer.blocks, max(slots, buffer.slots), max(candidates, buffer.candidates))
-    if larger == buffer and np.any(np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS))):
-        larger = buffer._replace(blocks=2 * buffer.blocks)
-    return result if larger == buffer or tries == 1 else with_buffer(run, larger, tries - 1)
+def with_sequences(
+    problem: SensitivityProblem, job: Job, buffer: BufferSizes, bandwidths: np.ndarray, paths: tuple[NumberPath, ...]
+) -> tuple[tuple[Features, ...], tuple[Features, ...], RecordedCounts]:
+    """What `sequence_chunk` finds of the samples of a job, with larger buffers until all fits.
+
+    `paths`: in the engine that records. Without `bandwidths` nothing but the sticks is recorded.
+    """
+    job = job._replace(engine=wrapped(job.engine, partial(recording, fixed_start=problem.fixed_start)))
+    larger = buffer if len(bandwidths) else buffer._replace(candidates=0)
+    for _ in range(_MOST_TRIES):
+        buffer = larger
+        found = sequence_chunk(
+            problem.statistics, job, np.asarray(bandwidths, problem.dtype), paths=paths, lanes=problem.sequence_lanes,
+            buffer=buffer, dtype=problem.dtype,
+        )  # fmt: skip
+        status, sticks, candidates = found[2]
+        # One slot more than there are sticks: a stick of zero length may be inserted.
+        slots, candidates = (8 * -(-int(most) // 8) for most in (np.max(sticks) + 1, np.max(candidates)))
+        larger = BufferSizes(buffer.blocks, max(slots, buffer.slots), max(candidates, buffer.candidates))
+        if larger == buffer and np.any(np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS))):
+            larger = buffer._replace(blocks=2 * buffer.blocks)
+        if larger == buffer:
+            break
+    return found
 
 
 def flat(leaf: AnyArray, number: int) -> np.ndarray:
@@ -459,26 +420,20 @@ _TOLERANCE = 0.1
 Of a smooth output hardly anything is by chance in their difference, which is of the order of the squared step.
 """
 
-_Tree = TypeVar("_Tree")
-
 
 class _Values(NamedTuple):
     """Of some samples: numerator and denominator of each statistic, status, and number of sticks.
 
-    Of outputs, `counted` holds their values in place of the number of sticks.
+    Of outputs, `counted` holds their values in place of the number of sticks, (statistics, samples).
     """
 
     parts: Float[np.ndarray, "statistics samples 2"]
     status: Int[np.ndarray, " samples"]
-    counted: Float[np.ndarray, "statistics samples"]
+    counted: Float[np.ndarray, "*statistics samples"]
 
 
 _ValuesOf: TypeAlias = Callable[[int, int], _Values]
 """A function of a task's first sample and its number of samples."""
-_Pathwise: TypeAlias = Callable[[int, int], Float[np.ndarray, "statistics parameters samples 2"]]
-"""The pathwise derivatives, likewise."""
-_Pairs: TypeAlias = list[tuple[float, list[_ValuesOf]]]
-"""The difference's half-width and the values at both ends, for all parameters and steps."""
 
 
 def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, with_pathwise: bool) -> Source:
@@ -486,175 +441,107 @@ def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, wi
 
     `steps`: s, relative to the parameter's size. Both ends use the same random numbers. In place of the distances
     inside a window, the trajectories are counted whose number of sticks differs between the ends.
+
+    Raises ValueError if a value at an end is not allowed.
     """
     if problem.needs_ensembles:
-        return _differenced_ensembles(problem, steps)
-    engine, paths = problem.engine(), problem.paths()
-    values, per_task, pathwise = _by_totals(problem, pilot) if problem.is_counted else _by_sequences(problem, pilot)
-    pairs = [
-        (length, [partial(values, end) for end in _ends_of(engine, path, parameter, length)])
-        for path, parameter, unit in zip(paths, problem.parameters, units_of(engine, paths), strict=True)
-        for length in steps * unit
-    ]
-    rows = _differences(problem, partial(values, engine), pairs, pathwise if with_pathwise else None)
-    return Source(rows, per_task, steps)
-
-
-def _differenced_ensembles(problem: SensitivityProblem, steps: np.ndarray) -> Source:
-    """As `differenced`, of whole ensembles: of regularised dynamics, of systems with a list of contacts, of outputs."""
-    model = problem.model
-    assert model is not None
-    pairs = [
-        (length, [_simulated(problem, end) for end in _ends_of(model, parameter.path, parameter, length)])
-        for parameter in problem.parameters
-        for length in steps * (abs(parameter.value) or 1.0)
-    ]
-    rows = _differences(problem, _simulated(problem, model), pairs, None)
-    return Source(rows, lanes_and_rows(problem)[2], steps, tolerance=_TOLERANCE if problem.is_output else 0.0)
-
-
-def _ends_of(tree: _Tree, path: NumberPath, parameter: Parameter, length: float) -> list[_Tree]:
-    """An engine or model with the parameter at `path` lowered and raised by `length`.
-
-    Raises ValueError if a value is not allowed.
-    """
-    ends = [with_numbers(tree, (path,), (float(parameter.value + sign * length),)) for sign in (-1, 1)]
-    try:
-        for end in ends:
-            check_numbers(end)
-    except ValueError as error:
-        raise ValueError(
-            f"Argument step (or relative_bandwidth) must be smaller: {parameter.name} = {parameter.value:g} is to be "
-            f"varied by {length:g}, which it does not allow. {error}"
-        ) from error
-    return ends
-
-
-def _differences(
-    problem: SensitivityProblem, centre: _ValuesOf, pairs: _Pairs, pathwise_of: _Pathwise | None
-) -> Callable[[int, int], list[Rows]]:
-    """The parts of each statistic and their differences."""
-    parameters = len(problem.parameters)
-    steps = len(pairs) // parameters
+        tree, paths = problem.model, tuple(parameter.path for parameter in problem.parameters)
+        values_at = partial(_values_of_ensemble, problem)
+    else:
+        tree, paths = problem.engine(), problem.paths()
+        values_at = partial(partial, _values_of_engine, problem, pilot)
+    pairs: list[tuple[float, list[_ValuesOf]]] = []  # the half-width, and both ends, for all parameters and steps
+    for path, parameter, unit in zip(paths, problem.parameters, units_of(tree, paths), strict=True):
+        for length in steps * unit:
+            ends = [with_numbers(tree, (path,), (float(parameter.value + sign * length),)) for sign in (-1, 1)]
+            try:
+                for end in ends:
+                    check_numbers(end)
+            except ValueError as error:
+                raise ValueError(
+                    f"Argument step (or relative_bandwidth) must be smaller: {parameter.name} = {parameter.value:g} is "
+                    f"to be varied by {length:g}, which it does not allow. {error}"
+                ) from error
+            pairs.append((length, [values_at(end) for end in ends]))
+    centre, pathwise_of = values_at(tree), None
+    if with_pathwise and problem.is_counted:
+        pathwise_of = counter(problem, counting_engine(problem, pilot, np.zeros(0)), problem.paths("engine"))
+    elif with_pathwise:
+        pathwise_of = recorded(problem, pilot, np.zeros(0)).rows
 
     def rows(first: int, number: int) -> list[Rows]:
         def difference(length: float, ends: list[_ValuesOf]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             low, high = (end(first, number) for end in ends)
             slope = (high.parts - low.parts) / (2 * length)
-            return slope, np.maximum(low.status, high.status), low.counted != high.counted
+            differs = np.broadcast_to(low.counted != high.counted, slope.shape[:2])
+            return slope, np.maximum(low.status, high.status), differs
 
         parts, status, _ = centre(first, number)
         slopes, statuses, differs = zip(*(difference(*pair) for pair in pairs), strict=True)
         status = np.max([status, *statuses], axis=0)
-        shape = (parameters, steps, len(parts), number)
+        shape = (len(paths), len(steps), len(parts), number)
         slopes = np.moveaxis(np.reshape(slopes, (*shape, 2)), (2, 3), (0, 2))
         differs = np.moveaxis(np.reshape(differs, shape), (2, 3), (0, 2)).astype(float)
-        none = np.zeros((len(parts), parameters, number, 2))
-        pathwise = none if pathwise_of is None else pathwise_of(first, number)
-        return [
-            Rows(status, values, slope, path, differ)
-            for values, slope, path, differ in zip(parts, slopes, pathwise, differs, strict=True)
-        ]
+        pathwise = np.zeros((len(parts), len(paths), number, 2))
+        if pathwise_of is not None:
+            pathwise = [one.pathwise for one in pathwise_of(first, number)]
+        return list(map(partial(Rows, status), parts, slopes, pathwise, differs))
 
-    return rows
-
-
-# The values of an engine's samples; the largest number of samples of a task; the pathwise derivatives.
-_Source: TypeAlias = tuple[Callable[[Engine, int, int], _Values], int, _Pathwise]
+    by_totals = problem.is_counted or problem.needs_ensembles
+    per_task = problem.per_task if by_totals else problem.sequence_lanes
+    return Source(rows, per_task, steps, tolerance=_TOLERANCE if problem.is_output else 0.0)
 
 
-def _by_totals(problem: SensitivityProblem, pilot: Pilot) -> _Source:
-    """What `differenced` needs, for statistics of totals."""
-    lanes, rows, per_task = lanes_and_rows(problem)
-    count = counter(problem, counting_engine(problem, pilot, np.zeros(0)), wrapped_paths(problem))
-
-    def values(engine: Engine, first: int, number: int) -> _Values:
-        job = _drawn(problem.job(engine, first, lanes * rows, -(-number // lanes)))
-        with_records = problem.random is not None and problem.random.inputs.has_sampled_law
-        results = compiled_for(job.engine, with_records=with_records).summarize(
-            job, lanes=lanes, rows=rows, dtype=problem.dtype
-        )
-        columns = (results.stick_time, results.sticks, results.slips, results.status)
-        stick_time, sticks, slips, status = (flat(leaf, number) for leaf in columns)
-        return _of_totals(problem, stick_time, sticks, slips, status)
-
-    return values, per_task, lambda first, number: np.stack([one.pathwise for one in count(first, number)])
-
-
-def _of_totals(
-    problem: SensitivityProblem, stick_time: np.ndarray, sticks: np.ndarray, slips: np.ndarray, status: np.ndarray
-) -> _Values:
-    parts = np.stack([one.parts_of(problem.t1, stick_time, sticks, slips) for one in problem.totals])
-    return _Values(parts, status.astype(int), _for_each(parts, sticks))
-
-
-def _for_each(parts: np.ndarray, sticks: AnyArray) -> np.ndarray:
-    """The number of sticks of each sample, for each statistic."""
-    return np.broadcast_to(np.asarray(sticks, float), parts.shape[:2])
-
-
-def _drawn(job: Job) -> Job:
-    """The job with its random numbers drawn: both ends of a difference are then compiled once."""
-    if not isinstance(job.engine, RandomEngine):
-        return job
-    engine, varying = job.engine.drawn(job.varying)
-    return job._replace(engine=engine, varying=varying)
-
-
-def _by_sequences(problem: SensitivityProblem, pilot: Pilot) -> _Source:
-    """What `differenced` needs, for statistics of recorded sequences."""
-    lanes, units = sequence_lanes(problem), units_of(problem.engine(), problem.paths())[:, None, None]
-    buffer = buffer_sizes_for(problem, pilot)._replace(candidates=0)
-    record = recorder(problem, buffer, np.zeros(0))
-
-    def values(engine: Engine, first: int, number: int) -> _Values:
-        job = _drawn(problem.job(engine, first, lanes))
-        job = job._replace(engine=wrapped(job.engine, partial(recording, fixed_start=problem.fixed_start)))
-
-        def run(buffer: BufferSizes) -> tuple[tuple[tuple[AnyArray, ...], RecordedCounts], RecordedCounts]:
-            found = value_chunk(problem.statistics, job, lanes=lanes, buffer=buffer, dtype=problem.dtype)
-            return found, found[1]
-
-        parts, counts = with_buffer(run, buffer)
-        status, sticks = (np.asarray(leaf)[:number] for leaf in (counts.status, counts.sticks))
-        parts = np.stack([np.asarray(one, float)[:number] for one in parts])
-        return _Values(parts, status, _for_each(parts, sticks))
-
-    def pathwise(first: int, number: int) -> np.ndarray:
-        return np.stack([np.asarray(one.parts, float)[:, :number] / units for one in record(first)[1]])
-
-    return values, lanes, pathwise
-
-
-def _simulated(problem: SensitivityProblem, model: StochasticModel) -> _ValuesOf:
+def _values_of_ensemble(problem: SensitivityProblem, model: StochasticModel) -> _ValuesOf:
     """The values of the samples of an ensemble of `model`."""
     key = jax.random.wrap_key_data(problem.key_data)
     options = (problem.samples, 0, key, None, problem.method, "sticks", _ALL)
-    run = EnsembleSetup.checked(model, problem.t1, *options)
+    setup = EnsembleSetup.checked(model, problem.t1, *options)
     if problem.is_output:
         outputs = {one.output.name: one.output for one in problem.statistics if isinstance(one, OfOutput)}
-        return partial(_of_outputs, OutputRunner(run, outputs))
+        runner = OutputRunner(setup, outputs)
+
+        def values_of_outputs(first: int, number: int) -> _Values:
+            values = np.stack(list(runner.values(first, number).values()))
+            known = np.all(np.isfinite(values), axis=0)  # a sample without a finite one did not finish
+            parts = np.stack([np.where(known, values, 0), np.ones_like(values)], axis=-1)
+            return _Values(parts, np.where(known, Status.FINISHED, Status.NOT_FINITE).astype(int), values)
+
+        return values_of_outputs
 
     def values(first: int, number: int) -> _Values:
-        many = simulate_batch(run, first, number, "sticks", retained=RETAINED, fewest=problem.samples)
-        stick_time, sticks, slips, status = (
-            np.asarray(getattr(many.totals, name)) for name in ("stick_time", "sticks", "slips", "status")
-        )
+        many = simulate_batch(setup, first, number, "sticks", retained=RETAINED, fewest=problem.samples)
         if problem.is_counted:
-            return _of_totals(problem, stick_time, sticks, slips, status)
-        each = [parts_of_sequences(one, many.require_sticks(), problem.t1, problem.dtype) for one in problem.statistics]
-        parts = np.stack(each)
-        return _Values(parts, status.astype(int), _for_each(parts, sticks))
+            return _values_of_totals(problem, many.totals)
+        flat_sticks, status = many.require_sticks(), np.asarray(many.totals.status).astype(int)
+        parts = [parts_of_sequences(one, flat_sticks, problem.t1, problem.dtype) for one in problem.statistics]
+        return _Values(np.stack(parts), status, np.asarray(many.totals.sticks))
 
     return values
 
 
-def _of_outputs(runner: OutputRunner, first: int, number: int) -> _Values:
-    """The values of outputs; a sample without a finite one did not finish."""
-    values = np.stack(list(runner.values(first, number).values()))
-    known = np.all(np.isfinite(values), axis=0)
-    parts = np.stack([np.where(known, values, 0), np.ones_like(values)], axis=-1)
-    return _Values(parts, np.where(known, Status.FINISHED, Status.NOT_FINITE).astype(int), values)
+def _values_of_engine(problem: SensitivityProblem, pilot: Pilot, engine: Engine, first: int, number: int) -> _Values:
+    """The values of samples `first` to ``first + number - 1`` of an engine."""
+    samples, rows = (LANES * ROWS, -(-number // LANES)) if problem.is_counted else (problem.sequence_lanes, 1)
+    job = problem.job(engine, first, samples, rows)
+    if isinstance(engine, RandomEngine):
+        # With its random numbers drawn, both ends of a difference are compiled once.
+        drawn, varying = engine.drawn(job.varying)
+        job = job._replace(engine=drawn, varying=varying)
+    if problem.is_counted:
+        with_records = problem.random is not None and problem.random.inputs.has_sampled_law
+        summarize = compiled_for(job.engine, with_records=with_records).summarize
+        totals = summarize(job, lanes=LANES, rows=ROWS, dtype=problem.dtype)
+        return _values_of_totals(problem, jax.tree.map(lambda leaf: flat(leaf, number), totals))
+    found, _, counts = with_sequences(problem, job, buffer_sizes_for(problem, pilot), np.zeros(0), ())
+    status, sticks = (np.asarray(leaf)[:number] for leaf in (counts.status, counts.sticks))
+    return _Values(np.stack([np.asarray(one.parts, float)[:number] for one in found]), status, sticks)
+
+
+def _values_of_totals(problem: SensitivityProblem, totals: SampleTotals) -> _Values:
+    stick_time, sticks, slips, status = map(np.asarray, (totals.stick_time, totals.sticks, totals.slips, totals.status))
+    parts = np.stack([one.parts_of(problem.t1, stick_time, sticks, slips) for one in problem.totals])
+    return _Values(parts, status.astype(int), sticks)
 
 
 def parts_of_sequences(statistic: StickStatistic, sticks: FlatSticks, t1: float, dtype: DType) -> np.ndarray:

@@ -12,9 +12,9 @@ from jaxtyping import Array, Bool, Float
 
 from .._dynamics.common.lanes import BLOCK, Engine, Job
 from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, check_method, state_of
-from .._dynamics.engine_choice import ByIntervals, engine_for
+from .._dynamics.engine_choice import ByIntervals, engine_for, engines_of_all, sample_engines
 from .._dynamics.interval.arcs import Scales
-from .._dynamics.interval.crossing import scales_of, start_motion
+from .._dynamics.interval.crossing import start_motion
 from .._dynamics.interval.engine import IntervalEngine
 from .._dynamics.switched.engine import steps_for
 from .._ensemble.call import simulate_ensemble
@@ -34,12 +34,15 @@ from .._foundation.processes import cores, require_threads_of_jax
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
 from .._systems.system import System, require_system
-from .._uncertainty.inputs import Inputs, StochasticModel
+from .._uncertainty.inputs import Input, Inputs, StochasticModel
 from .._uncertainty.numbers import NumberPath, Parameter, number_at, parameters_of, with_numbers
 from .boundaries import relative_excess
-from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, RandomInputs, StickStatistic, statistics_of
+from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, RandomEngine, StickStatistic, statistics_of
 
 # A sensitivity problem: statistic, motion and parameters, and the results of its pilot simulation.
+
+
+LANES, ROWS = 256, 32  # of tasks that find totals
 
 
 class Pilot(NamedTuple):
@@ -53,6 +56,22 @@ class Pilot(NamedTuple):
     sticks: float
     most: int | None
     fewest: BufferSizes = BufferSizes(0, 0, 0)
+
+
+def _holds(entry: Input, path: NumberPath) -> bool:
+    """Whether the number at `path` of a model is that of an input, or one of its distribution."""
+    return path[: len(entry.path)] == entry.path
+
+
+class RandomInputs(NamedTuple):
+    """The inputs of a sensitivity problem and the engine of all samples.
+
+    `origins`: which input each place of the engine holds; None for what follows from several, such as a time step.
+    """
+
+    inputs: Inputs
+    engine: RandomEngine
+    origins: tuple[int | None, ...]
 
 
 class SensitivityProblem(NamedTuple):
@@ -75,8 +94,8 @@ class SensitivityProblem(NamedTuple):
     threads: int
     chunk: int | None
     dtype: DType
+    model: StochasticModel
     random: RandomInputs | None = None
-    model: StochasticModel | None = None
 
     @property
     def statistic(self) -> StickStatistic:
@@ -104,7 +123,18 @@ class SensitivityProblem(NamedTuple):
     @property
     def by_intervals(self) -> bool:
         """Whether the closed forms over whole base intervals hold."""
-        return isinstance(engine_for(Arguments(self.system, self.law, self.method, self.t1)), ByIntervals)
+        return isinstance(engine_for(self.arguments), ByIntervals)
+
+    @property
+    def arguments(self) -> Arguments:
+        """What the engine is chosen by."""
+        return Arguments(self.system, self.law, self.method, self.t1)
+
+    @property
+    def steps(self) -> int:
+        """How many time steps suffice for nearly every realisation."""
+        excitation, step = self.arguments.checked_step("law")
+        return steps_for(self.system, excitation, self.t1, step)
 
     def in_closed_form(self) -> "SensitivityProblem":
         """The same problem without a solver, where closed forms exist.
@@ -114,19 +144,35 @@ class SensitivityProblem(NamedTuple):
         closed = self._replace(method=EXACT)
         if not closed.by_intervals:
             return self
-        return closed._with_random(self.random.inputs) if self.random is not None else closed
-
-    def _with_random(self, inputs: Inputs) -> "SensitivityProblem":
-        paths = tuple(parameter.path for parameter in self.parameters)
-        return self._replace(random=RandomInputs.of(inputs, self.method, self.t1, self.dtype, paths))
+        return closed.with_inputs(self.random.inputs) if self.random is not None else closed
 
     def with_inputs(self, inputs: Inputs) -> "SensitivityProblem":
-        """The same problem with numbers that differ from sample to sample, if there are any."""
-        return self._with_random(inputs) if inputs.entries or inputs.has_sampled_law else self
+        """The same problem with numbers that differ from sample to sample, if there are any.
+
+        Distributions with parameters to vary are the sources of its engine.
+        """
+        if not (inputs.entries or inputs.has_sampled_law):
+            return self
+        template, leaf_numbers, _, origins = engines_of_all(inputs, self.method, self.t1, self.dtype)
+
+        def source(origin):
+            entry = None if origin is None else inputs.entries[origin]
+            is_varied = entry is not None and any(_holds(entry, parameter.path) for parameter in self.parameters)
+            return entry.source if entry is not None and is_varied else None
+
+        engine = RandomEngine(template, leaf_numbers, tuple(map(source, origins)))
+        return self._replace(random=RandomInputs(inputs, engine, origins))
 
     def varying_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
-        """The varying leaves of samples, for `Job.varying`."""
-        return () if self.random is None else self.random.varying_leaves(first, number)
+        """The varying leaves of samples `first` to ``first + number - 1``, for `Job.varying`."""
+        if self.random is None:
+            return ()
+        inputs, engine, origins = self.random
+        varying = sample_engines(inputs, self.method, self.t1, self.dtype, first, number).varying
+        uniforms = inputs.uniforms(first, number, self.dtype)
+        drawn = (None if source is None or origin is None else uniforms[origin]
+                 for source, origin in zip(engine.sources, origins, strict=True))  # fmt: skip
+        return tuple(column if uniform is None else uniform for column, uniform in zip(varying, drawn, strict=True))
 
     @property
     def has_sudden_switches(self) -> bool:
@@ -171,18 +217,19 @@ class SensitivityProblem(NamedTuple):
     @property
     def can_be_corrected(self) -> bool:
         """Whether the corrected method knows what differs from sample to sample."""
-        random = self.random
         if self.system.tracks.contacts is not None or self.is_output or any(one.counts_slips for one in self.totals):
-            return False
-        if random is not None and random.inputs.has_sampled_law:
             return False
         if self.by_intervals and self.is_counted and not self.ignores_stick_count:
             assert isinstance(self.law, PiecewiseConstantLaw)
             if any(one.path[:2] == ("law", self.law.gap_rate) and len(one.path) > 2 for one in self.parameters):
                 return False  # the likelihood of the number of switches knows one rate of all samples
-        if random is None or random.only_in_start:
-            return random is None or random.in_lanes
-        return random.in_lanes and (self.by_intervals or (self.is_counted and self.ignores_stick_count))
+        if self.random is None:
+            return True
+        inputs, engine, _ = self.random
+        only_in_start = all(entry.path[0] == "y0" for entry in inputs.entries)
+        are_followed = only_in_start or self.by_intervals or self.ignores_stick_count
+        in_lanes = all(source is None or source.in_lanes for source in engine.sources)
+        return are_followed and in_lanes and not inputs.has_sampled_law
 
     def job(self, engine: Engine, first: int, samples: int, used_rows: int = 1) -> Job:
         """A job of `used_rows` rows from sample `first` on; it holds the own leaves of `samples` samples."""
@@ -193,24 +240,43 @@ class SensitivityProblem(NamedTuple):
         """The fastest engine that simulates the motion."""
         if self.random is not None:
             return self.random.engine
-        engine = engine_for(Arguments(self.system, self.law, self.method, self.t1)).lanes(self.y0, self.dtype)
+        engine = engine_for(self.arguments).lanes(self.y0, self.dtype)
         assert isinstance(engine, Engine)
         return engine
 
-    def paths(self) -> tuple[NumberPath, ...]:
-        """Paths of the parameters in the engine."""
-        random, paths = self.random, tuple(parameter.path for parameter in self.parameters)
-        if random is None:
-            return tuple(map(self._path, paths))
-        return tuple(random.path(path, self._path(path)) for path in paths)
+    def paths(self, *around: str) -> tuple[NumberPath, ...]:
+        """Paths of the parameters in the engine; `around`: where an engine made of it (`wrapped`) holds it."""
+        return tuple(self._path(parameter.path, around) for parameter in self.parameters)
 
-    def _path(self, path: NumberPath) -> NumberPath:
-        if path[0] != "law":
-            return path
-        inner = path_in_merged(self.law, path[1:])
-        if self.by_intervals:
-            return ("law", *inner)
-        return ("excitation", *path_in_excitation(merged(self.law, self.t1), inner))
+    def _path(self, path: NumberPath, around: tuple[str, ...]) -> NumberPath:
+        in_engine = path
+        if path[0] == "law":
+            in_law = path_in_merged(self.law, path[1:])
+            in_engine = ("law", *in_law)
+            if not self.by_intervals:
+                in_engine = ("excitation", *path_in_excitation(merged(self.law, self.t1), in_law))
+        if self.random is None:
+            return (*around, *in_engine)
+        inputs, _, origins = self.random
+        for place, origin in enumerate(origins):
+            if origin is not None and _holds(inputs.entries[origin], path):
+                return ("sources", place, *path[len(inputs.entries[origin].path) :])
+        return ("template", *around, *in_engine)
+
+    @property
+    def per_task(self) -> int:
+        """The largest number of samples of a task that finds totals, as in `_ensemble/call.py`."""
+        return min(-(-self._share // LANES) * LANES, LANES * ROWS)
+
+    @property
+    def sequence_lanes(self) -> int:
+        """The number of lanes of a chunk that records sticks."""
+        return min(512, max(64, 1 << (self._share - 1).bit_length()))
+
+    @property
+    def _share(self) -> int:
+        share = -(-self.samples // self.threads)
+        return share if self.chunk is None else min(share, self.chunk)
 
 
 def buffer_sizes_for(problem: SensitivityProblem, pilot: Pilot) -> BufferSizes:
@@ -220,28 +286,9 @@ def buffer_sizes_for(problem: SensitivityProblem, pilot: Pilot) -> BufferSizes:
         assert isinstance(problem.law, PiecewiseConstantLaw)
         intervals = problem.law.checked_capacity(problem.t1)
     else:
-        assert isinstance(problem.method, Exact)
-        excitation, step = Arguments(problem.system, problem.law, problem.method, problem.t1).checked_step("law")
-        intervals = steps_for(problem.system, excitation, problem.t1, step)
+        intervals = problem.steps
     slots = 8 * -(-pilot.most // 8) + 8
     return BufferSizes(*map(max, (-(-intervals // BLOCK), slots, 2 * slots), pilot.fewest))
-
-
-def lanes_and_rows(problem: SensitivityProblem) -> tuple[int, int, int]:
-    """Lanes, rows and largest number of samples of a task that finds totals, as in `_ensemble/call.py`."""
-    lanes, rows = 256, 32
-    fair = -(-_share(problem) // lanes) * lanes
-    return lanes, rows, min(fair, lanes * rows)
-
-
-def sequence_lanes(problem: SensitivityProblem) -> int:
-    """The number of lanes of a chunk that records sticks."""
-    return min(512, max(64, 1 << (_share(problem) - 1).bit_length()))
-
-
-def _share(problem: SensitivityProblem) -> int:
-    share = -(-problem.samples // problem.threads)
-    return share if problem.chunk is None else min(share, problem.chunk)
 
 
 # Check of the arguments, and a pilot simulation of few samples, from which the widths of the kernels are chosen.
@@ -279,19 +326,33 @@ def problem_of(
     first = inputs.of_sample(0, dtype)
     first = first._replace(y0=state_of(require_system(first.system), first.y0))
     inputs = inputs.with_start(first.y0)
-    _require_chance(first.law, inputs)
+    if not is_random(first.law) and not inputs.are_random:
+        raise ValueError(
+            "Argument law must be random, or system or y0 hold a distribution such as Uniform: without chance the "
+            "number of sticks is a step function of the parameters, and has no derivative to correct. Differentiate "
+            "simulate(...) with jax.jvp."
+        )
     smoothed = isinstance(method, Regularized)
     from_totals = all(one.is_of_totals or isinstance(one, OfOutput) for one in statistics)
     keep: Keep = "totals" if from_totals and not smoothed else "sticks"
-    pilot = _pilot(inputs, t1, key, method, keep, threads)
+    # The pilot simulation checks the arguments too.
+    few = min(number, _PILOT)
+    system, its_law, start = inputs.head(few)
+    many = simulate_ensemble(
+        system, its_law, t1=t1, samples=few, key=key, y0=start, method=method, keep=keep, threads=threads,
+        progress=False,
+    )  # fmt: skip
+    if many.moments.number < 2:
+        raise ValueError(f"Fewer than two of {few} trajectories reached t1, so that there is no statistic: {many}")
+    stick_time, sticks = (float(mean) for mean in many.moments.mean[:2])
+    pilot = Pilot(stick_time, sticks, int(many.require_sticks().count.max()) if keep == "sticks" else None)
     parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
     base = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
     base = GivenSteps(base) if isinstance(base, VelocitySteps) else base
     problem = SensitivityProblem(
         statistics, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
-        dtype,
+        dtype, inputs.model,
     )  # fmt: skip
-    problem = problem._replace(model=inputs.model)
     return problem if smoothed else problem.with_inputs(inputs), pilot
 
 
@@ -327,35 +388,10 @@ def relative_bandwidth_of(problem: SensitivityProblem, pilot: Pilot) -> float:
     return min(_RELATIVE_BANDWIDTH * (problem.samples * max(pilot.sticks, 1e-3) / _STICKS) ** -0.2, _LARGEST_BANDWIDTH)
 
 
-def _pilot(
-    inputs: Inputs, t1: float, key: Array | None, method: Exact | Regularized, keep: Keep, threads: int
-) -> Pilot:
-    """A pilot simulation, which also checks the arguments."""
-    number = min(inputs.samples, _PILOT)
-    system, law, y0 = inputs.head(number)
-    many = simulate_ensemble(
-        system, law, t1=t1, samples=number, key=key, y0=y0, method=method, keep=keep, threads=threads, progress=False
-    )
-    if many.moments.number < 2:
-        raise ValueError(f"Fewer than two of {number} trajectories reached t1, so that there is no statistic: {many}")
-    stick_time, sticks = (float(mean) for mean in many.moments.mean[:2])
-    return Pilot(stick_time, sticks, int(many.require_sticks().count.max()) if keep == "sticks" else None)
-
-
-def _require_chance(law: BaseMotion, inputs: Inputs) -> None:
-    """Raise ValueError where nothing is random."""
-    if not is_random(law) and not inputs.are_random:
-        raise ValueError(
-            "Argument law must be random, or system or y0 hold a distribution such as Uniform: without chance the "
-            "number of sticks is a step function of the parameters, and has no derivative to correct. Differentiate "
-            "simulate(...) with jax.jvp."
-        )
-
-
 # Warnings where no derivative exists: a first arc that grazes exactly in every trajectory; special base speeds.
 
 
-_LANES = 64  # enough to draw every first velocity that is not rare
+_DRAWN = 64  # lanes: enough to draw every first velocity that is not rare
 _EXACTLY = 1e-9  # tolerance relative to the squared velocities, and to w
 _SPECIAL = (1.0, 2.0, 3.0, 8.0, 15.0)  # values of w (docs/sensitivity.md)
 
@@ -375,7 +411,7 @@ def warn_if_grazing(problem: SensitivityProblem) -> tuple[str, ...]:
             "however small, makes a stick there, and one of the other sign none. The derivative is given as NaN; "
             "change y0, or make it random.",
             RuntimeWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     return tuple(moved)
 
@@ -387,7 +423,9 @@ def warn_at_special_speeds(problem: SensitivityProblem, already_warned: tuple[st
     where the base reverses as it is farthest out, comes back on the edge of the stick band. The mean number of sticks
     has no derivative: differences grow as steps shrink. `already_warned`: parameters with a warning.
     """
-    if not problem.by_intervals or _speed_differs(problem):
+    inputs = () if problem.random is None else problem.random.inputs.entries
+    speed_differs = any(entry.path[0] == "system" or entry.path == ("law", "speed") for entry in inputs)
+    if not problem.by_intervals or speed_differs:
         return
     found, moved = _zeros(problem, _from_special_speeds)
     moved = [name for name in moved if name not in already_warned]
@@ -398,7 +436,7 @@ def warn_at_special_speeds(problem: SensitivityProblem, already_warned: tuple[st
             f"sticks has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it "
             "is taken. The slope over about `relative_bandwidth` is given; see docs/sensitivity.md.",
             RuntimeWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
 
 
@@ -417,44 +455,21 @@ def _from_special_speeds(_: IntervalEngine, scales: Scales, velocities: Float[Ar
     return jnp.where(velocity == 0, 1.0, w - jnp.array([_SPECIAL], velocity.dtype))
 
 
-def _velocities(engine: IntervalEngine, key_data: tuple[Array, Array], dtype: DType) -> Float[Array, " lanes"]:
-    """The first base velocity of each lane, m/s."""
-
-    def of(high, low):
-        memory = engine.law.begin((high, low), dtype)
-        drawn = engine.law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
-        return engine.law.next_interval(memory, drawn, dtype)[1]
-
-    return jax.vmap(of)(*key_data)
-
-
 def _zeros(problem: SensitivityProblem, function: _Function) -> tuple[Bool[np.ndarray, "..."], list[str]]:
     """Where a function of the engine is exactly 0, and the names of the parameters that change it there."""
     # Only where all samples are the same system; what differs in their starts does not matter here.
-    problem = problem._replace(
-        random=None, parameters=tuple(one for one in problem.parameters if _is_shared(problem, one))
-    )
+    inputs = () if problem.random is None else problem.random.inputs.entries
+    shared = [one for one in problem.parameters if not any(_holds(entry, one.path) for entry in inputs)]
+    problem = problem._replace(random=None, parameters=tuple(shared))
     engine, dtype = problem.engine(), problem.dtype
     if not problem.parameters:
         return np.zeros(0, bool), []
-    key_data = random_words(problem.key_data, jnp.arange(_LANES, dtype=jnp.uint32))
+    key_data = random_words(problem.key_data, jnp.arange(_DRAWN, dtype=jnp.uint32))
     # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.
     found, slopes = _with_slopes(engine, key_data, function=function, paths=problem.paths(), dtype=dtype)
     zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
     moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
     return zero, moved
-
-
-def _speed_differs(problem: SensitivityProblem) -> bool:
-    """Whether ``speed / (a omega)`` differs from sample to sample."""
-    entries = () if problem.random is None else problem.random.inputs.entries
-    return any(entry.path[0] == "system" or entry.path == ("law", "speed") for entry in entries)
-
-
-def _is_shared(problem: SensitivityProblem, parameter: Parameter) -> bool:
-    """Whether the parameter is a number of all samples, not one of a distribution."""
-    entries = () if problem.random is None else problem.random.inputs.entries
-    return not any(parameter.path[: len(entry.path)] == entry.path for entry in entries)
 
 
 @partial(jax.jit, static_argnames=("function", "paths", "dtype"))
@@ -465,7 +480,13 @@ def _with_slopes(
 
     def of(values: Array) -> Array:
         here = with_numbers(engine, paths, values)
-        return function(here, scales_of(here.system, here.t1, dtype), _velocities(here, key_data, dtype))
+
+        def first_velocity(high, low):
+            memory = here.law.begin((high, low), dtype)
+            drawn = here.law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
+            return here.law.next_interval(memory, drawn, dtype)[1]
+
+        return function(here, here.shared(dtype), jax.vmap(first_velocity)(*key_data))
 
     values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
     return of(values), jax.jacfwd(of)(values)

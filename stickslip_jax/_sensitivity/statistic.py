@@ -15,16 +15,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._dynamics.common.lanes import Engine, Job, VaryingEngine, follow_block, lanes_at_start
-from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.engine_choice import engines_of_all, sample_engines
 from .._dynamics.simulate import Output
 from .._foundation import checks
 from .._foundation.types import AnyArray, BoolArray, DType, FloatArray, IntArray, Scalar
 from .._statistics.totals import DIFFERENTIABLE, Linear, StatisticOfTotals
 from .._uncertainty.families import RandomNumber
-from .._uncertainty.inputs import Inputs
-from .._uncertainty.numbers import NumberPath
-from .boundaries import BoundaryDistances, BoundarySums, SignedDistance, vanishes_from_start
+from .boundaries import BoundaryDistances, BoundarySums
 
 # The statistics that `sensitivity` differentiates: ratios of two means over realisations.
 
@@ -310,65 +306,6 @@ class RandomEngine(VaryingEngine):
     def after_block(self, samples: PyTree, motions: PyTree, records: PyTree) -> PyTree:
         return self.template.after_block(self.constants(samples), motions, records)
 
-    def distances(self, samples: PyTree, candidates: PyTree) -> BoundaryDistances:
-        """As `StepRecording.distances`."""
-        return self.template.distances(self.constants(samples), candidates)
-
-
-class RandomInputs(NamedTuple):
-    """The inputs of a sensitivity problem and the engine of all samples.
-
-    `origins`: which input each place of the engine holds; None for what follows from several, such as a time step.
-    """
-
-    inputs: Inputs
-    engine: RandomEngine
-    origins: tuple[int | None, ...]
-    method: Exact | Regularized
-    t1: float
-    dtype: DType
-
-    @classmethod
-    def of(
-        cls, inputs: Inputs, method: Exact | Regularized, t1: float, dtype: DType, paths: tuple[NumberPath, ...]
-    ) -> "RandomInputs":
-        """The engine of all samples of `inputs`; distributions with parameters at `paths` are its sources."""
-        template, leaf_numbers, _, origins = engines_of_all(inputs, method, t1, dtype)
-
-        def source(origin):
-            entry = None if origin is None else inputs.entries[origin]
-            varied = entry is not None and any(path[: len(entry.path)] == entry.path for path in paths)
-            return entry.source if varied and entry is not None else None
-
-        engine = RandomEngine(template, leaf_numbers, tuple(map(source, origins)))
-        return cls(inputs, engine, origins, method, t1, dtype)
-
-    def varying_leaves(self, first: int, number: int) -> tuple[AnyArray, ...]:
-        """What the engine needs of samples `first` to ``first + number - 1``, one array for each place."""
-        varying = sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).varying
-        uniforms = self.inputs.uniforms(first, number, self.dtype)
-        drawn = (None if source is None or origin is None else uniforms[origin]
-                 for source, origin in zip(self.engine.sources, self.origins, strict=True))  # fmt: skip
-        return tuple(column if uniform is None else uniform for column, uniform in zip(varying, drawn, strict=True))
-
-    def path(self, path: NumberPath, in_engine: NumberPath) -> NumberPath:
-        """The path in `engine` of the number at `path` of the model, which a `single_engine` has at `in_engine`."""
-        for place, origin in enumerate(self.origins):
-            entry = None if origin is None else self.inputs.entries[origin]
-            if entry is not None and path[: len(entry.path)] == entry.path:
-                return ("sources", place, *path[len(entry.path) :])
-        return ("template", *in_engine)
-
-    @property
-    def only_in_start(self) -> bool:
-        """Whether nothing but the initial state differs from sample to sample."""
-        return all(entry.path[0] == "y0" for entry in self.inputs.entries)
-
-    @property
-    def in_lanes(self) -> bool:
-        """Whether all sources can be drawn from in a compiled function."""
-        return all(source is None or source.in_lanes for source in self.engine.sources)
-
 
 def wrapped(engine: Engine, make: Callable[[Any], _Made]) -> _Made | RandomEngine:
     """What `make` makes of an engine; of a `RandomEngine`, one with the same varying leaves whose template `make` made.
@@ -386,18 +323,6 @@ def wrapped(engine: Engine, make: Callable[[Any], _Made]) -> _Made | RandomEngin
 def single_engine(engine: Engine) -> Any:
     """The engine of a single sample, for what all samples share."""
     return engine.template if isinstance(engine, RandomEngine) else engine
-
-
-def constants_of(engine: Engine, sample: PyTree) -> PyTree:
-    """The constants of samples as the `single_engine` knows them."""
-    return engine.constants(sample) if isinstance(engine, RandomEngine) else sample
-
-
-def wrapped_path(path: NumberPath) -> NumberPath:
-    """The path of a number whose engine has become the field `engine` of another, by `wrapped`."""
-    if path[0] == "sources":
-        return path
-    return ("template", "engine", *path[1:]) if path[0] == "template" else ("engine", *path)
 
 
 # Statistics of recorded stick sequences whose derivatives are those of their expectations.
@@ -434,6 +359,7 @@ class LaneSticks(NamedTuple):
     start: Float[Array, "slots lanes"]
     end: Float[Array, "slots lanes"]
     ending: Int[Array, "slots lanes"]
+    t1: FloatArray  # s
     deterministic_until: Float[Array, " lanes"]  # when the first random thing happens, s
     counts: RecordedCounts
     distances: BoundaryDistances | None  # (candidates, lanes); none is active in spare slots
@@ -477,20 +403,20 @@ def record_sequences(job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType)
         return lax.cond(jnp.all(carry[1]), idle, advance, carry)
 
     (now, _), trace = lax.scan(block, begun, None, length=buffer.blocks)
-    deterministic_until = constants_of(engine, now.sample).deterministic_until
+    single = single_engine(engine)
+    samples = engine.constants(now.sample) if isinstance(engine, RandomEngine) else now.sample
     sticks, candidates, is_candidate = jax.tree.map(lambda leaf: leaf.reshape(-1, lanes), trace)
     kept, is_stick, sticks_found = _gathered(sticks.ending >= 0, sticks, buffer.slots)
     distances, candidates_found = None, jnp.zeros_like(sticks_found)
     if buffer.candidates > 0:
         candidates, is_filled, candidates_found = _gathered(is_candidate, candidates, buffer.candidates)
-        distances = engine.distances(now.sample, candidates)
-        # Before anything random happens no distance has a density, except that to the base's first change.
-        distances = distances.only(is_filled & (distances.time >= deterministic_until[None]), is_filled)
+        distances = single.distances(samples, candidates).after(samples.deterministic_until[None], is_filled)
     start, end = (jnp.where(is_stick, column, 0) for column in (kept.start, kept.end))
     ending = jnp.where(is_stick, kept.ending, -1).astype(jnp.int32)
     status = jnp.asarray(jax.vmap(engine.results)(now.sample, now.motion), jnp.int32)
     counts = RecordedCounts(status, sticks_found, candidates_found)
-    return LaneSticks(start, end, ending, deterministic_until, counts, distances)
+    t1 = jnp.asarray(single.engine.t1, dtype)
+    return LaneSticks(start, end, ending, t1, samples.deterministic_until, counts, distances)
 
 
 def _gathered(exists: BoolArray, columns: _Tree, slots: int) -> tuple[_Tree, BoolArray, IntArray]:
@@ -505,68 +431,43 @@ def _gathered(exists: BoolArray, columns: _Tree, slots: int) -> tuple[_Tree, Boo
     return kept, filled, found[-1].astype(jnp.int32)
 
 
-def features_of(statistic: StickStatistic, engine: Engine, recorded: LaneSticks, bandwidths: AnyArray) -> Features:
+def features_of(statistic: StickStatistic, recorded: LaneSticks, bandwidths: AnyArray) -> Features:
     """The features of all samples; differentiate them to get pathwise and event parts (these from distances only).
 
     `bandwidths` (windows,): relative bandwidths of the kernels.
     """
-    dtype = recorded.start.dtype
-    t1, bandwidths = jnp.asarray(single_engine(engine).engine.t1, dtype), jnp.asarray(bandwidths, dtype)
+    start, end, dtype = recorded.start.T, recorded.end.T, recorded.start.dtype
+    bandwidths, mask = jnp.asarray(bandwidths, dtype), recorded.ending.T >= 0
+    sequences = StickSequence(jnp.where(mask, start, 0), jnp.where(mask, end - start, 0), mask)
+
+    def parts(sticks):
+        return jnp.stack([jnp.asarray(part, dtype) for part in statistic.parts(sticks, recorded.t1)])
 
     if recorded.distances is None:
-        parts = jax.vmap(lambda one: stacked_parts(statistic, one, t1))(sequences_of(recorded))
-        shape = (len(parts), len(bandwidths))
-        return Features(parts, jnp.zeros((*shape, 2), dtype), jnp.zeros(shape, dtype))
+        shape = (len(mask), len(bandwidths))
+        return Features(jax.vmap(parts)(sequences), jnp.zeros((*shape, 2), dtype), jnp.zeros(shape, dtype))
 
-    def one(sticks, ending, deterministic_until, distances):
+    def of(sticks, ending, deterministic_until, distances):
+        fixed = lax.stop_gradient(sticks)
+
+        def jump_at(time, exists, is_slip):
+            of_slip = _jump_of_slip(parts, fixed, time, exists)
+            return jnp.where(is_slip, of_slip, _jump_of_stick(parts, fixed, time, exists))
+
+        time = lax.stop_gradient(distances.time)
+        at_boundaries = jax.vmap(jump_at)(time, distances.exists, distances.is_slip)
+        at_start = _jump_of_stick(parts, fixed, fixed.start[0], True)
+        sums = BoundarySums.over(distances, bandwidths)
         # Only the first stick can begin at t = 0.
-        from_start = vanishes_from_start(sticks.start[0], ending[0], deterministic_until)
-        return Features(
-            stacked_parts(statistic, sticks, t1), *_events(statistic, sticks, from_start, distances, bandwidths, t1)
-        )
+        of_first = sticks.start[0], sticks.duration[0], ending[0]
+        first = BoundarySums.over_vanishing(*of_first, deterministic_until, bandwidths)
+        event_parts = [jnp.sum(weights[:, None] * at_boundaries, axis=0) + weight * at_start
+                       for weights, weight in zip(sums.event_parts, first.event_parts, strict=True)]  # fmt: skip
+        in_window = [jnp.sum(number) + one for number, one in zip(sums.in_window, first.in_window, strict=True)]
+        return Features(parts(sticks), jnp.stack(event_parts), jnp.stack(in_window))
 
     distances = jax.tree.map(jnp.transpose, recorded.distances)
-    return jax.vmap(one)(sequences_of(recorded), recorded.ending.T, recorded.deterministic_until, distances)
-
-
-def sequences_of(recorded: LaneSticks) -> StickSequence:
-    """The sticks in the form that statistics take, arrays (lanes, slots)."""
-    mask = (recorded.ending >= 0).T
-    return StickSequence(
-        jnp.where(mask, recorded.start.T, 0), jnp.where(mask, (recorded.end - recorded.start).T, 0), mask
-    )
-
-
-def _events(
-    statistic: StickStatistic,
-    sticks: StickSequence,
-    from_start: BoolArray,
-    distances: BoundaryDistances,
-    bandwidths: Float[Array, " windows"],
-    t1: FloatArray,
-) -> tuple[Float[Array, "windows 2"], Float[Array, " windows"]]:
-    """The event parts of one sample's numerator and denominator for each window, and how many distances are inside.
-
-    `from_start`: whether its first stick begins at t = 0 and may vanish.
-    """
-    fixed = lax.stop_gradient(sticks)
-
-    def parts(sequence):
-        return stacked_parts(statistic, sequence, t1)
-
-    def jump_at(time, exists, is_slip):
-        return jnp.where(is_slip, _jump_of_slip(parts, fixed, time, exists), _jump_of_stick(parts, fixed, time, exists))
-
-    time = lax.stop_gradient(distances.time)
-    at_boundaries = jax.vmap(jump_at)(time, distances.exists, distances.is_slip)
-    at_start = _jump_of_stick(parts, fixed, fixed.start[0], True)
-
-    sums = BoundarySums.over(distances.two_sided, distances.one_sided, bandwidths)
-    first = BoundarySums.over((), (SignedDistance(sticks.duration[0], from_start),), bandwidths)
-    event_parts = [jnp.sum(weights[:, None] * at_boundaries, axis=0) + weight * at_start
-                   for weights, weight in zip(sums.event_parts, first.event_parts, strict=True)]  # fmt: skip
-    in_window = [jnp.sum(number) + one for number, one in zip(sums.in_window, first.in_window, strict=True)]
-    return jnp.stack(event_parts), jnp.stack(in_window)
+    return jax.vmap(of)(sequences, recorded.ending.T, recorded.deterministic_until, distances)
 
 
 _Parts: TypeAlias = Callable[[StickSequence], FloatArray]
@@ -603,11 +504,6 @@ def _jump_of_slip(parts: _Parts, sticks: StickSequence, time: FloatArray, exists
 
 def _same(one: FloatArray, other: FloatArray) -> BoolArray:
     return jnp.abs(one - other) <= _SAME * jnp.finfo(one.dtype).eps * (1 + jnp.abs(other))
-
-
-def stacked_parts(statistic: StickStatistic, sticks: StickSequence, t1: FloatArray) -> Float[Array, "2"]:
-    """Numerator and denominator as one array."""
-    return jnp.stack([jnp.asarray(part, sticks.start.dtype) for part in statistic.parts(sticks, t1)])
 
 
 def _without(sticks: StickSequence, i: IntArray) -> StickSequence:

@@ -14,7 +14,7 @@ from stickslip_jax._sensitivity.counting import recording
 from stickslip_jax._sensitivity.estimate import gradient_of_ratio
 from stickslip_jax._sensitivity.estimators import Accumulator, DerivativeColumns, derivatives_of
 from stickslip_jax._sensitivity.problem import buffer_sizes_for, problem_of
-from stickslip_jax._sensitivity.statistic import StickSequence, wrapped, wrapped_path
+from stickslip_jax._sensitivity.statistic import StickSequence, wrapped
 from stickslip_jax._uncertainty.numbers import with_numbers
 
 LANES = 512
@@ -50,7 +50,7 @@ def test_what_is_close_to_a_boundary_crosses_it(name):
     problem, pilot = problem_of(ss.mean_stick_count, system, law, "mu", t1, LANES, jax.random.key(1), y0)
     engine = wrapped(problem.engine(), lambda engine: recording(engine, False))
     buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
-    paths, mu = (wrapped_path(problem.paths()[0]),), problem.parameters[0].value
+    paths, mu = problem.paths("engine"), problem.parameters[0].value
 
     def record(values, varying, first):
         varied = with_numbers(engine, paths, values)
@@ -90,7 +90,7 @@ def test_distances_move_as_their_derivatives_say(wrt):
     problem, pilot = problem_of(ss.mean_stick_count, system, law, wrt, t1, LANES, jax.random.key(1), y0)
     engine = wrapped(problem.engine(), lambda engine: recording(engine, False))
     buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
-    paths, value = (wrapped_path(problem.paths()[0]),), problem.parameters[0].value
+    paths, value = problem.paths("engine"), problem.parameters[0].value
     varying = problem.varying_leaves(0, LANES)
 
     def distances(values):
