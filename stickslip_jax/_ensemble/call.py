@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,9 +42,8 @@ from .setup import MOST_SAMPLES, NO_OUTPUTS, TAKEN, EnsembleSetup, fields_of_out
 # `simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics.
 
 
-_Simulate = Callable[
-    [int, int], tuple[EnsemblePart, ...]
-]  # samples ``first .. first + number - 1``; the part of each track
+_Simulate = Callable[[int, int], tuple[EnsemblePart, ...]]
+"""Of samples ``first .. first + number - 1``: the part of each track."""
 _ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
@@ -133,11 +132,16 @@ def found_by(
     """
     samples = accumulators[0].missing
     threads = checks.whole_number("threads", threads) if threads is not None else cores()
-    plan = (_Plan.of_batches if isinstance(setup.engine, AdaptiveBatch) else _Plan.of)(samples, threads, chunk)
+    plan = _Plan.of(setup, samples, threads, chunk)
     started = time.perf_counter()
     numbers_of, finished = runner_for(setup, outputs), []
     simulate = _simulator(setup, plan, accumulators)
-    _compile(simulate, setup, accumulators[0].keep)
+    # Compiled before the threads start, so that not each of them compiles the same code.
+    with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
+        prepared = pool.submit(prepare, setup.dtype) if accumulators[0].keep != "totals" else None
+        simulate(0, 0)
+        if prepared is not None:
+            prepared.result()
     compiled = time.perf_counter()
     with progress_bar(progress, samples) as bar:
         for number, parts in _in_order(simulate, plan, first, samples):
@@ -189,8 +193,8 @@ def simulate_batch(
     `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any batch of the whole
     has; programs compiled for one batch fit all others with the same `fewest`.
     """
-    adaptive = isinstance(setup.engine, AdaptiveBatch)
-    plan = _Plan.of_batches(fewest, 1, None) if adaptive else _Plan.of(_ONE_SIZE, 1, _ONE_SIZE)
+    size = (fewest, 1, None) if isinstance(setup.engine, AdaptiveBatch) else (_ONE_SIZE, 1, _ONE_SIZE)
+    plan = _Plan.of(setup, *size)
     accumulator, started = EnsembleAccumulator(samples, keep, retained), time.perf_counter()
     simulate = _simulator(setup, plan, (accumulator,))
     numbers_of, finished = runner_for(setup, outputs), []
@@ -206,15 +210,6 @@ def simulate_batch(
     )  # fmt: skip
 
 
-def _compile(simulate: _Simulate, setup: EnsembleSetup, keep: Keep) -> None:
-    """Compile before the threads start, so that not each of them compiles the same code."""
-    with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
-        prepared = pool.submit(prepare, setup.dtype) if keep != "totals" else None
-        simulate(0, 0)
-        if prepared is not None:
-            prepared.result()
-
-
 class _Plan(NamedTuple):
     """Division of the samples into tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
 
@@ -224,27 +219,25 @@ class _Plan(NamedTuple):
     threads: int
 
     @classmethod
-    def of(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
+    def of(cls, setup: EnsembleSetup, samples: int, threads: int, chunk: int | None) -> "_Plan":
+        if chunk is not None:
+            chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
+        if isinstance(setup.engine, AdaptiveBatch):
+            # Every sample of a task has its own lane. The number of lanes is always the same, though some may be idle:
+            # how the compiler orders the operations of a lane, and so the last digits, depends on it, and errors of
+            # adaptive steps grow from there.
+            most = -(-samples // threads) if chunk is None else chunk
+            return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
         # The arrays of 256 lanes stay in the cache (benchmarks/README.md).
         lanes, rows = 256, 32
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
-            chunk = min(checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES), max(samples, 4096))
+            chunk = min(chunk, max(samples, 4096))
             lanes = min(lanes, 1 << (chunk - 1).bit_length())
             return cls(lanes, -(-chunk // lanes), chunk, threads)
         # Small runs are divided into smaller tasks, so that every thread has work.
         fair = -(-samples // (4 * threads * lanes)) * lanes
         return cls(lanes, rows, min(fair, lanes * rows), threads)
-
-    @classmethod
-    def of_batches(cls, samples: int, threads: int, chunk: int | None) -> "_Plan":
-        """The plan for adaptive steps, where every sample of a task has its own lane.
-
-        The number of lanes is always the same, though some may be idle: how the compiler orders the operations of a
-        lane, and so the last digits, depends on it, and errors of adaptive steps grow from there.
-        """
-        most = -(-samples // threads) if chunk is None else checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
-        return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
 
     def tasks(self, first: int, samples: int) -> list[tuple[int, int]]:
         """The first sample of each task and their number, for samples `first`, ``first + 1``, ..."""
@@ -256,7 +249,18 @@ def _simulator(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[Ensembl
     """A function that simulates samples ``first .. first + number - 1`` and records what the `accumulators` keep."""
     if isinstance(setup.engine, AdaptiveBatch):
         return _solver(setup, setup.engine, plan, accumulators[0])
-    return _streamer(setup, plan) if accumulators[0].keep == "totals" else _recorder(setup, plan, accumulators)
+    if accumulators[0].keep != "totals":
+        return _recorder(setup, plan, accumulators)
+    assert isinstance(setup.engine, Engine)
+    summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
+
+    def simulate(first: int, number: int) -> tuple[EnsemblePart, ...]:
+        job = setup.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
+        results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=setup.dtype)
+        results = SampleTotals(*(np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:number] for leaf in results))
+        return tuple(EnsemblePart(results.of_track(track)) for track in setup.tracks)
+
+    return simulate
 
 
 def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
@@ -294,20 +298,6 @@ def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator
     return simulate
 
 
-def _streamer(setup: EnsembleSetup, plan: _Plan) -> _Simulate:
-    """The same as `_simulator`, for ``keep="totals"``."""
-    assert isinstance(setup.engine, Engine)
-    summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
-
-    def simulate(first: int, number: int) -> tuple[EnsemblePart, ...]:
-        job = setup.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
-        results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=setup.dtype)
-        results = SampleTotals(*(np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:number] for leaf in results))
-        return tuple(EnsemblePart(results.of_track(track)) for track in setup.tracks)
-
-    return simulate
-
-
 def _recorder(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
     """The same as `_simulator`, with every stick recorded and accumulated."""
     assert isinstance(setup.engine, Engine)
@@ -333,7 +323,12 @@ def _recorder(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[Ensemble
             of_thread.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), whose)
             ended.append((sample[progress.ended, 0], *(column[progress.ended] for column in progress.results)))
             unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
-        results, sticks = _of_samples(ended, rows * plan.lanes, number), of_thread.sticks.sticks
+        # Samples and their results come in the order in which they ended, and are put in that of their numbers.
+        sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
+        ordered = [np.empty((rows * plan.lanes, *column.shape[1:]), column.dtype) for column in columns]
+        for to, column in zip(ordered, columns, strict=True):
+            to[sample] = column
+        results, sticks = SampleTotals(*(column[:number] for column in ordered)), of_thread.sticks.sticks
 
         def part(track: int | None, keeps: bool) -> EnsemblePart:
             of_it = sticks if track is None else sticks.of_track(track, len(setup.tracks))
@@ -342,18 +337,6 @@ def _recorder(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[Ensemble
         return tuple(part(one, to.wants_sticks) for one, to in zip(setup.tracks, accumulators, strict=True))
 
     return simulate
-
-
-def _of_samples(ended: list[tuple[np.ndarray, ...]], samples: int, number: int) -> SampleTotals:
-    """The results of the first `number` of `samples` samples, in order.
-
-    `ended`: sample numbers and results, in the order in which the samples ended.
-    """
-    sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
-    ordered = [np.empty((samples, *column.shape[1:]), column.dtype) for column in columns]
-    for to, column in zip(ordered, columns, strict=True):
-        to[sample] = column
-    return SampleTotals(*(column[:number] for column in ordered))
 
 
 def _in_order(
@@ -517,16 +500,10 @@ def simulate_contacts(
     accumulators = [EnsembleAccumulator(number, keep) for _ in setup.tracks]
     found = found_by(setup, first, accumulators, threads, chunk, progress, wanted)
     contacts = len(setup.tracks) - 1
+    counted = [*(system.of_contact(number) for number in range(contacts)), system.of_all_contacts()]
     shared: Fields = setup.fields() | {"samples": number, "first_sample": first} | fields_of_outputs(wanted)
-    ensembles = [
-        Ensemble(**{**shared, "system": counted, **fields})
-        for counted, fields in zip(_counted(system, contacts), found, strict=True)
-    ]
+    ensembles = [Ensemble(**{**shared, "system": one, **fields}) for one, fields in zip(counted, found, strict=True)]
     return ContactEnsembles(system, contacts, tuple(ensembles))
-
-
-def _counted(system: WithContacts, contacts: int) -> Sequence[WithContacts]:
-    return [*(system.of_contact(number) for number in range(contacts)), system.of_all_contacts()]
 
 
 # `concatenate` joins ensembles, `load` reads one from a file.
@@ -578,24 +555,31 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
     for one in ensembles:
         accumulator.add_ensemble(one)
     origins = _joined([origin for one in ensembles for origin in origins_of(one)])
+    # What its origins give; `Unknown` for what differs among them.
+    given: Fields = {**origins[0]._asdict(), "origins": ()}
+    if len(origins) > 1:
+        given |= {"origins": origins, "key_data": None, "first_sample": 0, "design": None, "copula": None}
+        for name in ("system", "law", "method", "y0"):
+            if not all(same_object(getattr(origin, name), given[name]) for origin in origins):
+                unknown = Unknown(f"differs among the {len(origins)} parts")
+                position = origins[0].system.stick_position
+                stands_for = {"system": UnknownSystem(unknown.name, "", position), "y0": (unknown,)}
+                given[name] = stands_for.get(name, unknown)
+    functions, *others = (one.output_functions for one in ensembles)
     return Ensemble(
         t1=ensembles[0].t1,
         numbering=ensembles[0].numbering,
         dtype=ensembles[0].dtype,
-        **_common(origins),
+        **{**given, "samples": accumulator.samples},
         **accumulator.found(),
         output_units=dict(ensembles[0].output_units),
-        output_functions=_shared_functions(ensembles),
+        output_functions={
+            name: function for name, function in functions.items() if all(one.get(name) is function for one in others)
+        },
         threads=max(one.threads for one in ensembles),
         compile_seconds=sum(one.compile_seconds for one in ensembles),
         run_seconds=sum(one.run_seconds for one in ensembles),
     )
-
-
-def _shared_functions(ensembles: Sequence[Ensemble]) -> dict[str, Callable[..., Any]]:
-    """The functions of outputs that are the same object in all of the ensembles."""
-    first, *others = (one.output_functions for one in ensembles)
-    return {name: function for name, function in first.items() if all(one.get(name) is function for one in others)}
 
 
 _WORDS = {
@@ -634,21 +618,3 @@ def _joined(origins: list[Origin]) -> tuple[Origin, ...]:
         else:
             joined.append(origin)
     return tuple(joined)
-
-
-def _common(origins: tuple[Origin, ...]) -> Fields:
-    """The fields of an `Ensemble` that its origins give; `Unknown` for what differs among them."""
-    first = origins[0]
-    samples = sum(origin.samples for origin in origins)
-    if len(origins) == 1:
-        return {**first._asdict(), "samples": samples, "origins": ()}
-    found: Fields = {}
-    for name in ("system", "law", "method", "y0"):
-        values = [getattr(origin, name) for origin in origins]
-        same = all(same_object(value, values[0]) for value in values)
-        found[name] = values[0] if same else Unknown(f"differs among the {len(origins)} parts")
-    if isinstance(found["system"], Unknown):
-        found["system"] = UnknownSystem(found["system"].name, "", first.system.stick_position)
-    if isinstance(found["y0"], Unknown):
-        found["y0"] = (found["y0"],)
-    return {**found, "key_data": None, "first_sample": 0, "samples": samples, "origins": origins}

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PyTree
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.stick_tables import FlatSlips, slips_among
-from .._dynamics.sticks import FlatSticks, Slips, in_slots
+from .._dynamics.sticks import FlatSticks
 from .._excitation.excitation import law_of
 from .._foundation.types import Number, Status
 from .._numerics.sums import Moments
@@ -297,8 +297,10 @@ def check_extendable(ensemble: EnsembleData) -> None:
             f"This ensemble was joined from {len(ensemble.origins)} parts of different origin, which cannot be "
             "extended; extend the last part, and concatenate then."
         )
-    for what in ("system", "law", "method", *(f"y0[{index}]" for index in range(len(ensemble.y0)))):
-        require_known(what, ensemble.y0[int(what[3:-1])] if what.startswith("y0") else getattr(ensemble, what))
+    for what in ("system", "law", "method"):
+        require_known(what, getattr(ensemble, what))
+    for index, value in enumerate(ensemble.y0):
+        require_known(f"y0[{index}]", value)
     if isinstance(ensemble.law, GivenMotions):
         raise ValueError(
             "This ensemble was made of given simulations, which cannot be extended; simulate more of them, and "
@@ -343,22 +345,6 @@ def require_whole(ensemble: EnsembleData) -> None:
         require_known("initial state", value)
 
 
-def given_realization(ensemble: EnsembleData, number: int) -> Realization | None:
-    """The system, the base motion and the initial state of sample `number` where the base motions were given.
-
-    None where they were not; raises ValueError where they are not known.
-    """
-    require_whole(ensemble)
-    if not isinstance(ensemble.law, GivenMotions):
-        return None
-
-    def own(leaf):
-        return single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == ensemble.samples else leaf
-
-    y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in ensemble.y0)
-    return Realization(jax.tree.map(own, ensemble.system), ensemble.law.base(number), y0)
-
-
 # The slips of an ensemble that kept its sticks: what lies between the sticks of the samples that finished.
 
 
@@ -366,11 +352,3 @@ def flat_slips(ensemble: EnsembleData) -> FlatSlips:
     """The slips of all samples that finished. Raises ValueError unless ``keep="sticks"``."""
     sticks, totals = ensemble.require_sticks(), ensemble.totals
     return slips_among(sticks, ensemble.t1, np.asarray(totals.status) == Status.FINISHED)
-
-
-def padded_slips(ensemble: EnsembleData) -> Slips:
-    """The same as `Slips` with arrays (samples, slots), where slots is the largest number of slips (at least 1)."""
-    slips = flat_slips(ensemble)
-    columns = {"start": (slips.start, np.nan), "end": (slips.end, np.nan), "censored": (slips.censored, False)}
-    mask, filled = in_slots(np.bincount(slips.sample, minlength=ensemble.samples), columns)
-    return Slips(**filled, mask=mask)

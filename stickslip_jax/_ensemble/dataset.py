@@ -28,7 +28,7 @@ from .._statistics.totals import TOTALS
 from .._systems.system import Coordinate, System
 from .._uncertainty.families import RandomNumber
 from .data import EnsembleData, Fields, Retained, Unknown, UnknownSystem, flat_slips, known_inputs
-from .encoding import Decoder, Encoder
+from .encoding import DamagedFileError, Decoder, Encoder
 from .setup import MOST_SAMPLES
 
 if TYPE_CHECKING:
@@ -45,10 +45,6 @@ SUM = "content_sha256"
 """The attribute that holds the sum."""
 
 
-class DamagedFileError(ValueError):
-    """A file that cannot be read, or is not as it was written; its message says why, in a few words."""
-
-
 def as_netcdf(
     dataset: "xarray.Dataset",
     packing: Mapping[Any, Mapping[str, object]],
@@ -61,7 +57,8 @@ def as_netcdf(
     buffer = BytesIO()
     with _without_cluster():
         for group, part in {None: dataset, **(groups or {})}.items():
-            options = {name: {"fletcher32": True} for name, variable in part.variables.items() if _has_sums(variable)}
+            arrays = {name: one for name, one in part.variables.items() if one.ndim and one.size}
+            options = {name: {"fletcher32": True} for name, one in arrays.items() if one.dtype.kind in "biuf"}
             if group is None:
                 options = {name: {**options.get(name, {}), **packing.get(name, {})} for name in {*options, *packing}}
             part.assign_attrs({SUM: sum_of(part)}).to_netcdf(
@@ -142,10 +139,6 @@ def _text(attributes: Mapping[Hashable, Any]) -> bytes:
     return json.dumps(plain, sort_keys=True).encode()
 
 
-def _has_sums(variable: "xarray.Variable") -> bool:
-    return variable.ndim > 0 and variable.size > 0 and variable.dtype.kind in "biuf"
-
-
 @contextmanager
 def _without_cluster() -> Iterator[None]:
     """Where this process has a client of dask, xarray would ask the cluster for a lock to write memory (and fail)."""
@@ -174,129 +167,65 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     Raises:
         ImportError: As `Ensemble.to_xarray`.
     """
+    from .. import __version__  # noqa: PLC0415 - the package imports this module
+
     variables: Variables = {}
-    if ensemble.flat_sticks is not None and ensemble.sample_totals is not None:
+    totals, retained, first = ensemble.sample_totals, ensemble.retained, ensemble.first_sample
+    samples = variable("sample", first + np.arange(ensemble.samples), "number of the sample")
+    if ensemble.flat_sticks is not None:
+        slips = flat_slips(ensemble)
         variables |= _sticks(ensemble, ensemble.flat_sticks, SAMPLE["sticks"])
-        variables |= _slips(ensemble) | _totals(ensemble.sample_totals) | _inputs(ensemble)
-    elif ensemble.retained is not None:
-        variables |= _sticks(ensemble, ensemble.retained.sticks, SAMPLE["statistics"])
-        variables |= _retained_totals(ensemble.retained)
-    elif ensemble.sample_totals is not None:
-        variables |= _counts(ensemble, ensemble.sample_totals) | _totals(ensemble.sample_totals) | _inputs(ensemble)
-    variables |= _outputs(ensemble)
-    return labeled_dataset({**variables, **_state(ensemble)}, {}, _provenance(ensemble))
+        variables["slip_sample"] = variable("slip", first + slips.sample, "sample of the slip")
+        variables |= slip_variables(slips.start, slips.end, slips.censored)
+    elif retained is not None:
+        sample, (time, _, number, *_) = SAMPLE["statistics"], retained.totals.T
+        variables |= _sticks(ensemble, retained.sticks, sample)
+        variables["slip_count"] = variable(sample, number.astype(np.int64), "number of slips")
+        variables["stick_time"] = variable(sample, time, "total stick time", "s")
+    elif totals is not None:
+        variables = {"sample": samples, "stick_count": variable("sample", totals.sticks, "number of sticks")}
+    if totals is not None:
+        near = "number of events decided by round-off"
+        variables["slip_count"] = variable("sample", totals.slips, "number of slips")
+        variables["stick_time"] = variable("sample", totals.stick_time, "total stick time", "s")
+        variables["near_grazing_count"] = variable("sample", totals.near_grazing_count, near)
+        variables["status"] = variable("sample", totals.status, "whether the sample reached t1", **flags(Status))
+        for name, (column, unit) in known_inputs(ensemble).items():
+            variables[f"input_{name}"] = variable("sample", column, name, unit or "1")
+    units = {name: ensemble.output_units.get(name, "1") for name in ensemble.output_values}
+    if units:
+        variables["sample"] = samples
+    for name, column in ensemble.output_values.items():
+        variables[f"output_{name}"] = variable("sample", column, name, units[name])
 
-
-def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, object]]:
-    """The encoding that ``to_netcdf`` takes, which makes small what is mostly zeros or repeats itself."""
-    names = (FLOATS, INTEGERS, "stick_sample", "stick_order", "slip_sample")
-    return {name: {"zlib": True, "complevel": 1} for name in names if name in dataset and dataset[name].size}
-
-
-def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Variables:
-    first = ensemble.first_sample if sample == "sample" else 0
-    return {
-        sample: variable(sample, first + np.arange(len(sticks.count)), f"number of the {sample.replace('_', ' ')}"),
-        "stick_sample": variable("stick", first + sticks.sample, f"{sample.replace('_', ' ')} of the stick"),
-        **stick_variables(sticks, ensemble.numbering.order_of(sticks), ensemble.system.stick_position),
-        "stick_count": variable(sample, sticks.count, "number of sticks", sample_dimension="stick"),
-    }
-
-
-def _slips(ensemble: EnsembleData) -> Variables:
-    slips = flat_slips(ensemble)
-    return {
-        "slip_sample": variable("slip", ensemble.first_sample + slips.sample, "sample of the slip"),
-        **slip_variables(slips.start, slips.end, slips.censored),
-    }
-
-
-def _totals(totals: SampleTotals) -> Variables:
-    return {
-        "slip_count": variable("sample", totals.slips, "number of slips"),
-        "stick_time": variable("sample", totals.stick_time, "total stick time", "s"),
-        "near_grazing_count": variable("sample", totals.near_grazing_count, "number of events decided by round-off"),
-        "status": variable("sample", totals.status, "whether the sample reached t1", **flags(Status)),
-    }
-
-
-def _counts(ensemble: EnsembleData, totals: SampleTotals) -> Variables:
-    """The samples and their numbers of sticks, where the sticks themselves were not kept."""
-    sample = ensemble.first_sample + np.arange(ensemble.samples)
-    return {
-        "sample": variable("sample", sample, "number of the sample"),
-        "stick_count": variable("sample", totals.sticks, "number of sticks"),
-    }
-
-
-def _inputs(ensemble: EnsembleData) -> Variables:
-    """The numbers that differ from sample to sample."""
-    known = known_inputs(ensemble).items()
-    return {f"input_{name}": variable("sample", column, name, unit or "1") for name, (column, unit) in known}
-
-
-def _outputs(ensemble: EnsembleData) -> Variables:
-    """The outputs of each sample."""
-    if not ensemble.output_values:
-        return {}
-    sample = ensemble.first_sample + np.arange(ensemble.samples)
-    columns = {
-        f"output_{name}": variable("sample", column, name, ensemble.output_units.get(name, "1"))
-        for name, column in ensemble.output_values.items()
-    }
-    return {"sample": variable("sample", sample, "number of the sample"), **columns}
-
-
-def _retained_totals(retained: Retained) -> Variables:
-    time, _, slips, *_ = retained.totals.T
-    sample = SAMPLE["statistics"]
-    return {
-        "slip_count": variable(sample, slips.astype(np.int64), "number of slips"),
-        "stick_time": variable(sample, time, "total stick time", "s"),
-    }
-
-
-def _state(ensemble: EnsembleData) -> Variables:
-    """What else an ensemble is made of: sums of all samples, and numbers of sticks of samples that did not finish."""
+    # What else an ensemble is made of: sums of all samples, and numbers of sticks of samples that did not finish.
     encoder = Encoder()
-    state = {
-        "system": ensemble.system,
-        "law": ensemble.law,
-        "method": ensemble.method,
-        "y0": ensemble.y0,
-        "design": ensemble.design,
-        "copula": ensemble.copula,
-        "moments": ensemble.moments,
-        "accumulator": ensemble.accumulator,
+    named = ("system", "law", "method", "y0", "design", "copula", "moments", "accumulator")
+    state = {name: getattr(ensemble, name) for name in named}
+    state |= {
         "sticks": None if ensemble.flat_sticks is None else ensemble.totals.sticks,
         "origins": ensemble.origins,
-        "outputs": tuple((name, ensemble.output_units.get(name, "1")) for name in ensemble.output_values),
+        "outputs": tuple(units.items()),
         "position": tuple(ensemble.system.stick_position),
         "totals": TOTALS,
     }
     texts = {name: encoder.encoded(value) for name, value in state.items()}
     about = "for stickslip_jax.load: sums of all samples"
-    return {
-        STATE: variable((), json.dumps(texts), f"{about}, as JSON"),
-        FLOATS: variable("state_float", encoder.floats, f"{about}, long arrays of the JSON"),
-        INTEGERS: variable("state_integer", encoder.integers, f"{about}, long arrays of the JSON"),
-    }
+    variables[STATE] = variable((), json.dumps(texts), f"{about}, as JSON")
+    variables[FLOATS] = variable("state_float", encoder.floats, f"{about}, long arrays of the JSON")
+    variables[INTEGERS] = variable("state_integer", encoder.integers, f"{about}, long arrays of the JSON")
 
-
-def _provenance(ensemble: EnsembleData) -> dict[str, object]:
-    """Attributes that say what was simulated, how, and how it ended. Numbers are in SI units."""
-    from .. import __version__  # noqa: PLC0415 - the package imports this module
-
-    encoder = Encoder()
+    # What was simulated, how, and how it ended. Numbers are in SI units; of long arrays the size is told.
+    shown = Encoder()
     attributes: dict[str, object] = {
         "source": f"stickslip_jax {__version__}",
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "stickslip_jax_version": __version__,
         "keep": ensemble.keep,
-        "system": _readable(encoder, ensemble.system),
-        "law": _readable(encoder, ensemble.law),
-        "y0": _readable(encoder, list(ensemble.y0)),
+        "system": json.dumps(shown.encoded(ensemble.system)),
+        "law": json.dumps(shown.encoded(ensemble.law)),
+        "y0": json.dumps([shown.encoded(value) for value in ensemble.y0]),
         "t1": float(ensemble.t1),
         "samples": ensemble.samples,
         "first_sample": ensemble.first_sample,
@@ -315,13 +244,23 @@ def _provenance(ensemble: EnsembleData) -> dict[str, object]:
             attributes[f"samples_{status.name.lower()}"] = ensemble.status_counts[status]
     if ensemble.key_data is not None:
         attributes["key_data"] = np.array(ensemble.key_data, np.uint32)
-    return attributes
+    return labeled_dataset(variables, {}, attributes)
 
 
-def _readable(encoder: Encoder, value: object) -> str:
-    """An object as JSON that tells its class and numbers; long arrays are only described."""
-    parts = [encoder.encoded(part) for part in value] if type(value) is list else encoder.encoded(value)
-    return json.dumps(parts)
+def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, object]]:
+    """The encoding that ``to_netcdf`` takes, which makes small what is mostly zeros or repeats itself."""
+    names = (FLOATS, INTEGERS, "stick_sample", "stick_order", "slip_sample")
+    return {name: {"zlib": True, "complevel": 1} for name in names if name in dataset and dataset[name].size}
+
+
+def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Variables:
+    first = ensemble.first_sample if sample == "sample" else 0
+    return {
+        sample: variable(sample, first + np.arange(len(sticks.count)), f"number of the {sample.replace('_', ' ')}"),
+        "stick_sample": variable("stick", first + sticks.sample, f"{sample.replace('_', ' ')} of the stick"),
+        **stick_variables(sticks, ensemble.numbering.order_of(sticks), ensemble.system.stick_position),
+        "stick_count": variable(sample, sticks.count, "number of sticks", sample_dimension="stick"),
+    }
 
 
 # Checks of an ensemble that was read: it must be one that a simulation could have given.
@@ -332,75 +271,70 @@ _SLACK = 1e-5  # of t1: sticks of single precision may end so much later, and a 
 
 def check_fields(fields: Mapping[str, Any]) -> None:
     """Raise ValueError, with a few words as its message, for fields that no ensemble has."""
+    samples, y0, words = (fields[name] for name in ("samples", "y0", "key_data"))
     checks.positive("t1", fields["t1"], "s")
-    checks.whole_number("samples", fields["samples"], maximum=MOST_SAMPLES)
-    checks.whole_number("first_sample", fields["first_sample"], minimum=0, maximum=MOST_SAMPLES - fields["samples"])
+    checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+    checks.whole_number("first_sample", fields["first_sample"], minimum=0, maximum=MOST_SAMPLES - samples)
     checks.whole_number("threads_used", fields["threads"])
     for name in ("compile_seconds", "run_seconds"):
         checks.non_negative(name, fields[name])
     if fields["dtype"] not in ("float32", "float64"):
         raise ValueError(f"its numbers have the type {checks.show(fields['dtype'])}")
-    words = fields["key_data"]
     if words is not None and (len(words) != 2 or not all(0 <= word < 2**32 for word in words)):
         raise ValueError(f"its key is {checks.show(words)}")
-    _check_kinds(fields)
-    counts = fields["status_counts"]
-    if min(counts.values()) < 0 or sum(counts.values()) != fields["samples"]:
-        raise ValueError(f"it tells the endings of {sum(counts.values())} of {fields['samples']} samples")
-    if not 0 <= fields["near_grazing_samples"] <= fields["samples"]:
-        raise ValueError(f"it has {fields['near_grazing_samples']} samples near grazing")
-    _check_sums(fields["moments"], fields["accumulator"], counts[Status.FINISHED])
-    retained = fields["retained"]
-    if retained is not None:
-        check_sticks(retained.sticks, retained.totals[:, 0], np.ones(len(retained.totals), bool), fields["t1"])
-    _check_samples(fields)
-
-
-def _check_samples(fields: Mapping[str, Any]) -> None:
-    """What is held of each sample."""
-    counts, flat = fields["status_counts"], fields["flat_sticks"]
-    totals = fields["sample_totals"]
-    if totals is not None:
-        if {len(column) for column in totals} != {fields["samples"]}:
-            raise ValueError(f"it has totals of {len(totals.sticks)} of {fields['samples']} samples")
-        present = np.bincount(_codes(totals.status, Status, "status"), minlength=len(counts))
-        if any(present[status] != counts[status] for status in Status):
-            raise ValueError("the endings of its samples are not those that it counts")
-        if np.any(totals.slips < 0) or np.any(totals.near_grazing_count < 0):
-            raise ValueError("it has negative numbers of slips, or of instants decided by round-off")
-    for name, values in fields["output_values"].items():
-        if values.shape != (fields["samples"],) or values.dtype.kind != "f":
-            raise ValueError(f"it has outputs {checks.show(name)} of {len(values)} of {fields['samples']} samples")
-    if flat is not None and totals is not None:
-        check_sticks(flat, totals.stick_time, totals.status == Status.FINISHED, fields["t1"])
-
-
-def _check_kinds(fields: Mapping[str, Any]) -> None:
-    """The objects that a simulation is made from."""
     if not isinstance(fields["system"], System):
         raise ValueError(f"its system is {checks.show(fields['system'])}")
     if not isinstance(fields["method"], (Exact, Regularized, Unknown, type(None))):
         raise ValueError(f"its method is {checks.show(fields['method'])}")
     if isinstance(fields["law"], (str, bytes, int, float, dict, list, np.ndarray)):
         raise ValueError(f"its law is {checks.show(fields['law'])}")
-    y0 = fields["y0"]
     for value in y0 if isinstance(y0, tuple) else (None,):
         if not isinstance(value, (RandomNumber, Unknown)) and not np.all(np.isfinite(np.asarray(value, float))):
             raise ValueError(f"its trajectories start at {checks.show(y0)}")
 
+    _check_sums(fields)
+    _check_samples(fields)
 
-def _check_sums(moments: object, accumulator: object, finished: int) -> None:
-    d = len(TOTALS)
+
+def _check_sums(fields: Mapping[str, Any]) -> None:
+    """The sums over all samples."""
+    samples, counts = fields["samples"], fields["status_counts"]
+    if min(counts.values()) < 0 or sum(counts.values()) != samples:
+        raise ValueError(f"it tells the endings of {sum(counts.values())} of {samples} samples")
+    if not 0 <= fields["near_grazing_samples"] <= samples:
+        raise ValueError(f"it has {fields['near_grazing_samples']} samples near grazing")
+    moments, accumulator, finished, d = fields["moments"], fields["accumulator"], counts[Status.FINISHED], len(TOTALS)
     if not isinstance(moments, Moments) or np.shape(moments.mean) != (d,) or np.shape(moments.scatter) != (d, d):
         raise ValueError("it lacks the sums of its samples")
     if moments.number != finished or not (np.all(np.isfinite(moments.mean)) and np.all(np.isfinite(moments.scatter))):
         raise ValueError(f"its sums are of {moments.number} samples, of which {finished} finished, or are not finite")
-    if accumulator is None:
-        return
-    if not isinstance(accumulator, StickAccumulator):
+    if not isinstance(accumulator, (StickAccumulator, type(None))):
         raise ValueError(f"its histograms are {checks.show(accumulator)}")
-    if np.any(np.asarray(accumulator.endings) < 0) or int(accumulator.samples.number) != finished:
+    if accumulator is not None and (
+        np.any(np.asarray(accumulator.endings) < 0) or int(accumulator.samples.number) != finished
+    ):
         raise ValueError(f"its histograms are of {accumulator.samples.number} samples, of which {finished} finished")
+
+
+def _check_samples(fields: Mapping[str, Any]) -> None:
+    """What is held of each sample."""
+    samples, counts = fields["samples"], fields["status_counts"]
+    retained, flat, totals = fields["retained"], fields["flat_sticks"], fields["sample_totals"]
+    if retained is not None:
+        check_sticks(retained.sticks, retained.totals[:, 0], np.ones(len(retained.totals), bool), fields["t1"])
+    if totals is not None:
+        if {len(column) for column in totals} != {samples}:
+            raise ValueError(f"it has totals of {len(totals.sticks)} of {samples} samples")
+        present = np.bincount(_codes(totals.status, Status, "status"), minlength=len(counts))
+        if any(present[status] != counts[status] for status in Status):
+            raise ValueError("the endings of its samples are not those that it counts")
+        if np.any(totals.slips < 0) or np.any(totals.near_grazing_count < 0):
+            raise ValueError("it has negative numbers of slips, or of instants decided by round-off")
+    for name, values in fields["output_values"].items():
+        if values.shape != (samples,) or values.dtype.kind != "f":
+            raise ValueError(f"it has outputs {checks.show(name)} of {len(values)} of {samples} samples")
+    if flat is not None and totals is not None:
+        check_sticks(flat, totals.stick_time, totals.status == Status.FINISHED, fields["t1"])
 
 
 def check_sticks(sticks: FlatSticks, stick_time: np.ndarray, finished: np.ndarray, t1: float) -> None:
@@ -488,16 +422,12 @@ def fields_of_dataset(dataset: Any, *, is_file: bool = False) -> Fields:
         version = int(attributes["format_version"])
     except (KeyError, TypeError, ValueError):
         version = 0
-    if version < FORMAT_VERSION:
-        raise ValueError(
-            f"Argument {name} must be of format {FORMAT_VERSION}, but it has format {version}, of a version before "
-            "0.1.0; simulate it again."
-        )
-    if version > FORMAT_VERSION:
-        raise ValueError(
-            f"Argument {name} must be of format {FORMAT_VERSION}, but it has format {version}, written by "
-            f"stickslip_jax {attributes.get('stickslip_jax_version')}; install that version or a newer one."
-        )
+    if version != FORMAT_VERSION:
+        todo = "of a version before 0.1.0; simulate it again"
+        if version > FORMAT_VERSION:
+            writer = attributes.get("stickslip_jax_version")
+            todo = f"written by stickslip_jax {writer}; install that version or a newer one"
+        raise ValueError(f"Argument {name} must be of format {FORMAT_VERSION}, but it has format {version}, {todo}.")
     try:
         fields = _fields(verified(dataset, is_file=is_file))
         check_fields(fields)
@@ -525,7 +455,14 @@ def _fields(dataset: "xarray.Dataset") -> Fields:
         raise ValueError(f"it kept {checks.show(keep)}")
     kept: Fields = {"retained": None, "sample_totals": None, "flat_sticks": None}
     if keep == "sticks":
-        kept = _every_stick(dataset, state["sticks"], numbering)
+        sticks, found = _flat_sticks(dataset, SAMPLE[keep]), state["sticks"]
+        if len(found) != len(sticks.count):
+            raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
+        totals = _stored_totals(dataset, found)
+        own = (totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks))
+        finished = np.asarray(totals.status) == Status.FINISHED
+        retained = Retained(sticks.only(finished), np.stack(own, axis=1, dtype=np.float64)[finished])
+        kept = {"sample_totals": totals, "flat_sticks": sticks, "retained": retained}
     elif keep == "statistics":
         sticks = _flat_sticks(dataset, SAMPLE[keep])
         own = (dataset[name].to_numpy() for name in ("stick_time", "stick_count", "slip_count"))
@@ -569,16 +506,6 @@ def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
     if int(sticks.count.sum()) != len(sticks.start) or not np.array_equal(first[sticks.sample], owner):
         raise ValueError(f"it has {len(sticks.start)} of {int(sticks.count.sum())} sticks")
     return sticks
-
-
-def _every_stick(dataset: "xarray.Dataset", found: np.ndarray, numbering: Numbering) -> Fields:
-    sticks = _flat_sticks(dataset, "sample")
-    if len(found) != len(sticks.count):
-        raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
-    totals = _stored_totals(dataset, found)
-    finished = np.asarray(totals.status) == Status.FINISHED
-    own = np.stack([totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks)], axis=1, dtype=np.float64)
-    return {"sample_totals": totals, "flat_sticks": sticks, "retained": Retained(sticks.only(finished), own[finished])}
 
 
 def _stored_totals(dataset: "xarray.Dataset", sticks: np.ndarray) -> SampleTotals:

@@ -1,15 +1,19 @@
-"""Objects of this package as JSON, with long arrays beside it, and back.
+"""What is stored of calculations: objects as JSON and back, and files that show whether they are as they were written.
 
 A class is written by its public name and its fields. An object of a user's own class, or one that holds such an object,
 is written by the name of its class and as it prints, and comes back as `Unknown`.
 """
 
 import dataclasses
+import hashlib
+import json
 import math
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import jax
+import jax.lib
 import numpy as np
 
 from .._foundation import lazy_diffrax as diffrax
@@ -18,6 +22,85 @@ from .._statistics.accumulator import StickAccumulator
 from .._systems.friction import TabulatedCurve
 from .._uncertainty.design import Design
 from .data import GivenMotions, Origin, Unknown, UnknownSystem
+
+# Files of results: what decides their numbers has a sum, and each file shows whether it is as it was written.
+
+
+ID_LENGTH = 16
+"""The length of the identity of a calculation, with which the files of its results begin."""
+_SUM, _LENGTH = 32, 2  # bytes of the check sum, and of the length of the name
+
+
+LONGEST_HEADER = ID_LENGTH + _SUM + _LENGTH + 255
+"""How many bytes hold the header, for names as long as file systems take them."""
+
+
+class DamagedFileError(ValueError):
+    """A file that cannot be read, or is not as it was written; its message says why, in a few words."""
+
+
+class ForeignFileError(Exception):
+    """A file that is whole, and of another calculation."""
+
+
+def versions() -> dict[str, str]:
+    """The versions of what decides the numbers."""
+    from .. import __version__  # noqa: PLC0415 - the package imports this module
+
+    jaxlib = jax.lib.__version__  # pyright: ignore[reportPrivateImportUsage] - JAX documents it
+    return {"stickslip_jax": __version__, "jax": jax.__version__, "jaxlib": jaxlib}
+
+
+def sum_of(body: Mapping[str, object]) -> str:
+    """The check sum of a description in words and numbers, or of a part of one."""
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def id_of(body: Mapping[str, object]) -> bytes:
+    """The identity of a calculation, with which the files of its results begin; `body`: what decides its numbers."""
+    return sum_of(body)[:ID_LENGTH].encode()
+
+
+def with_header(identity: bytes, name: str, data: bytes) -> bytes:
+    """The bytes of a result as they stand in the file called `name`, whose name says what they are.
+
+    The check sum covers the name too: under another name they are no result.
+    """
+    encoded = name.encode()
+    rest = len(encoded).to_bytes(_LENGTH, "big") + encoded + data
+    return identity + hashlib.sha256(identity + rest).digest() + rest
+
+
+def without_header(identity: bytes, name: str, whole: bytes) -> bytes:
+    """The bytes that were written with this identity and name.
+
+    Raises:
+        DamagedFileError: For bytes that are not as they were written, or were written under another name.
+        ForeignFileError: For those of another calculation.
+    """
+    found, stated, rest = whole[:ID_LENGTH], whole[ID_LENGTH : ID_LENGTH + _SUM], whole[ID_LENGTH + _SUM :]
+    if stated != hashlib.sha256(found + rest).digest():
+        raise DamagedFileError("its check sum is wrong")
+    if found != identity:
+        raise ForeignFileError
+    _, written, data = parts_of_file(whole)
+    if written != name:
+        raise DamagedFileError(f"it is {written}, under another name")
+    return data
+
+
+def parts_of_file(whole: bytes) -> tuple[bytes, str, bytes]:
+    """The identity, the name when it was written, and the bytes of a result. They are not checked.
+
+    Of its `LONGEST_HEADER` first bytes alone identity and name are whole.
+    """
+    rest = whole[ID_LENGTH + _SUM :]
+    end = _LENGTH + int.from_bytes(rest[:_LENGTH], "big")
+    return whole[:ID_LENGTH], rest[_LENGTH:end].decode(errors="replace"), rest[end:]
+
+
+# Objects of this package as JSON, with long arrays beside it, and back.
+
 
 _SHORT = 32  # entries: longer arrays stand beside the JSON
 _INTERNAL: dict[str, type] = {
@@ -137,7 +220,13 @@ class Decoder:
             raise ValueError(f"it holds a {name}, which this version of stickslip_jax does not know")
         given = {key: self.decoded(part, checked and kind is not GivenMotions) for key, part in fields.items()}
         if checked:
-            return kind(**{key: part for key, part in given.items() if not _is_default(kind, key, part)})
+            known = getattr(kind, "__dataclass_fields__", {})
+
+            def is_default(key: str) -> bool:  # it then prints as if it had not been given
+                default, part = getattr(known.get(key), "default", dataclasses.MISSING), given[key]
+                return type(part) is type(default) and isinstance(part, (str, int, float)) and part == default
+
+            return kind(**{key: part for key, part in given.items() if not is_default(key)})
         made = object.__new__(kind)
         for key, part in given.items():
             object.__setattr__(made, key, part)
@@ -158,13 +247,6 @@ class Decoder:
         if about["of"] == "jax":
             return jax.numpy.asarray(array)
         return array if shape else array[()]
-
-
-def _is_default(kind: type, name: str, value: object) -> bool:
-    """Whether a field has its default, which then prints as if it had not been given."""
-    field = getattr(kind, "__dataclass_fields__", {}).get(name)
-    default = getattr(field, "default", dataclasses.MISSING)
-    return type(value) is type(default) and isinstance(value, (str, int, float)) and value == default
 
 
 def _class_named(name: str) -> type | None:

@@ -10,7 +10,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.simulation import Simulation
@@ -44,14 +43,46 @@ def measured_sticks(table: object, t1: float, samples: int | None) -> tuple[Flat
     order = np.lexsort((start, number))
     number, start, end = number[order], start[order], end[order]
     end = np.where(np.abs(end - t1) <= _ROUND_OFF * t1, t1, end)
-    _check_times(number, start, end, t1, order)
+    # Sticks lie in [0, t1], have a duration, and do not overlap.
+    same, again = number[1:] == number[:-1], np.zeros(len(start), bool)
+    again[1:] = same & (start[1:] < end[:-1] - _ROUND_OFF * t1)
+    for wrong, demand in (
+        (start < 0, "starts of 0 s or later"),
+        (end > t1, f"ends of at most t1 = {t1:g} s"),
+        (~(end > start), "sticks that end after they start"),
+        (again, "sticks of a sample that do not overlap"),
+    ):
+        if np.any(wrong):
+            at = int(np.argmax(wrong))
+            raise ValueError(
+                f"Argument table must have {demand}, but its row {order[at]} has a stick from {start[at]:g} to "
+                f"{end[at]:g} s."
+            )
     if "end" in columns and "duration" in columns:
-        _check_durations(start, end, _numbers("duration", columns)[order], t1, order)
+        duration = _numbers("duration", columns)[order]
+        wrong = np.abs(start + duration - end) > _ROUNDED * t1
+        if np.any(wrong):
+            at = int(np.argmax(wrong))
+            raise ValueError(
+                f"Argument table must have ends that are start + duration, but its row {order[at]} has a stick from "
+                f"{start[at]:g} to {end[at]:g} s with a duration of {duration[at]:g} s; leave out the column that is "
+                "wrong."
+            )
     # An end within round-off of the next start is that start.
-    late = np.flatnonzero((number[1:] == number[:-1]) & (end[:-1] > start[1:]))
+    late = np.flatnonzero(same & (end[:-1] > start[1:]))
     end[late] = start[late + 1]
     others = {name: _numbers(name, columns)[order] for name in _OPTIONAL if name in columns}
-    ending = _endings(columns["ending"])[order] if "ending" in columns else np.where(end == t1, Ending.HORIZON, 0)
+    ending = np.where(end == t1, Ending.HORIZON, 0)
+    if "ending" in columns:  # codes or names
+        known = {str(key): int(ending) for ending in Ending for key in (ending.name, int(ending))}
+        codes = [known.get(str(entry)) for entry in columns["ending"].tolist()]
+        if None in codes:
+            wrong = codes.index(None)
+            raise ValueError(
+                f"Argument table must have {checks.one_of(Ending.__members__)} in the column ending, but its row "
+                f"{wrong} has {checks.show(columns['ending'][wrong])}."
+            )
+        ending = np.array(codes, np.int8)[order]
     count = np.bincount(number, minlength=samples)
     return FlatSticks.of(count, start, end, ending.astype(np.int8), **others), unit
 
@@ -136,7 +167,11 @@ def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.nda
                 "out the row."
             )
         present, number = np.unique(labels.astype(str), return_inverse=True)
-        return number, _enough(samples, len(present))
+        if samples is not None and samples < len(present):
+            raise ValueError(
+                f"Argument samples must be at least the {len(present)} samples in the table, but {samples} was given."
+            )
+        return number, len(present) if samples is None else samples
     least, most = (int(labels.min()), int(labels.max())) if len(labels) else (0, -1)
     if samples is not None:
         if least < 0 or most >= samples:
@@ -158,67 +193,10 @@ def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.nda
     return labels.astype(np.int64) - least, len(present)
 
 
-def _enough(samples: int | None, present: int) -> int:
-    if samples is None:
-        return present
-    if samples < present:
-        raise ValueError(
-            f"Argument samples must be at least the {present} samples in the table, but {samples} was given."
-        )
-    return samples
-
-
-def _check_times(number: np.ndarray, start: np.ndarray, end: np.ndarray, t1: float, order: np.ndarray) -> None:
-    """Raise ValueError unless all sticks lie in [0, t1], have a duration, and do not overlap; names the first row."""
-    again = np.zeros(len(start), bool)
-    again[1:] = (number[1:] == number[:-1]) & (start[1:] < end[:-1] - _ROUND_OFF * t1)
-    for wrong, demand in (
-        (start < 0, "starts of 0 s or later"),
-        (end > t1, f"ends of at most t1 = {t1:g} s"),
-        (~(end > start), "sticks that end after they start"),
-        (again, "sticks of a sample that do not overlap"),
-    ):
-        if np.any(wrong):
-            at = int(np.argmax(wrong))
-            raise ValueError(
-                f"Argument table must have {demand}, but its row {order[at]} has a stick from {start[at]:g} to "
-                f"{end[at]:g} s."
-            )
-
-
-def _check_durations(start: np.ndarray, end: np.ndarray, duration: np.ndarray, t1: float, order: np.ndarray) -> None:
-    """Raise ValueError where starts and durations say other ends than the column of the ends."""
-    wrong = np.abs(start + duration - end) > _ROUNDED * t1
-    if np.any(wrong):
-        at = int(np.argmax(wrong))
-        raise ValueError(
-            f"Argument table must have ends that are start + duration, but its row {order[at]} has a stick from "
-            f"{start[at]:g} to {end[at]:g} s with a duration of {duration[at]:g} s; leave out the column that is wrong."
-        )
-
-
-def _endings(column: np.ndarray) -> np.ndarray:
-    """`Ending` codes from codes or names."""
-    known = {str(key): int(ending) for ending in Ending for key in (ending.name, int(ending))}
-    codes = [known.get(str(entry)) for entry in column.tolist()]
-    if None in codes:
-        wrong = column[codes.index(None)]
-        raise ValueError(
-            f"Argument table must have {checks.one_of(Ending.__members__)} in the column ending, but its row "
-            f"{codes.index(None)} has {checks.show(wrong)}."
-        )
-    return np.array(codes, np.int8)
-
-
 # Ensembles of what `simulate_ensemble` did not simulate: results of `simulate` under ``vmap``, and measured sticks.
 
 
 _UNIT = re.compile(r"[^\W\d_][^\s_,;]{0,15}|%|°|1")  # letters first, as in "m", "mm", "µm", "rad" or "m/s"
-
-
-def _check_unit(unit: object) -> None:
-    if not isinstance(unit, str) or not _UNIT.fullmatch(unit):
-        raise checks.refused("position_unit", "be a unit such as 'm', 'mm' or 'rad'", unit)
 
 
 def fields_of_simulations(result: object, numbering: Numbering) -> Fields:
@@ -248,10 +226,27 @@ def fields_of_simulations(result: object, numbering: Numbering) -> Fields:
         )
     start = jax.vmap(lambda path: path.state(jnp.zeros((), result.sticks.start.dtype)))(result._path)
     y0 = tuple(np.asarray(value) + 0.0 for value in start[: len(result.final_state)])  # and no -0.0
-    system, law, method = (_shared(part, samples) for part in (result.system, result.base, result.method))
-    if any(np.ndim(leaf) and len(leaf) == samples for leaf in jax.tree.leaves(result.base)) and _varies(result.base):
+
+    def differs(leaf: Any) -> bool:
+        return bool(np.ndim(leaf)) and not np.all(np.asarray(leaf) == np.asarray(leaf)[:1])
+
+    def shared(leaf: Any) -> Any:  # what is the same in all simulations stands once; the rest stays (samples,)
+        if not np.ndim(leaf) or len(leaf) != samples:
+            return leaf
+        return np.asarray(leaf) if differs(leaf) else single(np.asarray(leaf)[0])
+
+    system, law, method = (jax.tree.map(shared, part) for part in (result.system, result.base, result.method))
+    leaves = jax.tree.leaves(result.base)
+    if any(np.ndim(leaf) and len(leaf) == samples for leaf in leaves) and any(map(differs, leaves)):
         law = GivenMotions(jax.tree.map(np.asarray, result.base))
-    sticks, results = _of_batch(result)
+    # The sticks without padding, and the totals of each simulation.
+    mask = np.asarray(result.sticks.mask)
+    columns = {name: np.asarray(getattr(result.sticks, name))[mask] for name in (*NUMBERS, "ending")}
+    sticks = FlatSticks.of(mask.sum(axis=1), **columns)
+    parts = (result.totals.sticks, result.totals.censored, result.totals.stick_time)
+    number, censored, time = (np.asarray(part) for part in parts)
+    slips = number + 1 - sticks.begins_at_zero - censored
+    results = SampleTotals(number, slips, time, np.asarray(result.status), np.asarray(result.near_grazing_count))
     return {
         **_summed(results, sticks, float(horizons[0]), numbering, system.stick_position.period),
         "system": system,
@@ -271,7 +266,8 @@ def fields_of_sticks(
         checks.positive("period", period)
         period = float(period)
     if position_unit is not None:
-        _check_unit(position_unit)
+        if not isinstance(position_unit, str) or not _UNIT.fullmatch(position_unit):
+            raise checks.refused("position_unit", "be a unit such as 'm', 'mm' or 'rad'", position_unit)
         position_unit = str(position_unit)
     sticks, unit = measured_sticks(table, float(t1), samples)
     if position_unit is not None and unit not in (None, position_unit):
@@ -320,33 +316,3 @@ def _summed(results: SampleTotals, sticks: FlatSticks, t1: float, numbering: Num
         "compile_seconds": 0.0,
         "run_seconds": 0.0,
     }
-
-
-def _of_batch(result: Simulation) -> tuple[FlatSticks, SampleTotals]:
-    """The sticks of a batch without padding, and the totals of each simulation."""
-    mask = np.asarray(result.sticks.mask)
-    columns = {name: np.asarray(getattr(result.sticks, name))[mask] for name in (*NUMBERS, "ending")}
-    sticks = FlatSticks.of(mask.sum(axis=1), **columns)
-    totals = result.totals
-    number, censored, time = (np.asarray(part) for part in (totals.sticks, totals.censored, totals.stick_time))
-    slips = number + 1 - sticks.begins_at_zero - censored
-    return sticks, SampleTotals(number, slips, time, np.asarray(result.status), np.asarray(result.near_grazing_count))
-
-
-def _shared(part: PyTree, samples: int) -> PyTree:
-    """`part` of a batch with each number that is the same in all simulations put once; the others stay (samples,)."""
-
-    def once(leaf: Any) -> Any:
-        if not np.ndim(leaf) or len(leaf) != samples:
-            return leaf
-        leaf = np.asarray(leaf)
-        if np.all(leaf == leaf[:1]):
-            return single(leaf[0])
-        return leaf
-
-    return jax.tree.map(once, part)
-
-
-def _varies(base: PyTree) -> bool:
-    """Whether a batch of base motions holds different ones."""
-    return any(np.ndim(leaf) and not np.all(np.asarray(leaf) == np.asarray(leaf)[:1]) for leaf in jax.tree.leaves(base))

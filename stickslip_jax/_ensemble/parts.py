@@ -5,7 +5,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,7 +57,11 @@ def progress_bar(progress: bool | None, samples: int, unit: str = "sample") -> I
         yield _NO_BAR
         return
     try:
-        bar_class = _bar_class(notebook)
+        # A bar of the notebook where it can be shown, else one of text; ``tqdm.auto`` would warn that it cannot.
+        if notebook and importlib.util.find_spec("ipywidgets") is not None:
+            from tqdm.notebook import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
+        else:
+            from tqdm.std import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         if progress is None:
             yield _NO_BAR
@@ -65,7 +69,7 @@ def progress_bar(progress: bool | None, samples: int, unit: str = "sample") -> I
         raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
     # In a notebook, what stays is saved with it.
     look = {"leave": False, "delay": _DELAY} if notebook and progress is None else {}
-    with bar_class(total=samples, unit=unit, unit_scale=True, **look) as bar:
+    with tqdm(total=samples, unit=unit, unit_scale=True, **look) as bar:
         yield Progress(bar.update, lambda text: bar.set_postfix_str(text, refresh=False))
 
 
@@ -73,15 +77,6 @@ def in_notebook() -> bool:
     """Whether this process is the kernel of a notebook."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", _nothing)()
     return getattr(shell, "kernel", None) is not None
-
-
-def _bar_class(notebook: bool) -> Any:
-    """A bar of the notebook where it can be shown, else one of text; ``tqdm.auto`` would warn that it cannot."""
-    if notebook and importlib.util.find_spec("ipywidgets") is not None:
-        from tqdm.notebook import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
-    else:
-        from tqdm.std import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
-    return tqdm
 
 
 def _nothing(*_: object) -> None:
@@ -128,7 +123,12 @@ class EnsemblePart(NamedTuple):
             found = done.only(finished).in_order()
             done = StickStream.of(found.only(finished))
         accumulator = StickAccumulator.of(done, stick_time, slips, t1, numbering)
-        rest = tuple(_of_finished(column, finished) for column in numbering.rest(done))
+        rest = numbering.rest(done)
+        if not np.all(finished):  # as columns of all samples, with 0 for the others
+            whole = [np.zeros(len(finished), column.dtype) for column in rest]
+            for to, column in zip(whole, rest, strict=True):
+                to[finished] = column
+            rest = tuple(whole)
         return cls(results, found or done.in_order() if keep_sticks else None, accumulator, rest)
 
 
@@ -136,15 +136,6 @@ def within_period(positions: np.ndarray, period: float) -> np.ndarray:
     """The positions modulo `period`, in ``[0, period)``."""
     folded = np.mod(positions, positions.dtype.type(period))
     return np.where(folded < period, folded, 0)  # a tiny negative position is rounded up to the period
-
-
-def _of_finished(column: np.ndarray, finished: np.ndarray) -> np.ndarray:
-    """`column` of the finished samples as one of all samples, with 0 for the others."""
-    if np.all(finished):
-        return column
-    whole = np.zeros(len(finished), column.dtype)
-    whole[finished] = column
-    return whole
 
 
 def prepare(dtype: DType) -> None:
@@ -261,28 +252,26 @@ class EnsembleAccumulator:
         """The fields of an `Ensemble` that come from the parts, by name."""
         is_full, kept = self.keep == "sticks", [part.sticks for part in self._kept if part.sticks is not None]
         sticks = FlatSticks.joined(kept) if kept else None
+        totals = None
+        if self._totals is not None:
+            totals = SampleTotals(*map(np.concatenate, zip(*self._totals, strict=True)))
+        retained = None
+        if sticks is not None:  # of the kept samples that finished
+            finished = np.concatenate([np.equal(part.results.status, Status.FINISHED) for part in self._kept])
+            retained = Retained(sticks.only(finished), np.concatenate([_totals_of(part) for part in self._kept]))
         return {
             "moments": self.moments,
             "status_counts": {status: int(self.counts[status]) for status in Status},
             "near_grazing_samples": self.near_grazing_samples,
             "accumulator": self.accumulator,
-            "retained": None if sticks is None else self._retained(sticks),
-            "sample_totals": None if self._totals is None else _joined(self._totals),
+            "retained": retained,
+            "sample_totals": totals,
             "flat_sticks": sticks if is_full else None,
             "output_values": {
                 name: np.concatenate([part[name] for part in self._outputs])
                 for name in (self._outputs[0] if self._outputs else ())
             },
         }
-
-    def _retained(self, sticks: FlatSticks) -> Retained:
-        """The sticks and totals of the kept samples that finished."""
-        finished = np.concatenate([np.equal(part.results.status, Status.FINISHED) for part in self._kept])
-        return Retained(sticks.only(finished), np.concatenate([_totals_of(part) for part in self._kept]))
-
-
-def _joined(totals: list[SampleTotals]) -> SampleTotals:
-    return SampleTotals(*map(np.concatenate, zip(*totals, strict=True)))
 
 
 def _totals_of(part: EnsemblePart) -> np.ndarray:

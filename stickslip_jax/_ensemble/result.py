@@ -2,111 +2,50 @@
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .._dynamics.simulation import Simulation
 from .._dynamics.stick_tables import stick_columns, time_columns, write_table
-from .._dynamics.sticks import Slips, Sticks
+from .._dynamics.sticks import Slips, Sticks, in_slots
 from .._excitation.excitation import is_random
 from .._foundation import checks, html
 from .._foundation.files import file_to_write
 from .._foundation.processes import require_threads_of_jax
-from .._foundation.types import Status
+from .._numerics.sums import DyadicCounts, PowerSums
 from .._statistics.accumulator import Numbering
-from .._statistics.distribution import Distribution, Summary, shown, table_of
+from .._statistics.distribution import BINS, Clusters, Distribution, Summary, shown, table_of
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
+from .._statistics.estimate import origin_of
 from .._statistics.totals import STATISTICS, TOTALS
 from .data import (
     EnsembleData,
+    GivenMotions,
     Realization,
     Unknown,
     UnknownSystem,
     check_dtype,
     flat_slips,
-    given_realization,
     known_inputs,
-    padded_slips,
     part_with,
     parts_of,
     require_known,
     require_whole,
+    single,
     values_of,
 )
 from .dataset import dataset_of, fields_of_dataset, write_dataset
 from .given import fields_of_simulations, fields_of_sticks
-from .setup import distributions_of, without_value
 
 if TYPE_CHECKING:
     import xarray
-
-
-# Files of sticks and of slips of an ensemble as tables, one row for each.
-
-
-def write_sticks(ensemble: EnsembleData, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
-    """Write every stick of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_sticks`."""
-    sticks = ensemble.require_sticks()
-    inputs = {name: values[sticks.sample] for name, (values, _) in known_inputs(ensemble).items()}
-    order, position = ensemble.numbering.order_of(sticks), ensemble.system.stick_position
-    columns = {"sample": sticks.sample, **stick_columns(sticks, order, position, inputs)}
-    return write_table(columns, path, overwrite)
-
-
-def write_slips(ensemble: EnsembleData, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
-    """Write every slip of `ensemble` to `path`, in the format of its file extension; see `Ensemble.write_slips`."""
-    slips = flat_slips(ensemble)
-    columns = {"sample": slips.sample, **time_columns(slips.start, slips.end), "is_censored": slips.censored}
-    return write_table(columns, path, overwrite)
-
-
-# The summary of an ensemble: the tables of its statistics, and what must be known to read them.
-
-
-def summary_of(
-    statistics: EnsembleStatistics, status_counts: Mapping[Status, int], near_grazing_samples: int
-) -> Summary:
-    """The summary of the ensemble with these statistics; see `Ensemble.summary`."""
-    notes = []
-    if statistics.duration.number:
-        shares = ", ".join(f"{shown(share)} {ending.name}" for ending, share in statistics.endings.items())
-        notes.append(f"Share of sticks by ending: {shares}.")
-    else:
-        rest = " but those that begin at t = 0" if statistics.sticks.begins_at_zero.any() else ""
-        notes.append(f"There is no stick{rest}.")
-    notes.append(
-        "Sticks and slips cut by the horizon count with the part before it. Entropies are those of histograms with 50 "
-        "bins, or with one bin for each whole number."
-    )
-    if not statistics.numbering.count_initial_rest and statistics.sticks.begins_at_zero.any():
-        notes.append(
-            "Sticks that begin at t = 0 count in the number of sticks and the stick fraction only; the 1st is the next "
-            "(count_initial_rest)."
-        )
-    retained = len(statistics.totals)
-    if retained < statistics.samples:
-        notes.append(f"Standard errors were measured on the first {retained:,} samples.")
-    for status, count in status_counts.items():
-        if status and count:
-            notes.append(f"NOT FINISHED, in no number above: {count:,} samples, because {status.meaning}.")
-    if near_grazing_samples:
-        notes.append(f"Decided by round-off (near-grazing), counted above: {near_grazing_samples:,} samples.")
-    return dataclasses.replace(statistics._summary, notes=tuple(notes))
-
-
-def with_outputs(summary: Summary, outputs: Sequence[Distribution], without_value: Mapping[str, int]) -> Summary:
-    """The summary with a table of the outputs, and notes on finished samples without a value of them."""
-    if not outputs:
-        return summary
-    tables = (*summary.tables, table_of("Outputs", outputs))
-    notes = [f"NO VALUE of {name} in {count:,} finished samples." for name, count in without_value.items()]
-    return dataclasses.replace(summary, tables=tables, notes=(*summary.notes, *notes))
 
 
 # `Ensemble`, the result of many samples: sums for the statistics and, if kept, every stick of every sample.
@@ -254,12 +193,56 @@ class Ensemble(EnsembleData):
 
         Values that are not finite are left out: ``many.outputs["peak"].number`` is that of the others.
         """
-        return distributions_of(self)
+        found, finished = {}, self.finished
+        for name, column in self.output_values.items():
+            values = column[np.isfinite(column)]
+            is_whole = len(values) > 0 and bool(np.all(values == np.round(values)) and np.all(np.abs(values) < 2**31))
+            bins = DyadicCounts.of(values, BINS, finest=0) if is_whole else DyadicCounts.of(values, BINS)
+            clusters = Clusters(values, np.arange(len(values)), finished, finished)
+            unit = self.output_units.get(name, "1")
+            found[name] = Distribution(
+                name, unit, finished, PowerSums.of(values), bins, clusters, is_whole=is_whole, origin=origin_of(self)
+            )
+        return found
+
+    def _without_value(self) -> dict[str, int]:
+        """For each output how many of the finished samples have no finite value, where there are any."""
+        columns = self.output_values.items()
+        counts = {name: self.finished - int(np.count_nonzero(np.isfinite(column))) for name, column in columns}
+        return {name: count for name, count in counts.items() if count}
 
     def summary(self) -> Summary:
         """The statistics as a readable table, for text and notebooks. Raises ValueError if ``keep="totals"``."""
-        summary = summary_of(self.statistics, self.status_counts, self.near_grazing_samples)
-        return with_outputs(summary, list(self.outputs.values()), without_value(self))
+        statistics, notes = self.statistics, []
+        begins_at_zero = statistics.sticks.begins_at_zero.any()
+        if statistics.duration.number:
+            shares = ", ".join(f"{shown(share)} {ending.name}" for ending, share in statistics.endings.items())
+            notes.append(f"Share of sticks by ending: {shares}.")
+        else:
+            notes.append(f"There is no stick{' but those that begin at t = 0' if begins_at_zero else ''}.")
+        notes.append(
+            "Sticks and slips cut by the horizon count with the part before it. Entropies are those of histograms with "
+            "50 bins, or with one bin for each whole number."
+        )
+        if begins_at_zero and not statistics.numbering.count_initial_rest:
+            notes.append(
+                "Sticks that begin at t = 0 count in the number of sticks and the stick fraction only; the 1st is the "
+                "next (count_initial_rest)."
+            )
+        retained = len(statistics.totals)
+        if retained < statistics.samples:
+            notes.append(f"Standard errors were measured on the first {retained:,} samples.")
+        for status, count in self._unfinished.items():
+            notes.append(f"NOT FINISHED, in no number above: {count:,} samples, because {status.meaning}.")
+        if self.near_grazing_samples:
+            notes.append(f"Decided by round-off (near-grazing), counted above: {self.near_grazing_samples:,} samples.")
+        summary = statistics._summary
+        tables, outputs = summary.tables, list(self.outputs.values())
+        if outputs:
+            tables = (*tables, table_of("Outputs", outputs))
+            missing = self._without_value()
+            notes += [f"NO VALUE of {name} in {count:,} finished samples." for name, count in missing.items()]
+        return dataclasses.replace(summary, tables=tables, notes=tuple(notes))
 
     @cached_property
     def sticks(self) -> Sticks:
@@ -273,7 +256,10 @@ class Ensemble(EnsembleData):
         Raises:
             ValueError: Unless ``keep="sticks"``.
         """
-        return padded_slips(self)
+        slips = flat_slips(self)
+        columns = {"start": (slips.start, np.nan), "end": (slips.end, np.nan), "censored": (slips.censored, False)}
+        mask, filled = in_slots(np.bincount(slips.sample, minlength=self.samples), columns)
+        return Slips(**filled, mask=mask)
 
     def realization(self, number: int) -> Realization:
         """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it::
@@ -287,9 +273,16 @@ class Ensemble(EnsembleData):
         if checks.whole_number("number", number, minimum=0) >= self.samples:
             raise checks.refused("number", f"be below the {self.samples} samples", number)
         part, number = part_with(self, number)
-        given = given_realization(part, number)
-        if given is not None:
-            return given
+        require_whole(part)
+        if isinstance(part.law, GivenMotions):
+            samples = part.samples
+
+            def own(leaf):
+                return single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == samples else leaf
+
+            y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in part.y0)
+            return Realization(jax.tree.map(own, part.system), part.law.base(number), y0)
+
         if part.key_data is not None:
             check_dtype(self.dtype)
         system, law, y0 = part.inputs.of_sample(number, jnp.dtype(self.dtype))
@@ -352,20 +345,26 @@ class Ensemble(EnsembleData):
             ImportError: Without the extra ``tables``.
             FileExistsError, FileNotFoundError, OSError: As `save`.
         """
-        return write_sticks(self, path, overwrite)
+        sticks = self.require_sticks()
+        inputs = {name: values[sticks.sample] for name, (values, _) in known_inputs(self).items()}
+        order, position = self.numbering.order_of(sticks), self.system.stick_position
+        columns = {"sample": sticks.sample, **stick_columns(sticks, order, position, inputs)}
+        return write_table(columns, path, overwrite)
 
     def write_slips(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write all slips as a table, one row each: sample, start, end, duration, and whether the horizon cuts it.
 
         `path`, `overwrite`, the value returned and errors as in `write_sticks`.
         """
-        return write_slips(self, path, overwrite)
+        slips = flat_slips(self)
+        columns = {"sample": slips.sample, **time_columns(slips.start, slips.end), "is_censored": slips.censored}
+        return write_table(columns, path, overwrite)
 
     def _repr_html_(self) -> str:
         rows = [(name, _brief(getattr(self, name))) for name in ("system", "law", "method")]
         rows += [(of.label, of(self).without_name().replace("+-", "±")) for of in STATISTICS.values()]
         rows += [(f"mean of {one.name}", one.mean.without_name().replace("+-", "±")) for one in self.outputs.values()]
-        for name, count in without_value(self).items():
+        for name, count in self._without_value().items():
             rows.append((f"NO VALUE of {name}", f"{count:,} finished samples"))
         for status, count in self._unfinished.items():
             rows.append(("NOT FINISHED, in no number above", f"{count:,} samples, because {status.meaning}"))
@@ -388,7 +387,7 @@ class Ensemble(EnsembleData):
             lines.append(f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile")
         if self.output_values:
             lines.append(f"  outputs   {', '.join(self.output_values)}")
-        lines += [f"  NO VALUE of {name} in {count} finished samples" for name, count in without_value(self).items()]
+        lines += [f"  NO VALUE of {name} in {count} finished samples" for name, count in self._without_value().items()]
         failed = self._unfinished
         lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
         if self.near_grazing_samples:

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, get_args
+from typing import get_args
 
 import equinox as eqx
 import jax
@@ -21,10 +21,7 @@ from .._dynamics.sticks import ALL
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._foundation import checks
 from .._foundation.types import AnyArray, DType, Status
-from .._numerics.sums import DyadicCounts, PowerSums
 from .._statistics.accumulator import Numbering
-from .._statistics.distribution import BINS, Clusters, Distribution
-from .._statistics.estimate import origin_of
 from .._statistics.quantities import DISTRIBUTIONS
 from .._statistics.totals import STATISTICS
 from .._systems.system import require_system
@@ -108,13 +105,28 @@ class EnsembleSetup:
                 "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
                 "was given."
             )
-        engine, leaf_numbers, method = _engine_of(inputs, first, method, t1, dtype)
+        # The engine of all samples, and which of its leaves differ; the method with every option filled in, but those
+        # that differ from sample to sample as they were given.
+        law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
+        engine, leaf_numbers = lanes_for(first.system, law, method, t1, first.y0, dtype), ()
+        if inputs.entries or inputs.has_sampled_law:
+            engine, leaf_numbers, *_ = engines_of_all(inputs, method, t1, dtype)
+        if isinstance(engine, (FixedEngine, AdaptiveBatch)):
+            differs = object()
+            marked = jax.tree.leaves(with_leaves(engine, leaf_numbers, [differs] * len(leaf_numbers)).method)
+            method = method if any(leaf is differs for leaf in marked) else engine.method
+        if leaf_numbers and isinstance(engine, Engine):
+            engine = VaryingEngine(engine, leaf_numbers)
         if keep != "totals" and isinstance(engine, Engine):
             engine = engine.asked(ALL)
         key_data, period = key_data_for(first.law, key), first.system.stick_position.period
         setup = cls(engine, leaf_numbers, inputs, method, key_data, random, dtype, float(t1), numbering, period)
-        if not of_every_contact:
-            setup._require_one_track()
+        if setup.tracks != (None,) and not of_every_contact:
+            raise ValueError(
+                "Argument system must say whose sticks are counted, but a system with "
+                f"{len(setup.tracks) - 1} contacts was given: take system.of_contact(number) or "
+                "system.of_all_contacts(), or call simulate_contacts, which counts those of every contact."
+            )
         return setup
 
     @property
@@ -122,15 +134,6 @@ class EnsembleSetup:
         """What sticks are counted of: every contact, and last all at once; (None,) where it is one thing."""
         tracks = self.engine.tracks if isinstance(self.engine, Engine) else None
         return (None,) if tracks is None else tuple(range(tracks))
-
-    def _require_one_track(self) -> None:
-        """Raise ValueError for a system with a list of contacts that does not say whose sticks are counted."""
-        if self.tracks != (None,):
-            raise ValueError(
-                f"Argument system must say whose sticks are counted, but a system with {len(self.tracks) - 1} contacts "
-                "was given: take system.of_contact(number) or system.of_all_contacts(), or call simulate_contacts, "
-                "which counts those of every contact."
-            )
 
     def fields(self) -> Fields:
         """The fields of an `Ensemble` that its arguments are."""
@@ -159,26 +162,6 @@ class EnsembleSetup:
         if not self.inputs.has_own_realizations:
             realization = self.inputs.realization_numbers(first, most_samples)
         return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), varying, realization)
-
-
-def _engine_of(
-    inputs: Inputs, first: StochasticModel, method: Exact | Regularized, t1: float, dtype: DType
-) -> tuple[Any, tuple[int, ...], Exact | Regularized]:
-    """The engine of all samples, which of its leaves differ, and the method with every option filled in.
-
-    Options that differ from sample to sample stay as they were given. `first`: the model of the first sample.
-    """
-    law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
-    template, leaf_numbers = lanes_for(first.system, law, method, t1, first.y0, dtype), ()
-    if inputs.entries or inputs.has_sampled_law:
-        template, leaf_numbers, *_ = engines_of_all(inputs, method, t1, dtype)
-    if isinstance(template, (FixedEngine, AdaptiveBatch)):
-        differs = object()
-        marked = jax.tree.leaves(with_leaves(template, leaf_numbers, [differs] * len(leaf_numbers)).method)
-        method = method if any(leaf is differs for leaf in marked) else template.method
-    if leaf_numbers and isinstance(template, Engine):
-        return VaryingEngine(template, leaf_numbers), leaf_numbers, method
-    return template, leaf_numbers, method
 
 
 # Outputs of a user's own for the samples of an ensemble: each is simulated once more, and recorded, for its functions.
@@ -301,31 +284,6 @@ def outputs_of(ensemble: EnsembleData) -> dict[str, Output]:
         name: Output(ensemble.output_functions[name], name, ensemble.output_units[name])
         for name in ensemble.output_values
     }
-
-
-def distributions_of(ensemble: EnsembleData) -> dict[str, Distribution]:
-    """The distribution over the finished samples of each output; see `Ensemble.outputs`."""
-    return {name: _distribution(ensemble, name, column) for name, column in ensemble.output_values.items()}
-
-
-def without_value(ensemble: EnsembleData) -> dict[str, int]:
-    """For each output how many of the finished samples have no finite value, where there are any."""
-    counts = {
-        name: ensemble.finished - int(np.count_nonzero(np.isfinite(column)))
-        for name, column in ensemble.output_values.items()
-    }
-    return {name: count for name, count in counts.items() if count}
-
-
-def _distribution(ensemble: EnsembleData, name: str, column: np.ndarray) -> Distribution:
-    values = column[np.isfinite(column)]
-    is_whole = len(values) > 0 and bool(np.all(values == np.round(values)) and np.all(np.abs(values) < 2**31))
-    bins = DyadicCounts.of(values, BINS, finest=0) if is_whole else DyadicCounts.of(values, BINS)
-    clusters = Clusters(values, np.arange(len(values)), ensemble.finished, ensemble.finished)
-    return Distribution(
-        name, ensemble.output_units.get(name, "1"), ensemble.finished, PowerSums.of(values), bins, clusters,
-        is_whole=is_whole, origin=origin_of(ensemble),
-    )  # fmt: skip
 
 
 def runner_for(setup: EnsembleSetup, outputs: Mapping[str, Output]) -> Callable[..., Values]:

@@ -26,7 +26,7 @@ import numpy as np
 from .._dynamics.sticks import FlatSticks
 from .._ensemble.call import simulate_batch
 from .._ensemble.data import Retained
-from .._ensemble.encoding import Decoder, Encoder
+from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, versions
 from .._ensemble.parts import EnsembleAccumulator
 from .._ensemble.result import Ensemble
 from .._foundation import compilation_cache
@@ -34,8 +34,7 @@ from .._foundation.files import unpacked_arrays
 from .._foundation.types import Status
 from .._sensitivity import Sensitivities, sensitivity
 from .._statistics.totals import DIFFERENTIABLE
-from .manifest import versions
-from .plan import RETAINED, DamagedBatchError, Plan, Task
+from .plan import RETAINED, Plan, Task
 
 # Warnings of tasks that run in several threads, collected task by task.
 #
@@ -67,7 +66,22 @@ def warnings_by_thread() -> Iterator[None]:
     """
     with _lock:
         if not _users:
-            _filters.enter_context(_shown_by_thread())
+            _filters.enter_context(warnings.catch_warnings())
+            warnings.simplefilter("always", RuntimeWarning)
+            warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # the sweep says so once
+            show = warnings.showwarning
+
+            def show_or_collect(
+                message: Warning | str, category: type[Warning], filename: str, lineno: int,
+                file: TextIO | None = None, line: str | None = None,
+            ) -> None:  # fmt: skip
+                texts = getattr(_local, "texts", None)
+                if texts is None:
+                    show(message, category, filename, lineno, file, line)
+                else:
+                    texts.append(str(message))
+
+            warnings.showwarning = show_or_collect
         _users.append(None)
     try:
         yield
@@ -76,27 +90,6 @@ def warnings_by_thread() -> Iterator[None]:
             _users.pop()
             if not _users:
                 _filters.close()
-
-
-@contextmanager
-def _shown_by_thread() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", RuntimeWarning)
-        warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # the sweep says so once
-        show = warnings.showwarning
-
-        def show_or_collect(
-            message: Warning | str, category: type[Warning], filename: str, lineno: int,
-            file: TextIO | None = None, line: str | None = None,
-        ) -> None:  # fmt: skip
-            texts = getattr(_local, "texts", None)
-            if texts is None:
-                show(message, category, filename, lineno, file, line)
-            else:
-                texts.append(str(message))
-
-        warnings.showwarning = show_or_collect
-        yield
 
 
 # What a task simulates, and its result as bytes that can be written to a file, or sent to another machine.
@@ -129,22 +122,15 @@ class Derivatives(TypedDict):
 def perform(plan: Plan, task: Task) -> bytes:
     """Do the work of `task` in this thread. Raises ValueError for a point that cannot be simulated."""
     if task.derivative is None:
-        return packed(_simulated(plan, task))
-    return json.dumps(_derivatives(plan, task)).encode()
-
-
-def _simulated(plan: Plan, task: Task) -> Ensemble:
-    run = plan.run_at(task.point)
-    fewest = min(plan.samples, plan.batch)
-    # Joined, the batches keep the first sticks of the point, whatever the size of a batch; each sample has one or more.
-    retained = max(0, RETAINED - task.first)
-    return simulate_batch(
-        run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest, outputs=plan.outputs
-    )
-
-
-def _derivatives(plan: Plan, task: Task) -> Derivatives:
-    assert task.derivative is not None
+        fewest = min(plan.samples, plan.batch)
+        # Joined, the batches keep the first sticks of the point, whatever the size of a batch; each sample has one or
+        # more.
+        retained, run = max(0, RETAINED - task.first), plan.run_at(task.point)
+        return packed(
+            simulate_batch(
+                run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest, outputs=plan.outputs
+            )
+        )
     name, wrt = plan.derivatives[task.derivative]
     statistic = next(one for one in DIFFERENTIABLE if one.name == name)
     setting, started = plan.setting_at(task.point), time.perf_counter()
@@ -156,7 +142,8 @@ def _derivatives(plan: Plan, task: Task) -> Derivatives:
     names = ("value", "value_error", "derivative", "standard_error", "estimator", "samples", "sticks_in_window")
     assert isinstance(found, Sensitivities)  # as `wrt` is a tuple
     numbers = {parameter: {name: getattr(one, name) for name in names} for parameter, one in found.items()}
-    return {"end": task.end, "by": numbers, "warnings": texts, "seconds": time.perf_counter() - started}
+    spent = time.perf_counter() - started
+    return json.dumps(Derivatives(end=task.end, by=numbers, warnings=texts, seconds=spent)).encode()
 
 
 def packed(ensemble: Ensemble) -> bytes:
@@ -194,7 +181,7 @@ _UNFIT = (
 def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensemble:
     """The ensemble of the batch of samples ``first .. end - 1`` that `perform` made.
 
-    `fields`: from `Plan.fields_at`. Raises DamagedBatchError for other bytes, and for those of other samples.
+    `fields`: from `Plan.fields_at`. Raises DamagedFileError for other bytes, and for those of other samples.
     """
     try:
         head = head_of(data, first, end)
@@ -209,7 +196,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
         counts = dict(zip(Status, head["status_counts"], strict=True))
         numbers: dict[str, Any] = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
     except _UNFIT as error:
-        raise DamagedBatchError(str(error)) from error
+        raise DamagedFileError(str(error)) from error
     return Ensemble(
         **fields, **found, **numbers, status_counts=counts, retained=retained, sample_totals=None, flat_sticks=None,
         output_values=outputs,
@@ -218,39 +205,29 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
 
 
 def head_of(data: bytes, first: int, end: int) -> Head:
-    """The head of the batch of samples ``first .. end - 1``. Raises DamagedBatchError as `unpacked`."""
+    """The head of the batch of samples ``first .. end - 1``. Raises DamagedFileError as `unpacked`."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return _head_in(archive, first, end)
+            if archive.getinfo("head.json").file_size > _MOST_UNPACKED:
+                raise ValueError("its head is too long")
+            head = json.loads(archive.read("head.json"))
+        samples = end - first
+        if (head["first_sample"], head["samples"], sum(head["status_counts"])) != (first, samples, samples):
+            raise ValueError(f"it holds {head['samples']} samples from {head['first_sample']} on")
     except _UNFIT as error:
-        raise DamagedBatchError(str(error)) from error
-
-
-def _head_in(archive: zipfile.ZipFile, first: int, end: int) -> Head:
-    if archive.getinfo("head.json").file_size > _MOST_UNPACKED:
-        raise ValueError("its head is too long")
-    head = json.loads(archive.read("head.json"))
-    samples = end - first
-    if (head["first_sample"], head["samples"], sum(head["status_counts"])) != (first, samples, samples):
-        raise ValueError(f"it holds {head['samples']} samples from {head['first_sample']} on")
+        raise DamagedFileError(str(error)) from error
     return head
 
 
 def derivatives_of(data: bytes, end: int) -> Derivatives:
-    """The derivatives that `perform` found from samples ``0 .. end - 1``. Raises DamagedBatchError for other bytes."""
+    """The derivatives that `perform` found from samples ``0 .. end - 1``. Raises DamagedFileError for other bytes."""
     try:
         found = json.loads(data)
         if found["end"] != end or not found["by"].keys():
             raise ValueError(f"it holds derivatives from {found['end']} samples")
     except _UNFIT as error:
-        raise DamagedBatchError(str(error)) from error
+        raise DamagedFileError(str(error)) from error
     return found
-
-
-def unfinished_in(head: Head) -> dict[Status, int]:
-    """How many samples of a batch did not reach the end, by their status; `head`: from `head_of`."""
-    counts = zip(Status, head["status_counts"], strict=True)
-    return {status: count for status, count in counts if count and status != Status.FINISHED}
 
 
 def joined(batches: list[Ensemble]) -> Ensemble:
@@ -349,33 +326,30 @@ class Sent(NamedTuple):
 
     plan: bytes
     double: bool
-    versions: dict[str, str]
+    versions: tuple[tuple[str, str], ...]
     caches: bool
 
 
 def sent(plan: Plan) -> Sent:
     """The plan for a worker. Raises ValueError for one that cannot be sent."""
-    caches = bool(getattr(jax.config, "jax_compilation_cache_dir", None))
-    return Sent(_dumps(plan), plan.dtype == "float64", versions(), caches)
-
-
-def _dumps(plan: Plan) -> bytes:
     # cloudpickle comes with loky and dask, and sends the classes of notebooks too
     pickler = importlib.import_module("cloudpickle" if importlib.util.find_spec("cloudpickle") else "pickle")
     try:
-        return pickler.dumps(dataclasses.replace(plan))  # without what it has computed
+        data = pickler.dumps(dataclasses.replace(plan))  # without what it has computed
     except Exception as error:  # pickling a user's object may raise anything
         raise ValueError(
             "Arguments system and law must be objects that can be sent to other processes, but pickling them failed "
             f"({error}); define their classes in a module, or install cloudpickle."
         ) from error
+    caches = bool(getattr(jax.config, "jax_compilation_cache_dir", None))
+    return Sent(data, plan.dtype == "float64", tuple(sorted(versions().items())), caches)
 
 
 def perform_sent(plan: Sent, task: Task) -> Outcome:
     """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
     with _precision.of(plan.double), warnings_by_thread():
         with _reading:  # one performer for all threads, whose compilations they share
-            performer = _performer(plan.plan, tuple(sorted(plan.versions.items())), plan.caches)
+            performer = _performer(plan)
         return attempted(performer.perform, task)
 
 
@@ -383,17 +357,18 @@ _reading = threading.Lock()
 
 
 @functools.lru_cache(maxsize=4)  # sweeps that run at once on one worker do not throw out each other
-def _performer(plan: bytes, wanted: tuple[tuple[str, str], ...], caches: bool) -> Performer:
-    if caches:
+def _performer(plan: Sent) -> Performer:
+    if plan.caches:
         compilation_cache.use()
     here = versions()
-    other = [f"{name} {here.get(name)} instead of {version}" for name, version in wanted if here.get(name) != version]
+    differing = [(name, version) for name, version in plan.versions if here.get(name) != version]
+    other = [f"{name} {here.get(name)} instead of {version}" for name, version in differing]
     if other:
         raise UnfitWorkerError(
             f"A worker has {', '.join(other)}, which may give other numbers; install the same versions everywhere."
         )
     try:
-        return Performer(pickle.loads(plan))
+        return Performer(pickle.loads(plan.plan))
     except Exception as error:  # unpickling a user's object may raise anything
         raise UnfitWorkerError(
             f"A worker cannot read the sweep ({error}); the modules that define its system and law must be installed "

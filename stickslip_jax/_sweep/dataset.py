@@ -7,13 +7,15 @@ import weakref
 from collections.abc import Hashable, Iterator
 from pathlib import Path
 from tempfile import SpooledTemporaryFile, gettempdir
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from .._ensemble.dataset import DamagedFileError, as_netcdf, read_netcdf, verified
+from .._dynamics.simulation import source
+from .._ensemble.dataset import as_netcdf, read_netcdf, verified
+from .._ensemble.encoding import DamagedFileError, sum_of
 from .._ensemble.result import Ensemble
-from .._foundation.extras import require
+from .._foundation.extras import Entries, labeled_dataset, require, variable
 from .._foundation.files import write_whole
 from .._foundation.types import Status
 from .._numerics.sums import CommonBins
@@ -23,9 +25,8 @@ from .._statistics.quantities import BY_NAME as STICK_BY_NAME
 from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import require_system
-from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unfinished_in, unpacked
-from .manifest import Manifest, sum_of
-from .plan import POINT, DamagedBatchError, Plan, SweepError, Task, label_and_unit
+from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unpacked
+from .plan import POINT, Plan, SweepError, Task, label_and_unit
 from .store import DATA, Batch, Store, cannot_write, derivative_name
 
 if TYPE_CHECKING:
@@ -42,9 +43,9 @@ _LISTINGS = 5  # of the folder at most, where a run that is under way has joined
 class Work:
     """The tasks of a sweep that are left, in order of the points.
 
-    `done`: the samples of each point that are there. `failed`: what went wrong, by point. `without_memory`: tasks for
-    which there was no memory, and the error; a later run does them. `complete`: points with nothing left to do.
-    `damaged`: batches that could not be read, and were removed.
+    `identities`: of the points. `done`: the samples of each that are there. `failed`: what went wrong, by point.
+    `without_memory`: tasks for which there was no memory, and the error; a later run does them. `complete`: points with
+    nothing left to do. `damaged`: batches that could not be read, and were removed.
     """
 
     def __init__(self, plan: Plan, store: Store):
@@ -53,7 +54,7 @@ class Work:
         self.failed: dict[int, str] = {}
         self.without_memory: dict[Task, str] = {}
         self.complete = self.damaged = 0
-        self._identities = [plan.points.identity(point) for point in range(plan.points.number)]
+        self.identities = [plan.points.identity(point) for point in range(plan.points.number)]
         self._batches = store.batches()
         self._left: dict[int, int] = {}  # tasks of a point that are not done
         # A run may join batches while they are read here: what was read once is kept, so that it stays the same.
@@ -61,7 +62,7 @@ class Work:
 
     def _batches_at(self, point: int) -> list[Batch]:
         """The batches of a point that are there."""
-        return self._batches.get(self._identities[point], [])
+        return self._batches.get(self.identities[point], [])
 
     def _of_samples(self, point: int) -> list[Batch]:
         """The batches of samples of a point, without those of derivatives."""
@@ -69,57 +70,65 @@ class Work:
 
     def _batch_of(self, task: Task) -> Batch:
         """The file for the result of a task."""
-        return self.store.batch_of(self._identities[task.point], task, self.plan)
+        return self.store.batch_of(self.identities[task.point], task, self.plan)
 
     def tasks(self) -> Iterator[Task]:
         """What is left to do. With wanted standard errors, the next batch of each point that misses them."""
         for point in range(self.plan.points.number):
-            tasks = self._tasks_at(point)
+            self.done[point] = sum(batch.end - batch.first for batch in self._of_samples(point))
+            tasks = self._missing(point)
+            there = {(batch.derivative, batch.end) for batch in self._batches_at(point)}
+            for number in range(len(self.plan.derivatives)):
+                if (derivative_name(self.plan, number), self.plan.samples) not in there:
+                    tasks.append(Task(point, 0, self.plan.samples, number))
             self._left[point] = len(tasks)
             if not tasks:
                 self.complete += 1
                 self._join(point)  # an earlier run may have been stopped before
             yield from tasks
 
-    def _tasks_at(self, point: int) -> list[Task]:
-        self.done[point] = sum(batch.end - batch.first for batch in self._of_samples(point))
-        tasks = self._missing(point)
-        there = {(batch.derivative, batch.end) for batch in self._batches_at(point)}
-        for number in range(len(self.plan.derivatives)):
-            if (derivative_name(self.plan, number), self.plan.samples) not in there:
-                tasks.append(Task(point, 0, self.plan.samples, number))
-        return tasks
-
     def _missing(self, point: int) -> list[Task]:
-        """The tasks for samples of a point that are not there; with wanted standard errors, the first of them."""
-        gaps, at = [], 0
-        for batch in self._of_samples(point):
-            gaps += self._tasks_between(point, at, batch.first)
-            at = batch.end
-        gaps += self._tasks_between(point, at, self.plan.samples)
-        if self.plan.is_adaptive and gaps:
-            return [] if self._is_precise(point) else gaps[:1]
-        return gaps
-
-    def _tasks_between(self, point: int, first: int, end: int) -> list[Task]:
-        """The tasks of samples ``first .. end - 1``, which end at multiples of the size of a batch."""
-        size = self.plan.batch
-        ends = range((first // size + 1) * size, end + size, size) if first < end else ()
-        return [Task(point, max(first, after - size), min(after, end)) for after in ends]
+        """The tasks for samples of a point that are not there, which end at multiples of the size of a batch; with
+        wanted standard errors, the first of them.
+        """
+        size, missing, at = self.plan.batch, [], 0
+        there = [(batch.first, batch.end) for batch in self._of_samples(point)]
+        for first, end in (*there, (self.plan.samples, self.plan.samples)):
+            while at < first:
+                after = min((at // size + 1) * size, first)
+                missing.append(Task(point, at, after))
+                at = after
+            at = end
+        if not (self.plan.is_adaptive and missing):
+            return missing
+        ensemble, errors = self.ensemble(point), self.plan.standard_errors
+        is_precise = ensemble is not None and all(
+            STATISTICS[name](ensemble).standard_error <= most for name, most in errors.items()
+        )
+        return [] if is_precise else missing[:1]  # an error that is NaN is not yet small
 
     def finish(self, task: Task, data: bytes | None) -> list[Task]:
         """Store the result of a task (None: the worker has stored it); returns the tasks that follow from it."""
         batch = self._batch_of(task)
         if data is not None:
             self.store.write(batch.path, data)
-        batches = self._batches.setdefault(self._identities[task.point], [])
+        batches = self._batches.setdefault(self.identities[task.point], [])
         batches.append(batch)
         batches.sort(key=lambda batch: (batch.derivative, batch.first))
         try:
-            self._check(task, self.store.read(batch) if data is None else data)
-        except DamagedBatchError as error:
+            data = self.store.read(batch) if data is None else data
+            counts = []
+            if task.derivative is None:
+                counts = zip(Status, head_of(data, task.first, task.end)["status_counts"], strict=True)
+            else:
+                derivatives_of(data, task.end)
+        except DamagedFileError as error:
             self._remove(task.point, batch, str(error))
             return []
+        unfinished = [f"{count} {status.name}" for status, count in counts if count and status != Status.FINISHED]
+        if unfinished:
+            where = f"{self.plan.points.described(task.point)}: samples {task.first} to {task.end - 1}"
+            self.store.log(f"not to the end {where}: {', '.join(unfinished)}")
         self._left[task.point] -= 1
         more = []
         if task.derivative is None:
@@ -131,48 +140,25 @@ class Work:
             self._join(task.point)
         return more
 
-    def _check(self, task: Task, data: bytes) -> None:
-        """Log the samples of a result that did not finish. Raises DamagedBatchError for the result of another task."""
-        if task.derivative is not None:
-            derivatives_of(data, task.end)
-            return
-        head = head_of(data, task.first, task.end)
-        unfinished = ", ".join(f"{count} {status.name}" for status, count in unfinished_in(head).items())
-        if unfinished:
-            samples = f"samples {task.first} to {task.end - 1}"
-            self.store.log(f"not to the end {self.plan.points.described(task.point)}: {samples}: {unfinished}")
-
-    def _is_precise(self, point: int) -> bool:
-        """Whether the standard errors of a point are as small as wanted."""
-        ensemble = self.ensemble(point)
-        if ensemble is None:
-            return False
-        wanted = self.plan.standard_errors.items()
-        return all(STATISTICS[name](ensemble).standard_error <= most for name, most in wanted)  # NaN: not yet
-
     def ensemble(self, point: int) -> Ensemble | None:
         """The samples of a point from the first on that are there without a gap; None if there is none.
 
         Samples after a damaged batch are left out; the batch is removed, unless the store is only read. A program that
         only reads gets the same samples every time, also while a run adds batches.
         """
+        read = None if self._cache is None else self._cache.get(point)
+        if read is None:
+            read = self._read(point, is_gap_allowed=False)
+            if self._cache is not None:
+                self._cache.put(point, read)
         found, fields = [], self.plan.fields_at(point)
-        for batch, data in self._without_gap(point):
+        for batch, data in read:
             try:
                 found.append(unpacked(data, fields, batch.first, batch.end))
-            except DamagedBatchError as error:
+            except DamagedFileError as error:
                 self._remove(point, batch, str(error))
                 break
         return joined(found) if len(found) > 1 else found[0] if found else None
-
-    def _without_gap(self, point: int) -> list[tuple[Batch, bytes]]:
-        """The batches of samples of a point from the first on that are there without a gap."""
-        found = None if self._cache is None else self._cache.get(point)
-        if found is None:
-            found = self._read(point, is_gap_allowed=False)
-            if self._cache is not None:
-                self._cache.put(point, found)
-        return found
 
     def heads(self, point: int) -> list[Head]:
         """The heads of the batches of samples of a point."""
@@ -224,22 +210,18 @@ class Work:
             return
         joint = self._batch_of(Task(point, 0, whole.samples))
         self.store.write(joint.path, packed(whole))
-        others = [batch for batch in self._batches_at(point) if batch.derivative]
-        self._batches[self._identities[point]] = [joint, *others]
+        there = self._batches_at(point)
+        there[:] = [joint, *(batch for batch in there if batch.derivative)]
         for batch in batches:
             with contextlib.suppress(OSError):  # what is left is not used, and removed at the end
                 batch.path.unlink()
-
-    def remove_leftovers(self) -> None:
-        """Remove batches whose samples are in a longer one too. For when all of those have been read."""
-        self.store.remove_leftovers(self._identities)
 
     @contextlib.contextmanager
     def _damage_removed(self, point: int, batch: Batch) -> Iterator[None]:
         """Remove a batch in which the block finds damage."""
         try:
             yield
-        except DamagedBatchError as error:
+        except DamagedFileError as error:
             self._remove(point, batch, str(error))
 
     def _remove(self, point: int, batch: Batch, reason: str) -> None:
@@ -282,8 +264,7 @@ class ReadCache:
 
 
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of quantiles
-_Variable: TypeAlias = tuple[str | tuple[str, ...], np.ndarray | list[float], dict[str, str]]
-"""Dimensions, values and attributes, as xarray takes them."""
+
 _BY_NAME: dict[str, SampledQuantity] = {quantity.name: quantity for quantity in DISTRIBUTIONS}
 
 
@@ -311,12 +292,22 @@ class Variables:
         self.put(point, name, float(estimate.value), long_name or estimate.name, unit)
         self.put(point, f"{name}_error", float(estimate.standard_error), f"standard error of {name}", unit)
 
-    def entries(self) -> Iterator[tuple[str, _Variable]]:
-        """Names and entries, as xarray takes them."""
+    def distribution(self, point: int, name: str, of: Distribution, *, has_skewness: bool) -> None:
+        """Put mean, spread and quantiles of a distribution."""
+        self.estimate(point, f"{name}_mean", of.mean, f"mean of {of.name}")
+        self.estimate(point, f"{name}_standard_deviation", of.standard_deviation)
+        if has_skewness:
+            self.estimate(point, f"{name}_skewness", of.skewness)
+        quantiles = [float(of.quantile(level).value) for level in LEVELS]
+        self.put(point, f"{name}_quantile", quantiles, f"quantile of {of.name}", of.unit, dimensions=("quantile",))
+
+    def entries(self) -> Entries:
+        """All of them, by name, as xarray takes them."""
         own = tuple(one.name for one in self._points.dimensions)
-        for name, (dimensions, array, attributes) in self._found.items():
-            values = array.reshape(*self._points.shape, *array.shape[1:])
-            yield name, ((*own, *dimensions), values, attributes)
+        return {
+            name: ((*own, *dimensions), array.reshape(*self._points.shape, *array.shape[1:]), attributes)
+            for name, (dimensions, array, attributes) in self._found.items()
+        }
 
 
 def require_packages() -> None:
@@ -326,18 +317,68 @@ def require_packages() -> None:
 
 def dataset_of(work: Work) -> "xarray.Dataset":
     """All stored results. Points are read twice, one at a time: first for the bins, which all points share."""
-    import xarray as xr  # noqa: PLC0415 - an extra, loaded when asked for
-
     plan, variables = work.plan, Variables(work.plan)
     bins = _common_bins(work)
     for point in range(plan.points.number):
         ensemble = work.ensemble(point)
-        _put_counts(variables, point, ensemble)
+        samples, near, spent = 0, 0, np.nan
+        if ensemble is not None:
+            samples, near, spent = ensemble.samples, ensemble.near_grazing_samples, ensemble.run_seconds
+        variables.put(point, "samples", samples, "number of samples")
+        for status in Status:
+            count = 0 if ensemble is None else ensemble.status_counts[status]
+            name = status.name
+            variables.put(point, f"samples_{name.lower()}", count, f"number of samples with status {name}")
+        variables.put(point, "samples_near_grazing", near, "number of samples with an event decided by round-off")
+        variables.put(point, "run_seconds", spent, "time spent simulating, summed over threads", "s")
         if ensemble is not None:
             _put_statistics(variables, point, ensemble, plan, bins)
-        _put_derivatives(variables, point, work)
-    coordinates = {**_point_coordinates(plan), **_bin_coordinates(plan, bins)}
-    return xr.Dataset(dict(variables.entries()), coordinates, _attributes(plan, work.store.body))
+        derivatives = work.derivatives(point)
+        for number, (statistic, _) in enumerate(plan.derivatives):
+            result = derivatives.get(derivative_name(plan, number))
+            of = next(one.unit for one in DIFFERENTIABLE if one.name == statistic)
+            for wrt, numbers in (result["by"] if result else {}).items():
+                name, (_, by) = f"d_{statistic}_by_{wrt}", label_and_unit(plan.setting, wrt)
+                unit = of if by == "1" else f"{of} ({by})-1"  # such as "s (1/s)-1", of a duration by a rate
+                variables.put(point, name, numbers["derivative"], f"derivative of {statistic} by {wrt}", unit)
+                variables.put(point, f"{name}_error", numbers["standard_error"], f"standard error of {name}", unit)
+                corrected = int(numbers["estimator"] == "corrected")
+                variables.put(point, f"{name}_is_corrected", corrected, "corrected estimator (1), or differences (0)")
+    coordinates: Entries = {}
+    for one in plan.points.dimensions:
+        for name, values in zip(one.parameters, one.values.T, strict=True):
+            coordinates[name] = variable(one.name, values, *label_and_unit(plan.setting, name))
+        if one.name not in coordinates:
+            entry = "point" if one.name == POINT else f"entry of {', '.join(one.parameters)}"
+            coordinates[one.name] = (one.name, np.arange(len(one)), {"long_name": f"number of the {entry}"})
+    position = require_system(plan.setting.system).stick_position.unit
+    if bins or plan.outputs:
+        coordinates["quantile"] = variable("quantile", list(LEVELS), "share of values")
+    for name, common in bins.items():
+        low, high, bin_of = common.edges[:-1], common.edges[1:], f"{name}_bin"
+        about = (_BY_NAME[name].label, _BY_NAME[name].unit or position)
+        coordinates[bin_of] = variable(bin_of, (high + low) / 2, *about, comment="middle of the bin")
+        coordinates[f"{bin_of}_low"] = variable(bin_of, low, *about, comment="lower edge of the bin")
+        coordinates[f"{bin_of}_high"] = variable(bin_of, high, *about, comment="upper edge of the bin")
+    if plan.keep != "totals":
+        orders = np.arange(1, plan.numbering.orders + 1)
+        coordinates["order"] = ("order", orders, {"long_name": "number of the stick"})
+    body = work.store.body  # the manifest in the folder, in which 1 may stand for the 1.0 of the plan
+    about_all = {
+        "source": source()["source"],
+        "format": body["format"],
+        "format_version": body["format_version"],
+        "manifest_sha256": sum_of(body),
+        **{name: json.dumps(value) for name, value in body["objects"].items()},
+        "t1": plan.t1,
+        "keep": plan.keep,
+        "dtype": plan.dtype,
+        "batch": plan.batch,
+        "common_random_numbers": int(not plan.independent),
+        "histograms": f"at most {DEFAULT_BINS} bins, of whole numbers one for each number, the same for all points; "
+        "entropies are of these histograms",
+    }
+    return labeled_dataset(variables.entries(), coordinates, about_all)
 
 
 def _common_bins(work: Work) -> dict[str, CommonBins]:
@@ -356,17 +397,6 @@ def _common_bins(work: Work) -> dict[str, CommonBins]:
     return {name: bins for name, bins in found.items() if bins is not None}
 
 
-def _put_counts(variables: Variables, point: int, ensemble: Ensemble | None) -> None:
-    variables.put(point, "samples", 0 if ensemble is None else ensemble.samples, "number of samples")
-    for status in Status:
-        count = 0 if ensemble is None else ensemble.status_counts[status]
-        variables.put(point, f"samples_{status.name.lower()}", count, f"number of samples with status {status.name}")
-    near = 0 if ensemble is None else ensemble.near_grazing_samples
-    variables.put(point, "samples_near_grazing", near, "number of samples with an event decided by round-off")
-    spent = np.nan if ensemble is None else ensemble.run_seconds
-    variables.put(point, "run_seconds", spent, "time spent simulating, summed over threads", "s")
-
-
 def _put_statistics(
     variables: Variables, point: int, ensemble: Ensemble, plan: Plan, bins: dict[str, CommonBins]
 ) -> None:  # fmt: skip
@@ -374,133 +404,40 @@ def _put_statistics(
         if name in STATISTICS:
             variables.estimate(point, name, STATISTICS[name](ensemble))
         if name in bins:
-            _put_distribution(variables, point, name, ensemble, bins[name])
+            of: Distribution = getattr(ensemble.statistics, name)
+            variables.distribution(point, name, of, has_skewness=True)
+            entropy, histogram = of.entropy(bins[name]), of.histogram(bins[name])
+            text = f"entropy of the histogram of {of.name} in common bins"
+            variables.estimate(point, f"{name}_entropy", entropy, text)
+            counts, density, own = histogram.counts, histogram.density, (f"{name}_bin",)
+            variables.put(
+                point, f"{name}_count_in_bin", counts, f"number of values of {of.name}", dimensions=own
+            )  # fmt: skip
+            per = "1" if of.unit == "1" else f"{of.unit}-1"
+            variables.put(point, f"{name}_density", density, f"density of {of.name}", per, dimensions=own)
     for name, of in ensemble.outputs.items():
-        _put_output(variables, point, name, of)
-    if plan.keep != "totals":
-        _put_orders(variables, point, ensemble)
-        if plan.realizations:
-            _put_realizations(variables, point, ensemble, plan.realizations)
-
-
-def _put_distribution(variables: Variables, point: int, name: str, ensemble: Ensemble, bins: CommonBins) -> None:
-    of = getattr(ensemble.statistics, name)
-    label, unit, dimension = of.name, of.unit, f"{name}_bin"
-    variables.estimate(point, f"{name}_mean", of.mean, f"mean of {label}")
-    variables.estimate(point, f"{name}_standard_deviation", of.standard_deviation)
-    variables.estimate(point, f"{name}_skewness", of.skewness)
-    quantiles = [float(of.quantile(level).value) for level in LEVELS]
-    variables.put(point, f"{name}_quantile", quantiles, f"quantile of {label}", unit, dimensions=("quantile",))
-    entropy, histogram = of.entropy(bins), of.histogram(bins)
-    variables.estimate(point, f"{name}_entropy", entropy, f"entropy of the histogram of {label} in common bins")
-    per = "1" if unit == "1" else f"{unit}-1"
-    variables.put(
-        point, f"{name}_count_in_bin", histogram.counts, f"number of values of {label}", dimensions=(dimension,)
-    )
-    variables.put(point, f"{name}_density", histogram.density, f"density of {label}", per, dimensions=(dimension,))
-
-
-def _put_output(variables: Variables, point: int, name: str, of: Distribution) -> None:
-    """Mean, spread and quantiles of an output of a user's own, and of how many samples."""
-    variables.estimate(point, f"{name}_mean", of.mean, f"mean of {name}")
-    variables.estimate(point, f"{name}_standard_deviation", of.standard_deviation)
-    quantiles = [float(of.quantile(level).value) for level in LEVELS]
-    variables.put(point, f"{name}_quantile", quantiles, f"quantile of {name}", of.unit, dimensions=("quantile",))
-    variables.put(point, f"{name}_values", of.number, f"number of samples with a value of {name}")
-
-
-def _put_orders(variables: Variables, point: int, ensemble: Ensemble) -> None:
-    orders = [ensemble.statistics.order(number) for number in range(1, ensemble.numbering.orders + 1)]
-    shares = [float(one.share.value) for one in orders]
+        variables.distribution(point, name, of, has_skewness=False)
+        variables.put(point, f"{name}_values", of.number, f"number of samples with a value of {name}")
+    if plan.keep == "totals":
+        return
+    by_order = [ensemble.statistics.order(number) for number in range(1, ensemble.numbering.orders + 1)]
+    shares = [float(one.share.value) for one in by_order]
     variables.put(point, "share_with_order", shares, "share of samples that have the stick", dimensions=("order",))
-    for name in orders[0].distributions:
-        means = [one.distributions[name].mean for one in orders]
-        label = f"mean {STICK_BY_NAME[name].label} by order"
-        values, errors = ([float(getattr(mean, part)) for mean in means] for part in ("value", "standard_error"))
-        unit = means[0].unit
-        for put, entry, text in ((values, "", label), (errors, "_error", f"standard error of {label}")):
-            variables.put(point, f"{name}_of_order{entry}", put, text, unit, dimensions=("order",))
-
-
-def _put_realizations(variables: Variables, point: int, ensemble: Ensemble, number: int) -> None:
-    """Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held."""
-    sticks, held = ensemble.finished_sticks(), 256
-    for name in ("start", "end"):
-        times = np.full((number, held), np.nan)
-        for sample in range(min(number, len(sticks.count))):
+    for name in by_order[0].distributions:
+        means = [one.distributions[name].mean for one in by_order]
+        label, unit = f"mean {STICK_BY_NAME[name].label} by order", means[0].unit
+        for part, ending, text in (("value", "", label), ("standard_error", "_error", f"standard error of {label}")):
+            values = [float(getattr(mean, part)) for mean in means]
+            variables.put(point, f"{name}_of_order{ending}", values, text, unit, dimensions=("order",))
+    # Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held.
+    for name in ("start", "end") if plan.realizations else ():
+        sticks, held = ensemble.finished_sticks(), 256
+        times = np.full((plan.realizations, held), np.nan)
+        for sample in range(min(plan.realizations, len(sticks.count))):
             own = getattr(sticks, name)[sticks.first[sample] :][: sticks.count[sample]][:held]
             times[sample, : len(own)] = own
         label = f"{name} of the first {held} sticks of some samples"
         variables.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
-
-
-def _put_derivatives(variables: Variables, point: int, work: Work) -> None:
-    plan, found = work.plan, work.derivatives(point)
-    for number, (statistic, _) in enumerate(plan.derivatives):
-        result = found.get(derivative_name(plan, number))
-        for wrt, numbers in (result["by"] if result else {}).items():
-            name, unit = f"d_{statistic}_by_{wrt}", _unit_of_derivative(plan, statistic, wrt)
-            variables.put(point, name, numbers["derivative"], f"derivative of {statistic} by {wrt}", unit)
-            variables.put(point, f"{name}_error", numbers["standard_error"], f"standard error of {name}", unit)
-            corrected = int(numbers["estimator"] == "corrected")
-            variables.put(point, f"{name}_is_corrected", corrected, "corrected estimator (1), or differences (0)")
-
-
-def _unit_of_derivative(plan: Plan, statistic: str, wrt: str) -> str:
-    """Such as "s (1/s)-1", of a duration by a rate."""
-    of = next(one.unit for one in DIFFERENTIABLE if one.name == statistic)
-    _, by = label_and_unit(plan.setting, wrt)
-    return of if by == "1" else f"{of} ({by})-1"
-
-
-def _point_coordinates(plan: Plan) -> dict[str, _Variable]:
-    """The coordinates of the points."""
-    found: dict[str, _Variable] = {}
-    for one in plan.points.dimensions:
-        for name, values in zip(one.parameters, one.values.T, strict=True):
-            label, unit = label_and_unit(plan.setting, name)
-            found[name] = (one.name, values, {"long_name": label, "units": unit})
-        if one.name not in found:
-            entry = "point" if one.name == POINT else f"entry of {', '.join(one.parameters)}"
-            found[one.name] = (one.name, np.arange(len(one)), {"long_name": f"number of the {entry}"})
-    return found
-
-
-def _bin_coordinates(plan: Plan, bins: dict[str, CommonBins]) -> dict[str, _Variable]:
-    found: dict[str, _Variable] = {}
-    position = require_system(plan.setting.system).stick_position.unit
-    if bins or plan.outputs:
-        found["quantile"] = ("quantile", list(LEVELS), {"long_name": "share of values", "units": "1"})
-    for name, common in bins.items():
-        edges = common.edges
-        about = {"long_name": _BY_NAME[name].label, "units": _BY_NAME[name].unit or position}
-        found[f"{name}_bin"] = (f"{name}_bin", (edges[1:] + edges[:-1]) / 2, {**about, "comment": "middle of the bin"})
-        found[f"{name}_bin_low"] = (f"{name}_bin", edges[:-1], {**about, "comment": "lower edge of the bin"})
-        found[f"{name}_bin_high"] = (f"{name}_bin", edges[1:], {**about, "comment": "upper edge of the bin"})
-    if plan.keep != "totals":
-        found["order"] = ("order", np.arange(1, plan.numbering.orders + 1), {"long_name": "number of the stick"})
-    return found
-
-
-def _attributes(plan: Plan, body: Manifest) -> dict[str, object]:
-    """Attributes of the data set; `body`: the manifest in the folder, in which 1 may stand for the 1.0 of the plan."""
-    from .. import __version__  # noqa: PLC0415 - the package imports this module
-
-    return {
-        "Conventions": "CF-1.11",
-        "source": f"stickslip_jax {__version__}",
-        "format": body["format"],
-        "format_version": body["format_version"],
-        "manifest_sha256": sum_of(body),
-        **{name: json.dumps(value) for name, value in body["objects"].items()},
-        "t1": plan.t1,
-        "keep": plan.keep,
-        "dtype": plan.dtype,
-        "batch": plan.batch,
-        "common_random_numbers": int(not plan.independent),
-        "histograms": f"at most {DEFAULT_BINS} bins, of whole numbers one for each number, the same for all points; "
-        "entropies are of these histograms",
-    }
 
 
 def point_dimensions(dataset: "xarray.Dataset") -> tuple[Hashable, ...]:

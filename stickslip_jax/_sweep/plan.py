@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Array
 
 from .._dynamics.common.method import Exact, Regularized, entries_of
-from .._dynamics.simulate import Output, Outputs, checked_outputs
+from .._dynamics.simulate import Output
 from .._ensemble.data import Keep
-from .._ensemble.setup import MOST_SAMPLES, TAKEN, EnsembleSetup, fields_of_outputs, runner_for
+from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup, fields_of_outputs, runner_for
 from .._excitation.excitation import BaseMotion, excitation_of, law_of
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity, described, modules_in, varies
@@ -48,18 +48,6 @@ class SweepError(ValueError):
 
     The message is one sentence, which says what to do.
     """
-
-
-class DamagedBatchError(ValueError):
-    """The bytes of a batch are not what was written. It is removed and done again."""
-
-
-class UnreadableError(ValueError):
-    """A text that is no manifest, or a damaged one."""
-
-
-class OtherProgramError(UnreadableError):
-    """A text that another program wrote."""
 
 
 # The points of a parameter sweep: values of some parameters, on a grid, zipped, or from a design.
@@ -121,46 +109,47 @@ class Points(NamedTuple):
         """The first point with these values of all parameters, equal but for round-off; None if there is none."""
         indices = []
         for one in self.dimensions:
-            wanted = np.array([values[name] for name in one.parameters])
-            fits = np.flatnonzero(np.all(nearly_equal(one.values, wanted[None]), axis=1))
+            wanted = np.array([[values[name] for name in one.parameters]])
+            round_off = 1e-9 * np.maximum(np.abs(one.values), np.abs(wanted))  # of how they were written
+            fits = np.flatnonzero(np.all(np.abs(one.values - wanted) <= round_off, axis=1))
             if not len(fits):
                 return None
             indices.append(int(fits[0]))
         return int(np.ravel_multi_index(indices, self.shape))
 
+    def named(self, number: int) -> dict[str, float]:
+        """The values at point `number` by parameter."""
+        return dict(zip(self.parameters, self.values(number), strict=True))
+
     def described(self, number: int) -> str:
         """Point `number` as text: "mu = 0.5, rate = 2"."""
-        return ", ".join(
-            f"{name} = {value:.6g}" for name, value in zip(self.parameters, self.values(number), strict=True)
-        )
+        return in_words(self.named(number))
 
     def identity(self, number: int) -> str:
-        """A name of point `number` that depends on its values only, 16 hexadecimal digits."""
-        return identity_of(dict(zip(self.parameters, self.values(number), strict=True)))
+        """A name of point `number` that depends on its values only, whatever their order, 16 hexadecimal digits."""
+        text = ";".join(f"{name}={float(value).hex()}" for name, value in sorted(self.named(number).items()))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def nearly_equal(values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Which numbers are equal but for round-off of how they were written."""
-    return np.abs(values - wanted) <= 1e-9 * np.maximum(np.abs(values), np.abs(wanted))
-
-
-def identity_of(values: Mapping[str, float]) -> str:
-    """A name for these values of parameters, whatever their order, 16 hexadecimal digits."""
-    text = ";".join(f"{name}={float(value).hex()}" for name, value in sorted(values.items()))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+def in_words(values: Mapping[str, float]) -> str:
+    """Values of parameters as text: "mu = 0.5, rate = 2"."""
+    return ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
 
 
 def points_of(over: object) -> Points:
     """The points that `over` describes; see `Sweep`. Raises ValueError for anything else."""
     if isinstance(over, Design):
-        return Points((_dimension_of_design(over),))
+        if over.values is None or over.names is None:
+            raise ValueError(
+                "Argument over must be a design with the values of named parameters, such as design.table or "
+                f"design.grid, but {over!r} was given, which has uniform numbers; make values of them first."
+            )
+        _check_number("over", len(over))
+        return Points((_distinct(Dimension(POINT, over.names, np.asarray(over.values)), "over"),))
     if not isinstance(over, Mapping) or not over:
-        raise ValueError(
-            "Argument over must be a dict from names of parameters to their values, such as {'mu': [0.5, 1.0]}, or a "
-            f"design with values, but {checks.show(over)} was given."
-        )
-    dimensions = tuple(_dimension(names, values) for names, values in over.items())
-    points = Points(dimensions)
+        such = "be a dict from names of parameters to their values, such as {'mu': [0.5, 1.0]}"
+        raise checks.refused("over", f"{such}, or a design with values", over)
+    points = Points(tuple(_dimension(names, values) for names, values in over.items()))
     twice = given_twice(points.parameters)
     if twice is not None:
         raise ValueError(f"Argument over must name every parameter once, but {twice!r} was given twice.")
@@ -176,32 +165,19 @@ def _check_number(label: str, number: int) -> None:
         )
 
 
-def _dimension_of_design(design: Design) -> Dimension:
-    if design.values is None or design.names is None:
-        raise ValueError(
-            "Argument over must be a design with the values of named parameters, such as design.table or design.grid, "
-            f"but {design!r} was given, which has uniform numbers; make values of them first."
-        )
-    _check_number("over", len(design))
-    return _distinct(Dimension(POINT, design.names, np.asarray(design.values)), "over")
-
-
 def _dimension(names: object, values: object) -> Dimension:
     several = isinstance(names, tuple)
     given = names if isinstance(names, tuple) else (names,)
     parameters = tuple(name for name in given if isinstance(name, str) and name)
     if not given or len(parameters) < len(given):
-        raise ValueError(
-            "Argument over must have names of parameters as keys, or tuples of names that change together, but "
-            f"{checks.show(names)} was given."
-        )
+        raise checks.refused("over", "have names of parameters as keys, or tuples of names that change together", names)
     label = f"over[{names!r}]"
     if isinstance(values, range):  # which has no numbers yet
         _check_number(label, len(values))
     array = checks.numbers(label, values, ndim=2 if several else 1).astype(np.float64)
     if not array.size or (several and array.shape[1] != len(parameters)):
         wanted = f"rows of {len(parameters)} numbers, one row for each point" if several else "at least one number"
-        raise ValueError(f"Argument {label} must hold {wanted}, but {checks.show(values)} was given.")
+        raise checks.refused(label, f"hold {wanted}", values)
     if not np.all(np.isfinite(array)):
         wrong = array[~np.isfinite(array)][0]
         raise ValueError(f"Argument {label} must hold finite numbers, but {wrong} was given.")
@@ -353,8 +329,7 @@ class Setter(NamedTuple):
             for part in changed:
                 check_numbers(part)
         except ValueError as error:
-            point = ", ".join(f"{name} = {value:.6g}" for name, value in by_name.items())
-            raise ValueError(f"The point {point} of the sweep cannot be simulated: {error}") from error
+            raise ValueError(f"The point {in_words(by_name)} of the sweep cannot be simulated: {error}") from error
         return changed
 
     def columns(self, values: np.ndarray) -> tuple[dict[NumberPath, np.ndarray], SweepSetting]:
@@ -546,7 +521,7 @@ class Plan:
         checks.truth("independent", self.independent)
         checks.positive("t1", self.t1, "s")
         self.t1, self.independent = float(self.t1), bool(self.independent)
-        self.samples = checked_samples(self.samples)
+        self.samples = checks.whole_number("samples", self.samples, maximum=MOST_SAMPLES)
         self.realizations = checks.whole_number("realizations", self.realizations, minimum=0)
         require_memory("realizations", 4096.0 * self.realizations * self.points.number, "the times of their sticks")
         self.batch = checks.whole_number("batch", self.batch, maximum=MOST_SAMPLES)
@@ -623,11 +598,8 @@ def checked_statistics(statistics: object, keep: Keep) -> tuple[str, ...]:
     names = [getattr(name, "name", name) for name in names] if isinstance(names, (list, tuple)) else [names]
     for name in names:
         if not isinstance(name, str) or name not in known:
-            hint = '; keep="statistics" offers more' if keep == "totals" else ""
-            raise ValueError(
-                f"Argument statistics must be names out of {', '.join(map(repr, known))}, but {checks.show(name)} was "
-                f"given{hint}."
-            )
+            hint = 'keep="statistics" offers more' if keep == "totals" else ""
+            raise checks.refused("statistics", f"be names out of {', '.join(map(repr, known))}", name, hint)
     return tuple(dict.fromkeys(names))
 
 
@@ -644,11 +616,11 @@ def checked_derivatives(sensitivities: object) -> tuple[Derivative, ...]:
         wrt = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (list, tuple)) else ()
         named = isinstance(statistic, str) and all(isinstance(name, str) for name in wrt)
         if not named or statistic not in known or not wrt:
-            raise ValueError(
-                "Argument sensitivities must hold pairs of a statistic and the parameter, or parameters, by which it "
-                f"is differentiated, such as ('mean_stick_duration', 'mu'), with a statistic out of "
-                f"{', '.join(map(repr, known))}, but {checks.show(entry)} was given."
+            wanted = (
+                "hold pairs of a statistic and the parameter, or parameters, by which it is differentiated, such as "
+                f"('mean_stick_duration', 'mu'), with a statistic out of {', '.join(map(repr, known))}"
             )
+            raise checks.refused("sensitivities", wanted, entry)
         found.append((statistic, wrt))
     return tuple(dict.fromkeys(found))
 
@@ -658,24 +630,14 @@ def checked_errors(standard_error: object, statistics: tuple[str, ...]) -> dict[
     if standard_error is None:
         return {}
     if not isinstance(standard_error, dict) or not standard_error:
-        raise ValueError(
-            "Argument standard_error must be a dict from names of statistics to standard errors, such as "
-            f"{{'mean_stick_duration': 0.01}}, but {checks.show(standard_error)} was given."
-        )
+        wanted = "be a dict from names of statistics to standard errors, such as {'mean_stick_duration': 0.01}"
+        raise checks.refused("standard_error", wanted, standard_error)
     for name, value in standard_error.items():
         if name not in STATISTICS or name not in statistics:
             allowed = ", ".join(repr(one) for one in statistics if one in STATISTICS)
-            raise ValueError(
-                f"Argument standard_error must name statistics out of {allowed}, but {checks.show(name)} was given."
-            )
+            raise checks.refused("standard_error", f"name statistics out of {allowed}", name)
         checks.positive(f"standard_error[{name!r}]", value)
     return {name: float(value) for name, value in standard_error.items()}
-
-
-def outputs_in(outputs: Outputs | None, points: Points) -> dict[str, Output]:
-    """The checked outputs. Raises ValueError for anything else, and for the name of a parameter."""
-    parameters = dict.fromkeys((*points.parameters, *(one.name for one in points.dimensions)), "a parameter")
-    return checked_outputs(outputs, TAKEN | parameters)
 
 
 def checked_keep(keep: object) -> Keep:
@@ -684,15 +646,8 @@ def checked_keep(keep: object) -> Keep:
     for name in allowed:
         if isinstance(keep, str) and keep == name:
             return name
-    raise ValueError(
-        f"Argument keep must be one of {', '.join(map(repr, allowed))}, but {checks.show(keep)} was given; every "
-        "stick of a point comes from sweep.ensemble_at(mu=...)."
-    )
-
-
-def checked_samples(samples: object) -> int:
-    """`samples`, a whole number of at least 1. Raises ValueError for anything else."""
-    return checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+    hint = "every stick of a point comes from sweep.ensemble_at(mu=...)"
+    raise checks.refused("keep", f"be one of {', '.join(map(repr, allowed))}", keep, hint)
 
 
 def key_data_in(key: Array | None) -> tuple[int, ...] | None:

@@ -4,14 +4,36 @@ import contextlib
 import dataclasses
 import hashlib
 import itertools
+import json
 import os
 import re
 import time
+import warnings
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypedDict, TypeVar, cast, get_origin
 
+import numpy as np
+
+from .._dynamics.common.method import check_method
+from .._dynamics.simulate import Output
+from .._ensemble.data import Unknown
+from .._ensemble.encoding import (
+    ID_LENGTH,
+    LONGEST_HEADER,
+    DamagedFileError,
+    Decoder,
+    Encoder,
+    ForeignFileError,
+    id_of,
+    parts_of_file,
+    sum_of,
+    versions,
+    with_header,
+    without_header,
+)
+from .._foundation import checks
 from .._foundation.files import (
     FULL,
     NotAFileError,
@@ -22,31 +44,14 @@ from .._foundation.files import (
     sync_folder,
     write_whole,
 )
-from .manifest import (
-    COPY,
-    ID_LENGTH,
-    LONGEST_HEADER,
-    MANIFEST,
-    ForeignBatchError,
-    Manifest,
-    body_in,
-    body_of,
-    differences,
-    extended,
-    has_manifest,
-    id_and_name,
-    manifest_text,
-    plan_in,
-    sweep_id_of,
-    with_header,
-    without_header,
-)
-from .plan import DamagedBatchError, Plan, SweepError, Task
+from .._statistics.accumulator import Numbering
+from . import plan as plans
+from .plan import Dimension, Plan, Points, SweepError, SweepSetting, Task, setting_of
 
 # Locks that let one program at a time write to the folder of a sweep.
 
 
-_LOCK_SECONDS = 0.3  # to wait for a lock: `is_locked` holds it for a moment
+_LOCK_SECONDS = 0.3  # to wait for a lock: `Store.is_in_use` holds it for a moment
 
 
 @contextlib.contextmanager
@@ -72,27 +77,331 @@ def locked(path: Path, said: str) -> Iterator[None]:
         lock.release()
 
 
-def is_locked(path: Path) -> bool:
-    """Whether a program holds the lock `path`; False where that cannot be found out."""
-    if not path.exists():
-        return False
-    from filelock import FileLock, Timeout  # noqa: PLC0415
-
-    try:
-        with FileLock(path, timeout=0):
-            return False
-    except Timeout:
-        return True
-    except OSError:
-        return False
-
-
 def cannot_write(folder: Path, error: OSError) -> SweepError:
     """The error about a folder that cannot be written."""
     todo = "choose another folder, or make it writable"
     if error.errno in FULL:
         todo = "make room, and run again: what is done is kept"
     return SweepError(f"{folder} cannot be written ({error.strerror or error}); {todo}.")
+
+
+# The manifest of a sweep's folder, and its copy there: everything that decides the numbers, and what was asked for.
+
+
+MANIFEST, COPY = "manifest.json", "manifest-copy.json"
+FORMAT, FORMAT_VERSION = "stickslip_jax sweep", 4
+_OLDER_FORMAT = "stickslip_jax study"  # of versions 1 and 2
+OBJECTS = ("system", "law", "y0", "method")
+DECIDING = ("t1", "keep", "key_data", "numbering", "independent", "batch", "dtype", "output_code")
+_FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
+_ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest", "output_code": "outputs"}
+"""What the user calls it, where that is another name."""
+ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
+_DEEPEST = 64  # levels of parts within parts; ours have some ten
+
+
+class UnreadableError(ValueError):
+    """A text that is no manifest, or a damaged one."""
+
+
+class OtherProgramError(UnreadableError):
+    """A text that another program wrote."""
+
+
+class Manifest(TypedDict):
+    """What a manifest holds.
+
+    - `objects`: system, law, start and method, of which long arrays stand in `floats` and `integers`.
+    - `deciding`: the other arguments that decide the numbers. `asked`: those that may change from run to run.
+    - `dimensions`: of the points: name, parameters, values.
+    """
+
+    format: str
+    format_version: int
+    versions: dict[str, str]
+    objects: dict[str, Any]
+    deciding: dict[str, Any]
+    asked: dict[str, Any]
+    dimensions: list[dict[str, Any]]
+    floats: list[str]
+    integers: list[int]
+
+
+def manifest_text(plan: Plan) -> str:
+    """The manifest of a sweep as JSON."""
+    encoder = Encoder()
+    body: Manifest = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "versions": versions(),
+        "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in OBJECTS},
+        "deciding": {name: getattr(plan, name) for name in DECIDING},
+        "asked": {name: getattr(plan, name) for name in ASKED},
+        "dimensions": [
+            {"name": one.name, "parameters": list(one.parameters), "values": one.values.tolist()}
+            for one in plan.points.dimensions
+        ],
+        "floats": [float(value).hex() for value in encoder.floats],
+        "integers": encoder.integers.tolist(),
+    }
+    return _text(body)
+
+
+def _text(body: Mapping[str, object]) -> str:
+    return json.dumps({"body": body, "sha256": sum_of(body)}, indent=1)
+
+
+def body_of(text: str) -> Manifest:
+    """The manifest in a text.
+
+    Raises OtherProgramError for a text of another program, UnreadableError for a damaged one, and SweepError for
+    another format.
+    """
+    try:
+        whole = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise UnreadableError(str(error)) from error
+    if not isinstance(whole, dict) or not {"body", "sha256"} & whole.keys():
+        raise OtherProgramError("it is of another program")
+    body = whole.get("body")
+    if not isinstance(body, dict) or _depth(body) > _DEEPEST or sum_of(body) != whole.get("sha256"):
+        raise UnreadableError("its check sum is wrong")
+    if body.get("format") not in (FORMAT, _OLDER_FORMAT):
+        raise OtherProgramError("it is of another program")
+    version, writers = body.get("format_version"), body.get("versions")
+    if version != FORMAT_VERSION and isinstance(version, int):
+        writer = writers.get("stickslip_jax") if isinstance(writers, dict) else "of an unknown version"
+        is_newer = version > FORMAT_VERSION
+        todo = "install that version or a newer one" if is_newer else "run the sweep into another folder"
+        raise SweepError(
+            f"it has format {version}, written by stickslip_jax {writer}, and this version reads {FORMAT_VERSION}; "
+            f"{todo}."
+        )
+    for name, kind in Manifest.__annotations__.items():
+        if type(body.get(name)) is not (get_origin(kind) or kind):
+            raise UnreadableError(f"its {name} is missing")
+    wanted = {"versions": tuple(versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
+    for part, names in wanted.items():
+        there = body[part]
+        for name in (*(name for name in names if name not in there), *(name for name in there if name not in names)):
+            raise UnreadableError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
+    return cast(Manifest, body)
+
+
+def _depth(value: object) -> int:
+    """How many levels of parts within parts there are, counted up to a little more than are allowed."""
+    level, depth = [value], 0
+    while level and depth <= _DEEPEST:
+        depth += 1
+        inner = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, (dict, list))]
+        level = [one for parts in inner for one in parts if isinstance(one, (dict, list))]
+    return depth
+
+
+def differences(stored: Manifest, new: Manifest) -> list[str]:
+    """What decides the numbers and differs between two manifests, each "name: ... there, ... here".
+
+    Points, samples, statistics and sensitivities are not compared: other ones are added to what is stored.
+    """
+    parameters = [{name for one in body["dimensions"] for name in one["parameters"]} for body in (stored, new)]
+    found = []
+    if parameters[0] != parameters[1]:
+        found.append(f"parameters: {', '.join(sorted(parameters[0]))} there, {', '.join(sorted(parameters[1]))} here")
+    for part in ("objects", "deciding", "versions"):
+        for path, there, here in _different(stored[part], new[part], ()):
+            parts = [_ARGUMENTS.get(part, part) for part in path]
+            name = ".".join(part for part in parts if part not in ("fields", "class", "values", "tuple")) or "object"
+            found.append(f"{name}: {_brief(there)} there, {_brief(here)} here")
+    if not found and any(stored[part] != new[part] for part in ("floats", "integers")):
+        found.append("an array of the system or law differs")
+    return found
+
+
+def _different(old: Any, new: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object, object]]:
+    are_parts = isinstance(old, dict) and isinstance(new, dict)
+    if are_parts and (old.keys(), old.get("class")) == (new.keys(), new.get("class")):
+        for name in old:
+            yield from _different(old[name], new[name], (*path, name))
+    elif old != new:
+        yield path, old, new
+
+
+def _brief(value: object) -> str:
+    if isinstance(value, dict) and "class" in value:
+        fields = value["fields"]
+        return fields["text"] or fields["name"] if value["class"] == "Unknown" else str(value["class"])
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+# --- in the folder
+
+
+def sweep_id_of(body: Manifest) -> bytes:
+    """The identity of a sweep: of everything that decides the numbers at a point."""
+    return id_of({name: body[name] for name in _FINGERPRINT})
+
+
+def has_manifest(folder: Path) -> bool:
+    """Whether there is a manifest, or a copy of one."""
+    return any((folder / name).exists() for name in (MANIFEST, COPY))
+
+
+def body_in(folder: Path, *, to_write: bool = False) -> Manifest:
+    """The manifest of a folder, or its copy where that is damaged.
+
+    Args:
+        folder: That of the sweep.
+        to_write: Whether both files are about to be replaced.
+
+    Raises:
+        SweepError: If there is no manifest, where the two are of two sweeps, and for a file of another program that
+            would be replaced.
+    """
+    found: dict[str, Manifest] = {}
+    damage, foreign = "", None
+    for name in (MANIFEST, COPY):
+        path = folder / name
+        try:
+            found[name] = body_of(read_regular(path).decode())
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except SweepError as error:
+            raise SweepError(f"{folder} cannot be read: {error}") from None
+        except (UnreadableError, UnicodeDecodeError) as error:
+            damage = damage or f"{path} is damaged ({error})"
+            foreign = path if isinstance(error, OtherProgramError) else foreign
+        except NotAFileError as error:
+            raise SweepError(f"{path} cannot be read ({error.strerror}); move it elsewhere, and try again.") from None
+        except OSError as error:
+            raise SweepError(f"{path} cannot be read ({error.strerror}); make it readable.") from None
+    if not found and damage:
+        raise SweepError(f"{damage}, and there is no whole copy of it; run the sweep into another folder.")
+    if not found:
+        raise SweepError(
+            f"{folder} holds no sweep ({FORMAT}); name the folder that Sweep.run or stickslip sweep wrote."
+        )
+    if len({sweep_id_of(body) for body in found.values()}) > 1:
+        ids = set()  # with which the batches begin that are there
+        for name in filter(_NAME.fullmatch, _names_in(folder)):
+            with contextlib.suppress(OSError):
+                ids.add(read_regular(folder / BATCHES / name, ID_LENGTH))
+        right = [name for name, body in found.items() if sweep_id_of(body) in ids]
+        if len(right) != 1:
+            raise SweepError(
+                f"{folder / MANIFEST} and {COPY} beside it are of two sweeps; move the one elsewhere that is not of "
+                "this sweep, and try again."
+            )
+        (wrong,) = found.keys() - right
+        raise SweepError(
+            f"{folder / wrong} is of another sweep than {right[0]} and the batches beside it; move {wrong} elsewhere, "
+            "and try again."
+        )
+    if to_write and foreign is not None:
+        raise SweepError(
+            f"{foreign} is a file of another program beside the sweep's own; move it elsewhere, and try again."
+        )
+    return found.get(MANIFEST) or found[COPY]
+
+
+# The sweep that a manifest describes: checked as a `Sweep` checks its arguments, for a file may have been edited.
+
+
+_Known = TypeVar("_Known")
+_UNFIT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
+
+def plan_in(body: Manifest, *, to_run: bool = True, every_point: bool = False) -> Plan:
+    """The sweep that a manifest describes; `every_point`: whether each is checked, as by `Sweep`, or the first.
+
+    Raises SweepError where it holds objects of a user's own classes, which cannot be run (with `to_run` False these are
+    left as they are stored), and for what does not fit together. Statistics and derivatives that this version does not
+    know are left out, with a warning.
+    """
+    try:
+        plan = _plan(body, to_run)
+        if every_point:
+            plan.check()
+        elif to_run:
+            plan.setting_at(0)
+        return plan
+    except SweepError:
+        raise
+    except _UNFIT as error:
+        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise SweepError(f"its manifest cannot be used ({reason}); run the sweep into another folder.") from error
+
+
+def _plan(body: Manifest, to_run: bool) -> Plan:
+    fields = body["deciding"] | body["asked"]
+    if fields["dtype"] not in ("float64", "float32"):
+        raise ValueError(f"dtype is {checks.show(fields['dtype'])}")
+    keep = plans.checked_keep(fields["keep"])
+    derivatives = [(name, tuple(wrt)) for name, wrt in fields["derivatives"]]
+    statistics = _known(fields["statistics"], lambda name: plans.checked_statistics([name], keep))
+    fields["numbering"] = Numbering.checked(*fields["numbering"])
+    words, outputs = fields["key_data"], fields.pop("output_code")
+    is_key = isinstance(words, list) and all(type(word) is int and 0 <= word < 2**32 for word in words)
+    if words is not None and not is_key:
+        raise ValueError(f"key is {checks.show(words)}")
+    fields |= {
+        "key_data": None if words is None else tuple(words),
+        "statistics": statistics,
+        "derivatives": _known(derivatives, lambda one: plans.checked_derivatives([one])),
+        "standard_errors": plans.checked_errors(fields["standard_errors"] or None, statistics),
+        "outputs": {name: Output(_not_stored, name, unit) for name, unit, _ in outputs},
+    }
+    if outputs and to_run:
+        raise SweepError(
+            f"its outputs ({', '.join(fields['outputs'])}) are functions of your own, which are not stored; run your "
+            "own program again with the same folder, which goes on from here."
+        )
+    floats = np.array([float.fromhex(value) for value in body["floats"]])
+    decoder = Decoder(floats, np.array(body["integers"], np.int64))
+    objects = {name: decoder.decoded(body["objects"][name]) for name in OBJECTS}
+    for name, value in objects.items():
+        for one in value if isinstance(value, tuple) else (value,):
+            if to_run and isinstance(one, Unknown):
+                raise SweepError(
+                    f"its {name} is a {one.name} of your own, which is stored as text only; run your own program again "
+                    "with the same folder, which goes on from here."
+                )
+    if to_run:
+        check_method(objects["method"])
+    setting = (setting_of if to_run else SweepSetting)(**objects)
+    dimensions = []
+    for one in body["dimensions"]:
+        parameters, values = tuple(one["parameters"]), np.array(one["values"], float)
+        if not parameters or values.ndim != 2 or values.shape[1] != len(parameters) or not len(values):
+            raise ValueError(f"the values of {', '.join(map(str, parameters))} are no points")
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"a value of {', '.join(map(str, parameters))} is not finite")
+        dimensions.append(Dimension(one["name"], parameters, values))
+    if not dimensions:
+        raise ValueError("it has no points")
+    return Plan(setting, Points(tuple(dimensions)), **fields)
+
+
+def _not_stored(one: object) -> float:
+    raise SweepError("the functions of outputs are not stored")
+
+
+def _known(names: object, check: Callable[[Any], tuple[_Known, ...]]) -> tuple[_Known, ...]:
+    """Those of the `names` that this version knows; a warning tells of the others."""
+    if not isinstance(names, list):
+        raise TypeError(f"statistics are {checks.show(names)}")
+    known = []
+    for name in names:
+        try:
+            known += check(name)
+        except ValueError:
+            shown = name if isinstance(name, str) else name[0]
+            warnings.warn(
+                f"The sweep asks for {checks.show(shown)}, which this version of stickslip_jax does not know; it is "
+                "left out.",
+                stacklevel=2,
+            )
+    return tuple(dict.fromkeys(known))
 
 
 # The folder of a sweep: its manifest, the batches that are done, the data set, and a log.
@@ -130,7 +439,7 @@ class Store:
     @classmethod
     def reading(cls, folder: Path) -> "Store":
         """The store in a folder. Raises SweepError if there is none, or none that this version can read."""
-        return cls(folder, body_in(folder, lambda: _ids_in(folder)))
+        return cls(folder, body_in(folder))
 
     def plan(self, *, to_run: bool = True, every_point: bool = False) -> Plan:
         """The sweep that is stored; see `plan_in`. Raises SweepError with the name of the folder."""
@@ -147,7 +456,18 @@ class Store:
     @property
     def is_in_use(self) -> bool:
         """Whether a run holds the folder now."""
-        return is_locked(self.folder / LOCK)
+        path = self.folder / LOCK
+        if not path.exists():
+            return False
+        from filelock import FileLock, Timeout  # noqa: PLC0415
+
+        try:
+            with FileLock(path, timeout=0):
+                return False
+        except Timeout:
+            return True
+        except OSError:  # that cannot be found out
+            return False
 
     def check_kept(self) -> None:
         """Raises SweepError if the folder was removed or replaced while this program holds its lock."""
@@ -170,7 +490,7 @@ class Store:
         """All batches by the identity of their point: those of samples in order, none with samples of another."""
         return {identity: _without_overlap(batches) for identity, batches in self._all().items()}
 
-    def _all(self) -> dict[str, list[Batch]]:
+    def _all(self) -> defaultdict[str, list[Batch]]:
         """All batches by the identity of their point, in the order of their names.
 
         A listing while a run joins batches may have neither the parts nor the whole of them, but then the next one has
@@ -188,14 +508,14 @@ class Store:
     def read(self, batch: Batch) -> bytes:
         """The bytes of a batch.
 
-        Raises DamagedBatchError unless they are as they were written under this name, FileNotFoundError for a batch
+        Raises DamagedFileError unless they are as they were written under this name, FileNotFoundError for a batch
         that is gone, and SweepError for one of another sweep and one that cannot be read.
         """
         try:
             return without_header(self.sweep_id, batch.path.name, read_regular(batch.path))
         except FileNotFoundError:
             raise
-        except ForeignBatchError:
+        except ForeignFileError:
             raise SweepError(f"{batch.path} is a batch of another sweep; move it elsewhere, and run again.") from None
         except OSError as error:
             todo = "remove it" if isinstance(error, NotAFileError) else "make it readable, or remove it"
@@ -209,7 +529,7 @@ class Store:
         foreign, is_any_ours = None, False
         for batch in itertools.chain.from_iterable(self._all().values()):
             try:
-                sweep_id, name = id_and_name(read_regular(batch.path, LONGEST_HEADER))
+                sweep_id, name, _ = parts_of_file(read_regular(batch.path, LONGEST_HEADER))
             except NotAFileError:
                 self.read(batch)  # says so
                 continue
@@ -218,7 +538,7 @@ class Store:
             if sweep_id != self.sweep_id:
                 try:
                     self.read(batch)
-                except (DamagedBatchError, FileNotFoundError):
+                except (DamagedFileError, FileNotFoundError):
                     continue
                 except SweepError as error:
                     foreign = foreign or error
@@ -287,15 +607,6 @@ def _names_in(folder: Path) -> set[str]:
         raise SweepError(f"{folder / BATCHES} cannot be read ({error.strerror}); make it readable.") from error
 
 
-def _ids_in(folder: Path) -> set[bytes]:
-    """The identities of sweeps with which the batches begin."""
-    found = set()
-    for name in filter(_NAME.fullmatch, _names_in(folder)):
-        with contextlib.suppress(OSError):
-            found.add(read_regular(folder / BATCHES / name, ID_LENGTH))
-    return found
-
-
 def _file_number(path: Path) -> tuple[int, int] | None:
     """The numbers by which the system tells a file from a later one of its name; None if it is not there."""
     try:
@@ -321,47 +632,6 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
     A folder without a sweep must be empty or missing. If the folder has a manifest with the same numbers, the new one
     replaces it. Raises SweepError for a manifest with other numbers, and for other folders.
     """
-    _make_folder(folder)
-    with locked(folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."):
-        text = manifest_text(plan)
-        if has_manifest(folder):
-            stored = body_in(folder, lambda: _ids_in(folder), to_write=True)
-            plan = dataclasses.replace(plan, batch=stored["deciding"]["batch"])
-            new = body_of(manifest_text(plan))
-            _check_extends(folder, stored, new)
-            text = extended(stored, new)
-        store = Store(folder, body_of(text), can_write=True)
-        store.check_batches()
-        try:
-            remove_unfinished(folder)
-            remove_unfinished(folder / BATCHES)
-            (folder / BATCHES).mkdir(exist_ok=True)
-            for path in (folder / MANIFEST, folder / COPY):
-                if not path.exists() or read_regular(path) != text.encode():
-                    write_whole(path, text.encode())
-            sync_folder(folder.parent)
-        except OSError as error:
-            raise cannot_write(folder, error) from error
-        yield store, plan
-
-
-def _check_extends(folder: Path, stored: Manifest, new: Manifest) -> None:
-    """Raises SweepError unless the sweep of the `new` manifest only adds to that of the `stored` one."""
-    found = differences(stored, new)
-    if found:
-        raise SweepError(
-            f"{folder} holds a sweep with other numbers ({'; '.join(found[:5])}); choose another folder, or "
-            "change the sweep back."
-        )
-    if stored["asked"]["samples"] > new["asked"]["samples"]:
-        raise SweepError(
-            f"{folder} holds {stored['asked']['samples']} samples of each point; ask for at least as many, or "
-            "choose another folder."
-        )
-
-
-def _make_folder(folder: Path) -> None:
-    """Make the folder. Raises SweepError for one that holds something else, or cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         others = sorted(path.name for path in folder.iterdir() if not _is_begun(path))
@@ -376,6 +646,39 @@ def _make_folder(folder: Path) -> None:
         raise SweepError(
             f"{folder} is not empty and holds no sweep (it has {others[0]}); choose an empty or a new folder."
         )
+    with locked(folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."):
+        text = manifest_text(plan)
+        if has_manifest(folder):
+            stored = body_in(folder, to_write=True)
+            plan = dataclasses.replace(plan, batch=stored["deciding"]["batch"])
+            new = body_of(manifest_text(plan))
+            found = differences(stored, new)
+            if found:
+                raise SweepError(
+                    f"{folder} holds a sweep with other numbers ({'; '.join(found[:5])}); choose another folder, or "
+                    "change the sweep back."
+                )
+            if stored["asked"]["samples"] > new["asked"]["samples"]:
+                raise SweepError(
+                    f"{folder} holds {stored['asked']['samples']} samples of each point; ask for at least as many, or "
+                    "choose another folder."
+                )
+            # What decides the numbers is written as in the stored one: numbers may be equal and written otherwise, 1
+            # and 1.0, and the batches bear the identity of what is stored.
+            text = _text({**new, **{name: stored[name] for name in _FINGERPRINT}})
+        store = Store(folder, body_of(text), can_write=True)
+        store.check_batches()
+        try:
+            remove_unfinished(folder)
+            remove_unfinished(folder / BATCHES)
+            (folder / BATCHES).mkdir(exist_ok=True)
+            for path in (folder / MANIFEST, folder / COPY):
+                if not path.exists() or read_regular(path) != text.encode():
+                    write_whole(path, text.encode())
+            sync_folder(folder.parent)
+        except OSError as error:
+            raise cannot_write(folder, error) from error
+        yield store, plan
 
 
 def _is_begun(path: Path) -> bool:

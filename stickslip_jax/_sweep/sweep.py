@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Array
 
 from .._dynamics.common.method import EXACT, Exact, Regularized, check_method
-from .._dynamics.simulate import Outputs
+from .._dynamics.simulate import Outputs, checked_outputs
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
 from .._ensemble.result import Ensemble
+from .._ensemble.setup import MOST_SAMPLES, TAKEN
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.processes import require_threads_of_jax
@@ -114,7 +115,8 @@ class Sweep:
         outputs: Outputs | None = None,
     ):
         check_method(method)
-        points, samples = points_of(over), plans.checked_samples(samples)
+        points, samples = points_of(over), checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
+        taken = (*points.parameters, *(one.name for one in points.dimensions))
         keep = plans.checked_keep(keep)
         names = plans.checked_statistics(statistics, keep)
         self._plan = Plan(
@@ -132,7 +134,7 @@ class Sweep:
             realizations=realizations,
             batch=plans.usual_batch(points.number, samples) if batch is None else batch,
             dtype=str(jnp.result_type(float)),
-            outputs=plans.outputs_in(outputs, points),
+            outputs=checked_outputs(outputs, TAKEN | dict.fromkeys(taken, "a parameter")),
         )
         self._plan.check()
         self._folder: Path | None = None
@@ -245,24 +247,20 @@ class Sweep:
         """
         plan = self._plan
         samples = plan.samples if samples is None else samples
-        point = self._number_of(values)
+        points, given = plan.points, checks.show(dict(values))
+        if set(values) != set(points.parameters):
+            raise ValueError(f"Arguments must be the values of {', '.join(points.parameters)}, but {given} was given.")
+        for name, value in values.items():
+            checks.numeric(name, value)
+        point = points.number_of(values)
+        if point is None:
+            raise ValueError(f"Arguments must be the values at a point of the sweep, but {given} is none.")
         setting, numbering = plan.setting_at(point), plan.numbering
         return simulate_ensemble(
             *setting.model[:2], t1=plan.t1, samples=samples, key=plan.key_at(point), y0=setting.y0,
             method=setting.method, keep=keep, orders=numbering.orders, count_initial_rest=numbering.count_initial_rest,
             threads=threads, progress=progress, outputs=plan.outputs,
         )  # fmt: skip
-
-    def _number_of(self, values: Mapping[str, float]) -> int:
-        points, given = self._plan.points, checks.show(dict(values))
-        if set(values) != set(points.parameters):
-            raise ValueError(f"Arguments must be the values of {', '.join(points.parameters)}, but {given} was given.")
-        for name, value in values.items():
-            checks.numeric(name, value)
-        number = points.number_of(values)
-        if number is None:
-            raise ValueError(f"Arguments must be the values at a point of the sweep, but {given} is none.")
-        return number
 
     def __repr__(self) -> str:
         plan = self._plan

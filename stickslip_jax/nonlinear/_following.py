@@ -23,7 +23,7 @@ from jaxtyping import Array
 from .._dynamics.simulate import code_of
 from .._dynamics.simulation import Simulation, provenance, source
 from .._dynamics.sticks import Sticks
-from .._ensemble.encoding import Encoder
+from .._ensemble.encoding import Encoder, ForeignFileError, id_of, versions, with_header, without_header
 from .._ensemble.parts import progress_bar
 from .._foundation import checks
 from .._foundation.extras import Entries, flags, labeled_dataset, variable
@@ -31,8 +31,7 @@ from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory
 from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
-from .._sweep.manifest import ID_LENGTH, ForeignBatchError, sum_of, versions, with_header, without_header
-from .._sweep.plan import DamagedBatchError, SweepError, label_and_unit
+from .._sweep.plan import SweepError, label_and_unit
 from ._cases import Cases, Cycle
 
 if TYPE_CHECKING:
@@ -77,14 +76,9 @@ class Kept:
             whole = read_regular(folder / name)
             # They are not compressed.
             arrays = unpacked_arrays(without_header(self._identity, name, whole), 2 * len(whole))
-        except (
-            FileNotFoundError,
-            DamagedBatchError,
-            ValueError,
-            zipfile.BadZipFile,
-        ):  # what is damaged is done again, and replaced
+        except (FileNotFoundError, ValueError, zipfile.BadZipFile):  # what is damaged is done again, and replaced
             return None
-        except (ForeignBatchError, OSError) as error:
+        except (ForeignFileError, OSError) as error:
             raise SweepError(f"{folder / name} cannot be read, or is of another call; move it elsewhere.") from error
         structure = jax.tree.structure(like)
         return jax.tree.unflatten(structure, [arrays[f"arr_{number}"] for number in range(structure.num_leaves)])
@@ -121,7 +115,7 @@ def kept_in(folder: Folder | None, cases: Cases, what: Mapping[str, int | str]) 
             write_whole(path / _DESCRIPTION, json.dumps(body, indent=1).encode())
         except OSError as error:
             raise _cannot_write(path, error) from error
-        yield Kept(path, sum_of(body)[:ID_LENGTH].encode())
+        yield Kept(path, id_of(body))
 
 
 def _cannot_write(folder: Path, error: OSError) -> SweepError:

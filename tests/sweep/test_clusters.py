@@ -17,7 +17,7 @@ from support.faults import log_of, wait_for
 from support.sweep import assert_same, small_sweep
 
 import stickslip_jax as ss
-from stickslip_jax._sweep import executors
+from stickslip_jax._sweep import run as running
 from stickslip_jax._sweep.batches import perform
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "clusters.md"
@@ -73,7 +73,7 @@ def test_cluster_gives_the_same_bits_and_keeps_nothing(client, undisturbed, tmp_
 @pytest.mark.parametrize("shared", [False, True])
 def test_few_bytes_come_back_and_few_tasks_are_under_way(client, monkeypatch, tmp_path, shared):
     """At most two for each thread; a batch, or one number where the worker has written it."""
-    most, sizes, result = [], [], executors.DaskCluster.result
+    most, sizes, result = [], [], running.DaskCluster.result
 
     def noted(self, task, future):
         most.append(len(self._futures))
@@ -81,7 +81,7 @@ def test_few_bytes_come_back_and_few_tasks_are_under_way(client, monkeypatch, tm
         sizes.append(len(found) if isinstance(found, bytes) else len(str(found)))
         return found
 
-    monkeypatch.setattr(executors.DaskCluster, "result", noted)
+    monkeypatch.setattr(running.DaskCluster, "result", noted)
     small_sweep().run(tmp_path, executor=client, shared_folder=shared)
     assert len(sizes) == 12
     assert max(most) == 4
@@ -91,8 +91,8 @@ def test_few_bytes_come_back_and_few_tasks_are_under_way(client, monkeypatch, tm
 @pytest.mark.slow
 def test_large_plan_is_sent_once_in_small_parts(client, monkeypatch):
     """A recorded motion of a million instants, 16 MB: dask warns, which is an error here, about tasks of 10 MB."""
-    sent_at, send = [], executors.DaskCluster._send
-    monkeypatch.setattr(executors.DaskCluster, "_send", lambda self: sent_at.append(1) or send(self))
+    sent_at, send = [], running.DaskCluster._send
+    monkeypatch.setattr(running.DaskCluster, "_send", lambda self: sent_at.append(1) or send(self))
     monkeypatch.setattr("stickslip_jax._sweep.batches.perform", _perform_little)
     times = np.linspace(0.0, 20.0, 1_000_001)
     motion = ss.Recorded(times, np.sin(times))
@@ -161,8 +161,8 @@ def test_folder_that_workers_do_not_share_is_refused(client, monkeypatch, tmp_pa
 
 
 def test_file_of_a_worker_that_is_not_seen_here_is_told(client, monkeypatch, tmp_path):
-    monkeypatch.setattr(executors, "_VISIBLE", 0.0)
-    monkeypatch.setattr(executors, "write_whole", lambda path, data: None)
+    monkeypatch.setattr(running, "_VISIBLE", 0.0)
+    monkeypatch.setattr(running, "write_whole", lambda path, data: None)
     with pytest.raises(ss.SweepError, match=r"which a worker has written, is not in .* leave shared_folder out"):
         small_sweep().run(tmp_path, executor=client, shared_folder=True)
 

@@ -11,10 +11,9 @@ import pytest
 from support.faults import assert_same, failing, files_in, log_of, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
+from stickslip_jax._ensemble.encoding import DamagedFileError, parts_of_file, with_header, without_header
 from stickslip_jax._foundation.files import unpacked_arrays
 from stickslip_jax._sweep.dataset import Work, read_dataset
-from stickslip_jax._sweep.manifest import id_and_name, with_header, without_header
-from stickslip_jax._sweep.plan import DamagedBatchError
 from stickslip_jax._sweep.store import Batch, Store
 
 SENSITIVITIES = [("stick_fraction", "mu")]
@@ -140,7 +139,7 @@ def test_a_batch_that_unpacks_without_end_is_damaged(copied, monkeypatch):
     """A few hundred kB of zeros that unpack to more than any batch takes: it is not unpacked, and done again."""
     folder, dataset = copied
     path, packed = batch_in(folder, ".zip"), io.BytesIO()
-    identity, name = id_and_name(path.read_bytes())
+    identity, name, _ = parts_of_file(path.read_bytes())
     with zipfile.ZipFile(io.BytesIO(without_header(identity, name, path.read_bytes()))) as whole:
         head = whole.read("head.json")
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as bomb:
@@ -223,7 +222,7 @@ def test_damaged_join_is_made_of_its_batches(tmp_path):
 
 def test_disk_that_gives_back_other_bytes(tmp_path, monkeypatch):
     def damaged(store: Store, batch: Batch) -> bytes:
-        raise DamagedBatchError
+        raise DamagedFileError
 
     monkeypatch.setattr(Store, "read", damaged)
     with pytest.raises(ss.SweepError) as error:

@@ -235,11 +235,11 @@ import dask
 import jax
 jax.config.update("jax_enable_x64", True)
 from distributed import Client, LocalCluster
-from stickslip_jax._sweep import executors
+from stickslip_jax._sweep import run as running
 import stickslip_jax as ss
 
 if __name__ == "__main__":
-    executors._LONG = 1.0
+    running._LONG = 1.0
     limits = {f"distributed.worker.memory.{name}": value for name, value in
               {"pause": 0.01, "terminate": False, "target": False, "spill": False}.items()}
     options = {"processes": True, "dashboard_address": ":0", "memory_limit": "4GB"}

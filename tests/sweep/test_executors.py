@@ -20,8 +20,8 @@ from support.faults import log_of, wait_for
 from support.sweep import POINTS, assert_same, small_sweep
 
 import stickslip_jax as ss
+from stickslip_jax._ensemble.encoding import versions
 from stickslip_jax._sweep.batches import Failed, UnfitWorkerError, perform_sent, sent, warnings_by_thread
-from stickslip_jax._sweep.manifest import versions
 from stickslip_jax._sweep.plan import Task
 
 SUPPORT = Path(__file__).parents[1]
@@ -154,8 +154,8 @@ def test_what_does_not_fit_is_refused_in_a_sentence(annotations_unchecked, argum
 def test_worker_with_other_versions_is_refused():
     """Another version of JAX may give other numbers."""
     sweep = sent(small_sweep().plan)
-    assert sweep.versions == versions()
-    other = sweep._replace(versions={**sweep.versions, "jax": "0.0.1"})
+    assert dict(sweep.versions) == versions()
+    other = sweep._replace(versions=tuple({**dict(sweep.versions), "jax": "0.0.1"}.items()))
     with pytest.raises(UnfitWorkerError, match=r"has jax .* instead of 0\.0\.1.*install the same versions"):
         perform_sent(other, Task(0, 0, 10))
 

@@ -19,7 +19,7 @@ from support.faults import assert_same, failing, files_in, one_sentence, run, st
 
 import stickslip_jax as ss
 from stickslip_jax._sweep import dataset as sweep_dataset
-from stickslip_jax._sweep import manifest
+from stickslip_jax._sweep import store as store_module
 
 
 def refused(sweep: ss.Sweep, folder: Path, *parts: str) -> str:
@@ -247,9 +247,9 @@ def test_other_precision(whole):
 
 @pytest.mark.parametrize("program", ["stickslip_jax", "jax", "jaxlib"])
 def test_other_version_of_a_program(whole, program, monkeypatch):
-    versions = manifest.versions()
+    versions = store_module.versions()
     changed = versions | {program: "99.0"}
-    monkeypatch.setattr(manifest, "versions", lambda: changed)
+    monkeypatch.setattr(store_module, "versions", lambda: changed)
     refused(sweep_of(), whole[0], f'{program}: "{versions[program]}" there, "99.0" here', "choose another folder")
 
 
@@ -258,7 +258,7 @@ def test_store_of_a_newer_version(whole, tmp_path):
     newer = json.loads((folder / "manifest.json").read_text())["body"]
     newer |= {"format_version": 99, "versions": newer["versions"] | {"stickslip_jax": "7.1"}}
     for name in ("manifest.json", "manifest-copy.json"):
-        (folder / name).write_text(manifest._text(newer))
+        (folder / name).write_text(store_module._text(newer))
     refused(sweep_of(), folder, "format 99, written by stickslip_jax 7.1", "install that version or a newer one")
     with pytest.raises(ss.SweepError, match=r"install that version or a newer one\."):
         ss.Sweep.load(folder)

@@ -9,11 +9,16 @@ from support.batches import assert_same_or_missing, unjoined
 from support.faults import assert_same, log_of, run, sweep_of
 
 import stickslip_jax as ss
+from stickslip_jax._ensemble.encoding import (
+    ID_LENGTH,
+    DamagedFileError,
+    ForeignFileError,
+    with_header,
+    without_header,
+)
 from stickslip_jax._sweep.batches import derivatives_of, head_of, unpacked
 from stickslip_jax._sweep.dataset import Work, status_of, stored_dataset
-from stickslip_jax._sweep.manifest import ID_LENGTH, ForeignBatchError, manifest_text, with_header, without_header
-from stickslip_jax._sweep.plan import DamagedBatchError
-from stickslip_jax._sweep.store import Store
+from stickslip_jax._sweep.store import Store, manifest_text
 
 SENSITIVITIES = [("stick_fraction", "mu"), ("mean_stick_count", "mu")]
 SWEEP_ID, DATA = b"0123456789abcdef", b"the bytes of a batch"
@@ -25,14 +30,14 @@ def test_header_is_of_sweep_name_and_bytes():
     for at in range(len(whole)):
         for bit in range(8):
             turned = whole[:at] + bytes([whole[at] ^ 1 << bit]) + whole[at + 1 :]
-            with pytest.raises(DamagedBatchError, match="check sum"):
+            with pytest.raises(DamagedFileError, match="check sum"):
                 without_header(SWEEP_ID, "a-0-256.zip", turned)
     for size in range(len(whole)):
-        with pytest.raises(DamagedBatchError, match="check sum"):
+        with pytest.raises(DamagedFileError, match="check sum"):
             without_header(SWEEP_ID, "a-0-256.zip", whole[:size])
-    with pytest.raises(DamagedBatchError, match=r"it is a-0-256\.zip, under another name"):
+    with pytest.raises(DamagedFileError, match=r"it is a-0-256\.zip, under another name"):
         without_header(SWEEP_ID, "a-256-512.zip", whole)
-    with pytest.raises(ForeignBatchError):
+    with pytest.raises(ForeignFileError):
         without_header(SWEEP_ID[::-1], "a-0-256.zip", whole)
     assert whole[:ID_LENGTH] == SWEEP_ID
 
@@ -112,7 +117,7 @@ def test_batch_whose_head_differs_from_its_name(copied):
     assert unpacked(data, fields, 256, 500).samples == head_of(data, 256, 500)["samples"] == 244
     for of in ((0, 256), (0, 244), (256, 512), (255, 500)):
         for read in (lambda of: unpacked(data, fields, *of), lambda of: head_of(data, *of)):
-            with pytest.raises(DamagedBatchError, match="it holds 244 samples from 256 on"):
+            with pytest.raises(DamagedFileError, match="it holds 244 samples from 256 on"):
                 read(of)
     first.write_bytes(with_header(store.sweep_id, first.name, data))
     assert_same_or_missing(stored_dataset(folder), wanted)
@@ -126,7 +131,7 @@ def test_derivatives_from_other_samples(copied):
     data = without_header(Store.reading(folder).sweep_id, path.name, path.read_bytes())
     assert derivatives_of(data, 500)["end"] == 500
     for wrong, end in ((data, 501), (b"{}", 500), (b"[" * 100_000, 500), (b"5", 500)):
-        with pytest.raises(DamagedBatchError):
+        with pytest.raises(DamagedFileError):
             derivatives_of(wrong, end)
 
 

@@ -10,7 +10,7 @@ from support.faults import assert_same, files_in, one_sentence, run, sweep_of
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
-from stickslip_jax._sweep import manifest
+from stickslip_jax._sweep import store as store_module
 from stickslip_jax._sweep.dataset import status_of, stored_dataset
 
 MANIFESTS = ("manifest.json", "manifest-copy.json")
@@ -21,7 +21,7 @@ def rewrite(folder: Path, change) -> None:
     for name in MANIFESTS:
         body = json.loads((folder / name).read_text())["body"]
         body = change(body) or body
-        (folder / name).write_text(manifest._text(body))
+        (folder / name).write_text(store_module._text(body))
 
 
 def calls_refused(folder: Path, *parts: str) -> None:

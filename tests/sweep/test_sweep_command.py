@@ -22,7 +22,7 @@ import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax import papers
 from stickslip_jax._sweep.dataset import read_dataset
-from stickslip_jax._sweep.manifest import manifest_text
+from stickslip_jax._sweep.store import manifest_text
 from stickslip_jax.study._reading import PAPERS, Paper, read_sweep_config
 from stickslip_jax.study._sweep_run import sweep_of
 
