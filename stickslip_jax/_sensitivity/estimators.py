@@ -5,7 +5,7 @@ numbers.
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -383,6 +383,7 @@ def with_sequences(
     """
     job = job._replace(engine=wrapped(job.engine, partial(recording, fixed_start=problem.fixed_start)))
     larger = buffer if len(bandwidths) else buffer._replace(candidates=0)
+    found: Any = None
     for _ in range(_MOST_TRIES):
         buffer = larger
         found = sequence_chunk(
@@ -444,6 +445,7 @@ def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, wi
 
     Raises ValueError if a value at an end is not allowed.
     """
+    tree: Any
     if problem.needs_ensembles:
         tree, paths = problem.model, tuple(parameter.path for parameter in problem.parameters)
         values_at = partial(_values_of_ensemble, problem)
