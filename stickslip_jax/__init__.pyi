@@ -123,7 +123,7 @@ from ._statistics.totals import (
 )
 from ._statistics.independence import HypothesisTest as HypothesisTest, Verdict as Verdict
 from ._foundation.types import Ending as Ending, Status as Status
-from ._sweep.plan import SweepError as SweepError
+from ._ensemble.encoding import SweepError as SweepError
 from ._sweep.sweep import Sweep as Sweep
 from ._systems.composed_friction import (
     Ageing as Ageing,

@@ -4,12 +4,14 @@ A class is written by its public name and its fields. An object of a user's own 
 is written by the name of its class and as it prints, and comes back as `Unknown`.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,11 +19,58 @@ import jax.lib
 import numpy as np
 
 from .._foundation import lazy_diffrax as diffrax
+from .._foundation.extras import require
+from .._foundation.files import FULL
 from .._numerics.sums import DyadicCounts, Moments, PowerSums
 from .._statistics.accumulator import StickAccumulator
 from .._systems.friction import TabulatedCurve
 from .._uncertainty.design import Design
 from .data import GivenMotions, Origin, Unknown, UnknownSystem
+
+# Locks that let one program at a time write to a folder.
+
+
+class SweepError(ValueError):
+    """A sweep that cannot run, or not to its end: a folder that cannot be used, points that failed, no memory.
+
+    The message is one sentence, which says what to do.
+    """
+
+
+_LOCK_SECONDS = 0.3  # to wait for a lock: `Store.is_in_use` holds it for a moment
+
+
+@contextlib.contextmanager
+def locked(path: Path, said: str) -> Iterator[None]:
+    """Hold the lock `path`, which the system takes back when this program ends, however it ends.
+
+    Raises SweepError with `said` if another program holds it.
+    """
+    require("Results that are kept in a folder need", "study", "filelock")
+    from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra
+
+    lock = FileLock(path, timeout=_LOCK_SECONDS)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise SweepError(said) from None
+    except OSError as error:
+        raise cannot_write(path.parent, error) from error
+    except NotImplementedError:  # two runs could not notice each other
+        raise SweepError(f"{path.parent} is on a disk whose files cannot be locked; choose another folder.") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def cannot_write(folder: Path, error: OSError) -> SweepError:
+    """The error about a folder that cannot be written."""
+    todo = "choose another folder, or make it writable"
+    if error.errno in FULL:
+        todo = "make room, and run again: what is done is kept"
+    return SweepError(f"{folder} cannot be written ({error.strerror or error}); {todo}.")
+
 
 # Files of results: what decides their numbers has a sum, and each file shows whether it is as it was written.
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from .._dynamics.simulation import source
 from .._ensemble.dataset import as_netcdf, read_netcdf, verified
-from .._ensemble.encoding import DamagedFileError, sum_of
+from .._ensemble.encoding import DamagedFileError, SweepError, cannot_write, sum_of
+from .._ensemble.points import POINT, label_and_unit
 from .._ensemble.result import Ensemble
 from .._foundation.extras import Entries, labeled_dataset, require, variable
 from .._foundation.files import write_whole
@@ -26,8 +27,8 @@ from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import require_system
 from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unpacked
-from .plan import POINT, Plan, SweepError, Task, label_and_unit
-from .store import DATA, Batch, Store, cannot_write, derivative_name
+from .plan import Plan, Task
+from .store import DATA, Batch, Store, derivative_name
 
 if TYPE_CHECKING:
     import xarray

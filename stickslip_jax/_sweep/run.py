@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 
-from .._ensemble.encoding import with_header
+from .._ensemble.encoding import SweepError, cannot_write, with_header
 from .._ensemble.parts import Progress, progress_bar
 from .._foundation import checks
 from .._foundation.extras import require
@@ -36,8 +36,8 @@ from .._foundation.processes import cores
 from . import batches
 from .batches import Failed, NoMemory, Outcome, Performer, Sent, UnfitWorkerError, outcome_of, perform_sent, sent
 from .dataset import Work, dataset_of, require_packages, write_dataset
-from .plan import Plan, SweepError, Task
-from .store import LOG, Store, cannot_write, opened
+from .plan import Plan, Task
+from .store import LOG, Store, opened
 
 if TYPE_CHECKING:
     import distributed

@@ -26,16 +26,19 @@ from .._ensemble.encoding import (
     Decoder,
     Encoder,
     ForeignFileError,
+    SweepError,
+    cannot_write,
     id_of,
+    locked,
     parts_of_file,
     sum_of,
     versions,
     with_header,
     without_header,
 )
+from .._ensemble.points import Dimension, Points, SweepSetting, setting_of
 from .._foundation import checks
 from .._foundation.files import (
-    FULL,
     NotAFileError,
     append_regular,
     finished_name,
@@ -46,44 +49,7 @@ from .._foundation.files import (
 )
 from .._statistics.accumulator import Numbering
 from . import plan as plans
-from .plan import Dimension, Plan, Points, SweepError, SweepSetting, Task, setting_of
-
-# Locks that let one program at a time write to the folder of a sweep.
-
-
-_LOCK_SECONDS = 0.3  # to wait for a lock: `Store.is_in_use` holds it for a moment
-
-
-@contextlib.contextmanager
-def locked(path: Path, said: str) -> Iterator[None]:
-    """Hold the lock `path`, which the system takes back when this program ends, however it ends.
-
-    Raises SweepError with `said` if another program holds it.
-    """
-    from filelock import FileLock, Timeout  # noqa: PLC0415 - an extra: `require_packages`
-
-    lock = FileLock(path, timeout=_LOCK_SECONDS)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise SweepError(said) from None
-    except OSError as error:
-        raise cannot_write(path.parent, error) from error
-    except NotImplementedError:  # two runs could not notice each other
-        raise SweepError(f"{path.parent} is on a disk whose files cannot be locked; choose another folder.") from None
-    try:
-        yield
-    finally:
-        lock.release()
-
-
-def cannot_write(folder: Path, error: OSError) -> SweepError:
-    """The error about a folder that cannot be written."""
-    todo = "choose another folder, or make it writable"
-    if error.errno in FULL:
-        todo = "make room, and run again: what is done is kept"
-    return SweepError(f"{folder} cannot be written ({error.strerror or error}); {todo}.")
-
+from .plan import Plan, Task
 
 # The manifest of a sweep's folder, and its copy there: everything that decides the numbers, and what was asked for.
 

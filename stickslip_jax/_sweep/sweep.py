@@ -13,6 +13,8 @@ from .._dynamics.common.method import EXACT, Exact, Regularized, check_method
 from .._dynamics.simulate import Outputs, checked_outputs
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
+from .._ensemble.encoding import SweepError
+from .._ensemble.points import points_of, setting_of
 from .._ensemble.result import Ensemble
 from .._ensemble.setup import MOST_SAMPLES, TAKEN
 from .._excitation.excitation import BaseMotion
@@ -25,7 +27,7 @@ from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
 from .._uncertainty.design import Design
 from . import plan as plans
-from .plan import Plan, SweepError, points_of, setting_of
+from .plan import Plan
 
 if TYPE_CHECKING:
     import distributed

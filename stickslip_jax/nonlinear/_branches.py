@@ -15,11 +15,11 @@ from scipy.optimize import newton
 
 from .._dynamics.common.method import Exact
 from .._dynamics.switched.engine import StepPath
+from .._ensemble.points import SweepSetting
 from .._excitation.excitation import motion_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import AnyArray, FloatArray, Status
 from .._numerics.derivatives import as_arrays
-from .._sweep.plan import SweepSetting
 from .._uncertainty.numbers import NumberPath, with_numbers
 from ._cases import Cycle, changes_by_itself, drive_period, has_known_period, steps_in, without_turns
 from ._orbits import Mode, modes_between, multipliers_of, sequence, slip_count, stick_count, without_trivial

@@ -18,6 +18,7 @@ from .._dynamics.engine_choice import BySteps, engine_for
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
 from .._dynamics.switched.engine import lane_at_start, steps_for
+from .._ensemble.points import Points, Setter, check_points, points_of, setter_of, setting_of
 from .._excitation.excitation import BaseMotion, excitation_of, motion_of
 from .._excitation.motion import Motion, Signal, UserMotion
 from .._foundation import checks
@@ -26,7 +27,6 @@ from .._foundation.fields import is_of_package, modules_in
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Number, Scalar, Status
 from .._numerics.derivatives import NotKnown, as_arrays, values_of
-from .._sweep.plan import Points, Setter, check_points, points_of, setter_of, setting_of
 from .._systems.system import System
 from .._uncertainty.numbers import with_numbers
 

@@ -8,10 +8,10 @@ from scipy.interpolate import BarycentricInterpolator
 
 from .._dynamics.common.method import working_dtype
 from .._dynamics.simulation import provenance, source
+from .._ensemble.points import SweepSetting, label_and_unit, setter_of
 from .._foundation import checks
 from .._foundation.extras import Entries, labeled_dataset, require_labels, variable
 from .._foundation.processes import require_threads_of_jax
-from .._sweep.plan import SweepSetting, label_and_unit, setter_of
 from .._uncertainty.numbers import number_at
 from ._branches import (
     BranchEvent,

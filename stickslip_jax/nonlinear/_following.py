@@ -23,15 +23,24 @@ from jaxtyping import Array
 from .._dynamics.simulate import code_of
 from .._dynamics.simulation import Simulation, provenance, source
 from .._dynamics.sticks import Sticks
-from .._ensemble.encoding import Encoder, ForeignFileError, id_of, versions, with_header, without_header
+from .._ensemble.encoding import (
+    Encoder,
+    ForeignFileError,
+    SweepError,
+    id_of,
+    locked,
+    versions,
+    with_header,
+    without_header,
+)
 from .._ensemble.parts import progress_bar
+from .._ensemble.points import label_and_unit
 from .._foundation import checks
 from .._foundation.extras import Entries, flags, labeled_dataset, variable
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory
 from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
-from .._sweep.plan import SweepError, label_and_unit
 from ._cases import Cases, Cycle
 
 if TYPE_CHECKING:
@@ -101,8 +110,6 @@ def kept_in(folder: Folder | None, cases: Cases, what: Mapping[str, int | str]) 
     if folder is None:
         yield Kept()
         return
-    from .._sweep.store import locked  # noqa: PLC0415 - needs an extra
-
     path = checks.path("folder", folder)
     body = _description(cases, what)
     in_use = f"{path} is in use by another call; wait for it to end, or choose another folder."

@@ -14,12 +14,12 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._ensemble.points import MOST_POINTS
 from .._excitation.motion import RandomPhase
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.checks import LARGEST, one_of
 from .._foundation.fields import described
 from .._statistics.accumulator import MOST_ORDERS
-from .._sweep.plan import MOST_POINTS
 from .._systems.structure import LinearStructure
 from .._systems.system import System
 from .._uncertainty.families import Uniform

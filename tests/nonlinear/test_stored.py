@@ -159,7 +159,7 @@ def test_a_block_of_another_call_is_not_taken(tmp_path):
 
 
 def test_a_folder_in_use_is_refused(tmp_path):
-    from stickslip_jax._sweep.store import locked  # noqa: PLC0415
+    from stickslip_jax._ensemble.encoding import locked  # noqa: PLC0415
 
     CALLS["section"](folder=tmp_path)
     with locked(tmp_path / "lock", "busy"), pytest.raises(ss.SweepError, match="is in use by another call"):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._sweep import plan
-from stickslip_jax._sweep.plan import MOST_POINTS, Setter
+from stickslip_jax._ensemble import points
+from stickslip_jax._ensemble.points import MOST_POINTS, Setter
 
 pytestmark = pytest.mark.usefixtures("annotations_unchecked")
 
@@ -96,7 +96,7 @@ def test_the_first_point_that_does_not_fit_is_told_as_one_by_one(case, monkeypat
             return str(error)
 
     at_once = made()
-    monkeypatch.setattr(plan, "_suspicious", lambda setter, values: np.ones(len(values), bool))
+    monkeypatch.setattr(points, "_suspicious", lambda setter, values: np.ones(len(values), bool))
     assert made() == at_once
     if said is None:
         assert isinstance(at_once, int)
