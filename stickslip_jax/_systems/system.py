@@ -448,7 +448,7 @@ class System(Checked):
 
     @abc.abstractmethod
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
-        """What time steps must be short against; `solver`: that of `switched_model`."""
+        """The time scales of the system and of its excitation; `solver`: that of `switched_model`."""
 
     @abc.abstractmethod
     def sizes(self, excitation: Excitation) -> Sizes:
