@@ -27,6 +27,7 @@ import numpy as np
 
 import stickslip_jax as ss
 from stickslip_jax import papers, plot
+from stickslip_jax._excitation.excitation import excitation_of
 from stickslip_jax.plot._style import SERIES
 
 jax.config.update("jax_enable_x64", True)
@@ -187,7 +188,7 @@ def measure(name: str, shape: str, widths: tuple[float, ...] = WIDTHS, **options
     """The errors of a system at `widths`, relative to its velocity scale; `options` of `Regularized`."""
     setup, exact = SYSTEMS[name](), exact_motion(name)
     run = follow(setup, shape, **({"rtol": RTOL[shape], "max_steps": MAX_STEPS} | options))
-    scale = float(setup.system.contact_scales[0])
+    scale = float(setup.system.sizes(excitation_of(setup.base(jax.random.key(0)))).speed)
     return [compare(exact, run(width * scale), setup.scale) for width in widths]
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from .._compiler import WIDE_VECTORS, CompiledNatively
 from .._dynamics.common.lanes import Engine, Job, SampleTotals, summarize
@@ -200,9 +200,9 @@ def derivatives_of(
     return jax.vmap(along, out_axes=(None, 0, None))(directions if chosen is None else directions[chosen])
 
 
-def units_of(engine: Engine, paths: tuple[NumberPath, ...]) -> Float[np.ndarray, " paths"]:
-    """The units in which `derivatives_of` varies the numbers at `paths`."""
-    return np.array([abs(float(number_at(engine, path))) or 1.0 for path in paths])
+def units_of(holder: PyTree, paths: tuple[NumberPath, ...]) -> Float[np.ndarray, " paths"]:
+    """The units in which `derivatives_of` varies the numbers at `paths` of an engine or a model."""
+    return np.array([abs(float(number_at(holder, path))) or 1.0 for path in paths])
 
 
 def _count(
