@@ -68,10 +68,10 @@ from ._excitation.excitation import base_velocity as base_velocity
 from ._excitation.motion import SourceVoltage as SourceVoltage
 from ._explore.call import explore as explore
 from ._foundation.fields import Quantity as Quantity
-from ._sensitivity import (
+from ._sensitivity.call import differentiable as differentiable, sensitivity as sensitivity
+from ._sensitivity.estimate import Sensitivities as Sensitivities, Sensitivity as Sensitivity
+from ._sensitivity.statistic import (
     RealizationMeanDuration as RealizationMeanDuration,
-    Sensitivities as Sensitivities,
-    Sensitivity as Sensitivity,
     StickDuration as StickDuration,
     StickFunctional as StickFunctional,
     StickSequence as StickSequence,
@@ -79,8 +79,6 @@ from ._sensitivity import (
     StickStatistic as StickStatistic,
     SumOfSquaredDurations as SumOfSquaredDurations,
     TimeToFirstStick as TimeToFirstStick,
-    differentiable as differentiable,
-    sensitivity as sensitivity,
 )
 from ._dynamics.simulate import simulate as simulate
 from ._dynamics.simulate import Output as Output

@@ -32,7 +32,6 @@ from .._sensitivity.problem import (
     problem_of,
     relative_bandwidth_of,
     require_correctable,
-    require_precision,
 )
 from .._sensitivity.statistic import (
     BufferSizes,
@@ -311,7 +310,6 @@ class Simulator:
         if (self.estimator or cheaper(kind)) == "finite-difference":
             return differenced(kind, pilot, np.array([max(widest, _STEP)]), with_pathwise=False)
         kind = kind.in_closed_form()
-        require_precision(kind)
         require_correctable(kind)
         return source_of(kind, pilot, widest)
 
@@ -368,8 +366,7 @@ def _derivative(
     one: Accumulator, columns: DerivativeColumns, in_window: np.ndarray
 ) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
     """A derivative and its own derivatives by the means of the columns in both halves (0 where not known)."""
-    found, _ = estimate.estimate_by_windows(one, columns, in_window, None)
-    first, second = estimate.influence_by_windows(one, columns, in_window, None)
+    found, _, (first, second) = estimate.estimate_by_windows(one, columns, in_window, None)
     return found.derivative, (np.nan_to_num(first), np.nan_to_num(second))
 
 

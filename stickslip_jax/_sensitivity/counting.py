@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, PyTree
 
@@ -22,13 +23,20 @@ from .._systems.system import one_contact_model
 from .boundaries import (
     BoundaryDistances,
     BoundarySums,
+    EngineStep,
     IntervalLane,
     cross_with_distances,
+    crossed_after,
+    distances_of_step,
+    is_candidate,
     zero_with_derivative,
 )
-from .step_boundaries import EngineStep, crossed_after, distances_of_step, is_candidate
 
-# Engines that record, beside the sticks, the candidates: intervals or steps that may be close to a boundary.
+# Engines that count sticks with the derivative of the expected count, or record what decides about them.
+#
+# To that derivative each stick and near miss adds an event part for every boundary that it is close to
+# (`boundaries.py`). Counts are accumulated during the simulation. Beside the sticks, candidates are recorded: intervals
+# or steps that may be close to a boundary.
 
 
 class Trace(NamedTuple):
@@ -41,146 +49,6 @@ class Trace(NamedTuple):
     sticks: StickRecord
     candidates: BoundaryDistances | EngineStep | None
     is_candidate: BoolArray | None
-
-
-class IntervalSample(NamedTuple):
-    """Constants of a sample: its key data, and when the first random thing happens in it, s."""
-
-    key_data: tuple[Array, Array]
-    deterministic_until: FloatArray
-
-
-class IntervalRecording(Engine[Scales, IntervalSample, IntervalLane, Trace, IntArray]):
-    """An `IntervalEngine` that also records candidates, if `with_distances`.
-
-    `fixed_start`: whether all samples begin in the same state.
-    """
-
-    engine: IntervalEngine
-    fixed_start: bool = eqx.field(static=True)
-    with_distances: bool = eqx.field(static=True, default=True)
-
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[IntervalSample, IntervalLane]:
-        law, (x, velocity), zero = self.engine.law, self.engine.y0, jnp.zeros((), dtype)
-        motion = start_motion(self.shared(dtype), (x, velocity))
-        memory = law.begin(key_data, dtype)
-        first, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
-        lane = IntervalLane(memory, motion, start_totals(dtype), zero)
-        return IntervalSample(key_data, first if self.fixed_start else zero), lane
-
-    def shared(self, dtype) -> Scales:
-        return self.engine.shared(dtype)
-
-    def draw(self, sample: IntervalSample, number: Array, dtype) -> PyTree:
-        return self.engine.law.draw(sample.key_data, number, dtype)
-
-    def step(
-        self, shared: Scales, sample: IntervalSample, motion: IntervalLane, drawn: PyTree
-    ) -> tuple[IntervalLane, Trace]:
-        moved, stick, distances, _ = cross_with_distances(self.engine.law, shared, motion, drawn)
-        if not self.with_distances:
-            return moved, Trace(stick, None, None)
-        return moved, Trace(stick, distances, distances.any_active & (distances.time <= shared.t1))
-
-    def distances(self, samples: IntervalSample, candidates: BoundaryDistances) -> BoundaryDistances:
-        """The signed distances of candidates (slots, lanes)."""
-        return candidates
-
-    def ended(self, motion: IntervalLane, before: IntervalLane) -> BoolArray:
-        return is_over(motion.motion, before.motion, self.engine.t1)
-
-    def results(self, sample: IntervalSample, motion: IntervalLane) -> IntArray:
-        """The `Status`."""
-        return status_of(motion.motion, jnp.asarray(self.engine.t1, motion.motion.t.dtype))
-
-
-class StepSample(NamedTuple):
-    """Constants of a sample: the smooth part of its excitation, and when the first random thing happens in it, s."""
-
-    smooth: Signal | None
-    deterministic_until: FloatArray
-
-
-class StepMotion(NamedTuple):
-    """A lane of the switched engine, and its `EngineStep.crossed`."""
-
-    lane: Lane
-    crossed: FloatArray
-
-
-class StepRecording(Engine[SwitchedShared, StepSample, StepMotion, Trace, IntArray]):
-    """A `SwitchedEngine` that also records candidates, if `with_distances`; `fixed_start` as in `IntervalRecording`."""
-
-    engine: SwitchedEngine
-    fixed_start: bool = eqx.field(static=True)
-    with_distances: bool = eqx.field(static=True, default=True)
-
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[StepSample, StepMotion]:
-        smooth, lane = self.engine.begin(key_data, dtype)
-        laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
-        ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
-        # All samples move alike until their first random segment ends, if nothing else is random from the start on.
-        is_deterministic = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomSignal)
-        until = jnp.min(jnp.stack(ends)) if is_deterministic else jnp.zeros((), dtype)
-        return StepSample(smooth, until), StepMotion(lane, -jnp.ones((), dtype))
-
-    def shared(self, dtype) -> SwitchedShared:
-        return self.engine.shared(dtype)
-
-    def step(
-        self, shared: SwitchedShared, sample: StepSample, motion: StepMotion, drawn: None
-    ) -> tuple[StepMotion, Trace]:
-        lane, crossed = motion
-        model = one_contact_model(self.engine.system, sample.smooth, self.engine.solver)
-        moved, stick = advance(model, *shared, lane)
-        if not self.with_distances:
-            return StepMotion(moved, crossed), Trace(stick, None, None)
-        taken = EngineStep.of(lane, moved, crossed)
-        following = crossed_after(shared.segment_laws, shared.t1, taken)
-        return StepMotion(moved, following), Trace(stick, taken, is_candidate(model, *shared, taken))
-
-    def distances(self, samples: StepSample, candidates: EngineStep) -> BoundaryDistances:
-        """The signed distances of candidates (slots, lanes)."""
-        return jax.vmap(self.distances_of, in_axes=(0, None))(candidates, samples.smooth)
-
-    def distances_of(self, candidates: EngineStep, smooth: Signal | None) -> BoundaryDistances:
-        """The signed distances of candidates (candidates,), each under its own smooth excitation."""
-        engine, shared = self.engine, self.shared(candidates.t.dtype)
-
-        def of(candidate, smooth):
-            return distances_of_step(one_contact_model(engine.system, smooth, engine.solver), *shared, candidate)
-
-        return jax.vmap(of)(candidates, smooth)
-
-    def ended(self, motion: StepMotion, before: StepMotion) -> BoolArray:
-        return self.engine.ended(motion.lane, before.lane)
-
-    def results(self, sample: StepSample, motion: StepMotion) -> IntArray:
-        """The `Status`."""
-        return jnp.asarray(self.engine.results(sample.smooth, motion.lane).status)
-
-
-def recording(engine: IntervalEngine | SwitchedEngine, fixed_start: bool) -> IntervalRecording | StepRecording:
-    """`engine` with its candidates recorded; `fixed_start`: whether all samples begin in the same state."""
-    if isinstance(engine, IntervalEngine):
-        return IntervalRecording(engine, fixed_start)
-    return StepRecording(engine, fixed_start)
-
-
-# Counts of sticks whose derivative is that of the expected count, accumulated during the simulation.
-#
-# To that derivative each stick and near miss adds an event part for every boundary that it is close to
-# (`boundaries.py`). Where the gaps between switches are exponential, the time left at an arrival is
-# exponential too (memorylessness): its density at 0 is the rate, for every stick. So the distance to the switch needs
-# no kernel.
-
-
-class Likelihood(NamedTuple):
-    """Data for the derivative by the rate of a Poisson base, from the likelihood of the number of switches (score)."""
-
-    rate: Scalar  # a copy of the law's rate, 1/s: differentiated for the score part, the law's for the pathwise part
-    stick_time: Scalar  # approximate means, s and 1, subtracted to reduce the variance (control variate)
-    sticks: Scalar
 
 
 class Counted(NamedTuple):
@@ -196,7 +64,34 @@ class Counted(NamedTuple):
     sums: BoundarySums
 
 
-class _Motion(NamedTuple):
+def recording(engine: IntervalEngine | SwitchedEngine, fixed_start: bool) -> "IntervalCounting | StepCounting":
+    """`engine` with its candidates recorded; `fixed_start`: whether all samples begin in the same state."""
+    if isinstance(engine, IntervalEngine):
+        return IntervalCounting(engine, np.zeros(0), None, fixed_start, with_distances=True)
+    return StepCounting(engine, np.zeros(0), fixed_start, with_distances=True)
+
+
+# Over whole intervals of the base. Where the gaps between switches are exponential, the time left at an arrival is
+# exponential too (memorylessness): its density at 0 is the rate, for every stick. So the distance to the switch needs
+# no kernel.
+
+
+class Likelihood(NamedTuple):
+    """Data for the derivative by the rate of a Poisson base, from the likelihood of the number of switches (score)."""
+
+    rate: Scalar  # a copy of the law's rate, 1/s: differentiated for the score part, the law's for the pathwise part
+    stick_time: Scalar  # approximate means, s and 1, subtracted to reduce the variance (control variate)
+    sticks: Scalar
+
+
+class IntervalSample(NamedTuple):
+    """Constants of a sample: its key data, and when the first random thing happens in it, s."""
+
+    key_data: tuple[Array, Array]
+    deterministic_until: FloatArray
+
+
+class _IntervalMotion(NamedTuple):
     """The motion of one lane, its sums so far, and the number of switches of its base."""
 
     lane: IntervalLane
@@ -204,8 +99,8 @@ class _Motion(NamedTuple):
     switches: IntArray
 
 
-class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counted]):
-    """Engine that counts the sticks that an `IntervalEngine` simulates.
+class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Counted]):
+    """Engine that counts the sticks that an `IntervalEngine` simulates, and records candidates, if `with_distances`.
 
     `bandwidths` (windows,): relative bandwidths of the kernels (see `two_sided_kernel`). `fixed_start`: whether all
     samples begin in the same state: then the outcome of the first arc has no density.
@@ -215,20 +110,26 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
     bandwidths: AnyArray
     likelihood: Likelihood | None
     fixed_start: bool = eqx.field(static=True)
+    with_distances: bool = eqx.field(static=True, default=False)
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[tuple[Array, Array], _Motion]:
-        _, lane = IntervalRecording(self.engine, self.fixed_start).begin(key_data, dtype)
-        return key_data, _Motion(lane, BoundarySums.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[IntervalSample, _IntervalMotion]:
+        law, (x, velocity), zero = self.engine.law, self.engine.y0, jnp.zeros((), dtype)
+        motion = start_motion(self.shared(dtype), (x, velocity))
+        memory = law.begin(key_data, dtype)
+        first, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
+        lane = IntervalLane(memory, motion, start_totals(dtype), zero)
+        begun = _IntervalMotion(lane, BoundarySums.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
+        return IntervalSample(key_data, first if self.fixed_start else zero), begun
 
     def shared(self, dtype) -> Scales:
         return self.engine.shared(dtype)
 
-    def draw(self, sample: tuple[Array, Array], number: Array, dtype) -> tuple[PyTree, BoolArray]:
-        return self.engine.law.draw(sample, number, dtype), number == 0
+    def draw(self, sample: IntervalSample, number: Array, dtype) -> tuple[PyTree, BoolArray]:
+        return self.engine.law.draw(sample.key_data, number, dtype), number == 0
 
     def step(
-        self, shared: Scales, sample: tuple[Array, Array], motion: _Motion, drawn: tuple[PyTree, BoolArray]
-    ) -> tuple[_Motion, None]:
+        self, shared: Scales, sample: IntervalSample, motion: _IntervalMotion, drawn: tuple[PyTree, BoolArray]
+    ) -> tuple[_IntervalMotion, Trace]:
         (lane, sums, switches), (drawn, is_first), law = motion, drawn, self.engine.law
         moved, stick, distances, duration = cross_with_distances(law, shared, lane, drawn)
         arrival, is_fixed = stick.start - lane.motion.t, is_first & self.fixed_start  # nothing before it was random
@@ -243,12 +144,19 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
         bandwidths = jnp.asarray(self.bandwidths, arrival.dtype)
         more = BoundarySums.over(distances.only(~is_fixed, switch_where), bandwidths)
         sums = jax.tree.map(jnp.add, sums, more)
-        return _Motion(moved, sums, switches + (lane.motion.t + duration < shared.t1)), None
+        following = _IntervalMotion(moved, sums, switches + (lane.motion.t + duration < shared.t1))
+        if not self.with_distances:
+            return following, Trace(stick, None, None)
+        return following, Trace(stick, distances, distances.any_active & (distances.time <= shared.t1))
 
-    def ended(self, motion: _Motion, before: _Motion) -> BoolArray:
+    def distances(self, samples: IntervalSample, candidates: BoundaryDistances) -> BoundaryDistances:
+        """The signed distances of candidates (slots, lanes)."""
+        return candidates
+
+    def ended(self, motion: _IntervalMotion, before: _IntervalMotion) -> BoolArray:
         return is_over(motion.lane.motion, before.lane.motion, self.engine.t1)
 
-    def results(self, sample: tuple[Array, Array], motion: _Motion) -> Counted:
+    def results(self, sample: IntervalSample, motion: _IntervalMotion) -> Counted:
         totals, sums = motion.lane.totals, motion.sums
         time = totals.stick_time
         if self.likelihood is not None:
@@ -262,37 +170,46 @@ class IntervalCounting(Engine[Scales, tuple[Array, Array], _Motion, None, Counte
         return Counted(status, time, totals.sticks, sums)
 
 
-# Counts of sticks as above, for any motion that is simulated in time steps.
-#
-# Most steps are close to no boundary. The others are collected for a block, and their signed distances are found
-# together.
+# For any motion that is simulated in time steps. Most steps are close to no boundary. The others are collected for a
+# block, and their signed distances are found together.
+
+
+class StepSample(NamedTuple):
+    """Constants of a sample: the smooth part of its excitation, and when the first random thing happens in it, s."""
+
+    smooth: Signal | None
+    deterministic_until: FloatArray
 
 
 class _StepMotion(NamedTuple):
-    """The motion of one lane, and its sums so far."""
+    """A lane of the switched engine, its `EngineStep.crossed`, and its sums so far."""
 
-    recorded: StepMotion
+    lane: Lane
+    crossed: FloatArray
     sums: BoundarySums
 
 
 class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counted]):
-    """Engine that counts the sticks that `engine` simulates; `bandwidths`, `fixed_start` as for `IntervalCounting`.
+    """Engine that counts the sticks that a `SwitchedEngine` simulates; its fields are those of `IntervalCounting`.
 
-    Without `bandwidths` it gives only pathwise derivatives.
+    Without distances it gives only pathwise derivatives.
     """
 
     engine: SwitchedEngine
     bandwidths: AnyArray
     fixed_start: bool = eqx.field(static=True)
+    with_distances: bool = eqx.field(static=True)
     looks_back = True
 
-    @property
-    def _recording(self) -> StepRecording:
-        return StepRecording(self.engine, self.fixed_start, with_distances=len(self.bandwidths) > 0)
-
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[StepSample, _StepMotion]:
-        sample, motion = self._recording.begin(key_data, dtype)
-        return sample, _StepMotion(motion, BoundarySums.none(len(self.bandwidths), dtype))
+        smooth, lane = self.engine.begin(key_data, dtype)
+        laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
+        ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
+        # All samples move alike until their first random segment ends, if nothing else is random from the start on.
+        is_deterministic = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomSignal)
+        until = jnp.min(jnp.stack(ends)) if is_deterministic else jnp.zeros((), dtype)
+        begun = _StepMotion(lane, -jnp.ones((), dtype), BoundarySums.none(len(self.bandwidths), dtype))
+        return StepSample(smooth, until), begun
 
     def shared(self, dtype) -> SwitchedShared:
         return self.engine.shared(dtype)
@@ -300,11 +217,19 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
     def step(
         self, shared: SwitchedShared, sample: StepSample, motion: _StepMotion, drawn: None
     ) -> tuple[_StepMotion, Trace]:
-        moved, trace = self._recording.step(shared, sample, motion.recorded, drawn)
-        return _StepMotion(moved, motion.sums), trace
+        model = one_contact_model(self.engine.system, sample.smooth, self.engine.solver)
+        moved, stick = advance(model, *shared, motion.lane)
+        if not self.with_distances:
+            return motion._replace(lane=moved), Trace(stick, None, None)
+        before = motion.lane
+        beginning, end = (before.t, before.y, before.sign, before.segment_states), (moved.t, moved.y, moved.sign)
+        taken = EngineStep(*beginning, *end, motion.crossed)
+        following = crossed_after(shared.segment_laws, shared.t1, taken)
+        candidate = Trace(stick, taken, is_candidate(model, *shared, taken))
+        return motion._replace(lane=moved, crossed=following), candidate
 
     def after_block(self, samples: StepSample, motions: _StepMotion, records: Trace) -> _StepMotion:
-        if records.is_candidate is None:
+        if records.is_candidate is None or len(self.bandwidths) == 0:
             return motions
         bandwidths = jnp.asarray(self.bandwidths, samples.deterministic_until.dtype)
 
@@ -325,7 +250,7 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
             at = jnp.minimum(jnp.searchsorted(found, wanted), steps * lanes - 1)
             lane, exists = at % lanes, wanted <= found[-1]
             smooth, deterministic_until = jax.tree.map(lambda leaf: leaf[lane], samples)
-            distances = self._recording.distances_of(jax.tree.map(lambda leaf: leaf[at], taken), smooth)
+            distances = self._distances_of(jax.tree.map(lambda leaf: leaf[at], taken), smooth)
             more = BoundarySums.over(distances.after(deterministic_until, exists), bandwidths)
             return done + lanes, jax.tree.map(lambda so_far, new: _put(so_far, lane, new), sums, more)
 
@@ -333,11 +258,24 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
         _, sums = lax.while_loop(lambda carry: carry[0] < found[-1], with_some_more, begun)
         return motions._replace(sums=sums)
 
+    def distances(self, samples: StepSample, candidates: EngineStep) -> BoundaryDistances:
+        """The signed distances of candidates (slots, lanes)."""
+        return jax.vmap(self._distances_of, in_axes=(0, None))(candidates, samples.smooth)
+
+    def _distances_of(self, candidates: EngineStep, smooth: Signal | None) -> BoundaryDistances:
+        """The signed distances of candidates (candidates,), each under its own smooth excitation."""
+        engine, shared = self.engine, self.shared(candidates.t.dtype)
+
+        def of(candidate, smooth):
+            return distances_of_step(one_contact_model(engine.system, smooth, engine.solver), *shared, candidate)
+
+        return jax.vmap(of)(candidates, smooth)
+
     def ended(self, motion: _StepMotion, before: _StepMotion) -> BoolArray:
-        return self._recording.ended(motion.recorded, before.recorded)
+        return self.engine.ended(motion.lane, before.lane)
 
     def results(self, sample: StepSample, motion: _StepMotion) -> Counted:
-        totals = self.engine.results(sample.smooth, motion.recorded.lane)
+        totals = self.engine.results(sample.smooth, motion.lane)
         return Counted(totals.status, totals.stick_time, totals.sticks, motion.sums)
 
 

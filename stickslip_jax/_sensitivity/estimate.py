@@ -159,15 +159,14 @@ def gradient_of_ratio(moments: Moments, column: int, path_column: int, elasticit
     value = float(a / b)
     of_value = np.zeros(len(mean))
     of_value[:2] = 1 / b, -value / b
-    derivative, _ = _ratio_derivative(mean, column)
-    of_derivative = slope_by_means(moments, column, elasticity_at)
-    pathwise, _ = _ratio_derivative(mean, path_column)
+    value_error = _error(of_value, covariance)
+    (derivative, _), (pathwise, _) = (_ratio_derivative(mean, at) for at in (column, path_column))
     if elasticity_at is not None:
         if value == 0:
-            return Gradient(0.0, _error(of_value, covariance), math.nan, math.nan, math.nan)
-        factor = elasticity_at / value
-        derivative, pathwise = factor * derivative, factor * pathwise
-    return Gradient(value, _error(of_value, covariance), derivative, _error(of_derivative, covariance), pathwise)
+            return Gradient(0.0, value_error, math.nan, math.nan, math.nan)
+        derivative, pathwise = (elasticity_at / value * slope for slope in (derivative, pathwise))
+    error = _error(slope_by_means(moments, column, elasticity_at), covariance)
+    return Gradient(value, value_error, derivative, error, pathwise)
 
 
 def slope_by_means(moments: Moments, column: int, elasticity_at: float | None) -> np.ndarray:
@@ -220,70 +219,43 @@ _ROUND_OFF = 1e-12  # relative
 
 def estimate_by_windows(
     accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow, elasticity_at: float | None
-) -> tuple[Gradient, int]:
-    """The derivative by one parameter, and the index of its window, the narrower one where the halves differ.
+) -> tuple[Gradient, int, tuple[np.ndarray, np.ndarray]]:
+    """The derivative by one parameter; the index of its window, the narrower one where the halves differ; and the
+    derivative of the first by the mean of every column in the first and in the second half.
 
     `elasticity_at`: the parameter's value, for elasticities. Where no two windows agree (`windows_disagree`), the error
     is NaN: that of the narrowest window says nothing of its bias.
     """
+    whole, halves = accumulator.moments, accumulator.halves
+    first, second = halves
 
     def derivative(moments: Moments, window: int) -> Gradient:
         return gradient_of_ratio(moments, columns.derivative[window], columns.pathwise, elasticity_at)
 
-    windows, halves = _windows_of_halves(accumulator, columns, in_window), accumulator.halves
-    if windows is None:
-        narrowest = _usable(columns, in_window)[-1]
-        return derivative(accumulator.moments, narrowest)._replace(standard_error=math.nan), narrowest
-    for_first, for_second = windows
-    whole = derivative(accumulator.moments, max(for_first, for_second))
-    if for_first == for_second:
-        return whole, for_first
-    first, second = derivative(halves[0], for_first), derivative(halves[1], for_second)
-    share = halves[0].number / accumulator.moments.number
-    mixed = share * first.derivative + (1 - share) * second.derivative
-    error = math.hypot(share * first.standard_error, (1 - share) * second.standard_error)
-    return whole._replace(derivative=mixed, standard_error=error), max(for_first, for_second)
-
-
-def influence_by_windows(
-    accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow, elasticity_at: float | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """The derivative of `estimate`'s result by the mean of every column in the first and in the second half."""
-
     def slope(moments: Moments, window: int) -> np.ndarray:
         return slope_by_means(moments, columns.derivative[window], elasticity_at)
 
-    halves, whole = accumulator.halves, accumulator.moments
-    windows = _windows_of_halves(accumulator, columns, in_window)
-    if windows is None:
-        unknown = np.full_like(whole.mean, math.nan)
-        return unknown, unknown
-    for_first, for_second = windows
-    share = halves[0].number / max(whole.number, 1)
-    if for_first == for_second:
-        both = slope(whole, for_first)
-        return share * both, (1 - share) * both
-    return share * slope(halves[0], for_first), (1 - share) * slope(halves[1], for_second)
-
-
-def _windows_of_halves(
-    accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow
-) -> tuple[int, int] | None:
-    """The windows for the first and the second half, each chosen by the other; None where no two windows agree."""
     if windows_disagree(accumulator, columns, in_window):
-        return None
-    first, second = accumulator.halves
-    for_second = _widest(first, columns, in_window, _AGREE, accumulator.tolerance)
-    return _widest(second, columns, in_window, _AGREE, accumulator.tolerance), for_second
+        narrowest, unknown = _usable(columns, in_window)[-1], np.full_like(whole.mean, math.nan)
+        return derivative(whole, narrowest)._replace(standard_error=math.nan), narrowest, (unknown, unknown)
+    for_second, for_first = (_widest(half, columns, in_window, _AGREE, accumulator.tolerance) for half in halves)
+    window, share = max(for_first, for_second), first.number / max(whole.number, 1)
+    found = derivative(whole, window)
+    if for_first == for_second:
+        both = slope(whole, window)
+        return found, window, (share * both, (1 - share) * both)
+    one, other = derivative(first, for_first), derivative(second, for_second)
+    mixed = share * one.derivative + (1 - share) * other.derivative
+    error = math.hypot(share * one.standard_error, (1 - share) * other.standard_error)
+    by_means = share * slope(first, for_first), (1 - share) * slope(second, for_second)
+    return found._replace(derivative=mixed, standard_error=error), window, by_means
 
 
 def windows_disagree(accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow) -> bool:
     """Whether even the two narrowest windows with enough sticks disagree by more than chance explains."""
     usable = _usable(columns, in_window)
-    return (
-        len(usable) > 1
-        and _widest(accumulator.moments, columns, in_window, _DISAGREE, accumulator.tolerance) == usable[-1]
-    )
+    widest = _widest(accumulator.moments, columns, in_window, _DISAGREE, accumulator.tolerance)
+    return len(usable) > 1 and widest == usable[-1]
 
 
 def _usable(columns: DerivativeColumns, in_window: _InWindow) -> list[int]:
@@ -341,21 +313,18 @@ def results_of(
         one, own = accumulated.single(number), accumulated.slice_of(number)
         for parameter, where, in_window in zip(problem.parameters, one.columns, one.in_window, strict=True):
             at = parameter.value if elasticity else None
-            gradient, window = estimate_by_windows(one, where, in_window, at)
+            gradient, window, by_means = estimate_by_windows(one, where, in_window, at)
             if parameter.name in without_derivative:
                 gradient = gradient._replace(derivative=math.nan, standard_error=math.nan)
-            pathwise = gradient.pathwise if estimator == "corrected" else math.nan
+            if estimator != "corrected":
+                gradient = gradient._replace(pathwise=math.nan)
             result = Sensitivity(
                 statistic=statistic.name,
                 parameter=parameter.name,
                 parameter_value=parameter.value,
                 unit=statistic.unit,
-                value=gradient.value,
-                value_error=gradient.value_error,
-                derivative=gradient.derivative,
-                standard_error=gradient.standard_error,
-                pathwise=pathwise,
-                event=gradient.derivative - pathwise,
+                **gradient._asdict(),
+                event=gradient.derivative - gradient.pathwise,
                 is_elasticity=elasticity,
                 estimator=estimator,
                 samples=one.moments.number,
@@ -367,7 +336,7 @@ def results_of(
             )
             found.append(result)
             whole = np.zeros((2, len(accumulated.halves[0].mean)))
-            whole[:, own] = influence_by_windows(one, where, in_window, at)
+            whole[:, own] = by_means
             slopes.append(whole)
     covariance = np.zeros((len(slopes), len(slopes)))
     for moments, of in zip(accumulated.halves, np.stack(slopes, axis=1), strict=True):

@@ -2,15 +2,16 @@
 numbers.
 """
 
+import dataclasses
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import partial, reduce
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int
 
 from .._compiler import WIDE_VECTORS, CompiledNatively
 from .._dynamics.common.lanes import Engine, Job, SampleTotals, summarize
@@ -53,7 +54,7 @@ _Other = TypeVar("_Other")
 class Rows(NamedTuple):
     """Results of samples: numerator and denominator, their derivatives, and the pathwise parts of these.
 
-    `in_window`: how many distances were inside each window.
+    `in_window`: how many distances were inside each window. `tolerance`: as in `Accumulator`.
     """
 
     status: Int[np.ndarray, " samples"]
@@ -61,6 +62,7 @@ class Rows(NamedTuple):
     slopes: Float[np.ndarray, "paths samples windows 2"]
     pathwise: Float[np.ndarray, "paths samples 2"]
     in_window: Float[np.ndarray, "paths samples windows"]
+    tolerance: float = 0.0
 
     @property
     def columns(self) -> Float[np.ndarray, "samples columns"]:
@@ -116,15 +118,15 @@ class JointAccumulator(NamedTuple):
     tolerance: tuple[float, ...]
 
     @classmethod
-    def of(cls, rows: list[Rows], sources: "list[Source]") -> "JointAccumulator":
-        """The sums of one chunk, with the rows of each statistic, and the source of each."""
+    def of(cls, rows: list[Rows]) -> "JointAccumulator":
+        """The sums of one chunk, with the rows of each statistic."""
         done = np.max([one.status for one in rows], axis=0) == Status.FINISHED
         each = [one.columns for one in rows]
         columns = np.concatenate(each, axis=1)
         first, second = (Moments.of(columns[half::2][done[half::2]]) for half in (0, 1))
         in_window = tuple(one.in_window[:, done].sum(axis=1) for one in rows)
-        tolerance = tuple(source.tolerance for source in sources)
-        return cls((first, second), tuple(one.shape[1] for one in each), in_window, tolerance)
+        sizes, tolerance = (tuple(one.shape[1] for one in each), tuple(one.tolerance for one in rows))
+        return cls((first, second), sizes, in_window, tolerance)
 
     def merge(self, other: "JointAccumulator") -> "JointAccumulator":
         """The sums of both."""
@@ -149,13 +151,11 @@ class Source(NamedTuple):
 
     - `rows`: of samples ``first .. first + number - 1``, for each statistic, as a function of these two.
     - `per_task`: the largest `number`. `widths`: of the windows, or the steps, relative to the parameter.
-    - `tolerance`: as in `Accumulator`.
     """
 
     rows: Callable[[int, int], list[Rows]]
     per_task: int
     widths: Float[np.ndarray, " windows"]
-    tolerance: float = 0.0
 
 
 def run_chunks(sources: list[Source], samples: int, threads: int) -> JointAccumulator:
@@ -164,16 +164,11 @@ def run_chunks(sources: list[Source], samples: int, threads: int) -> JointAccumu
     firsts = range(0, samples, per_chunk)
 
     def simulate(first: int) -> JointAccumulator:
-        each = [source.rows(first, min(per_chunk, samples - first)) for source in sources]
-        of_each = [source for source, found in zip(sources, each, strict=True) for _ in found]
-        return JointAccumulator.of([rows for found in each for rows in found], of_each)
+        number = min(per_chunk, samples - first)
+        return JointAccumulator.of([rows for source in sources for rows in source.rows(first, number)])
 
     with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
-        accumulators = pool.map(simulate, firsts)
-        total = next(accumulators)
-        for accumulator in accumulators:
-            total = total.merge(accumulator)
-    return total
+        return reduce(JointAccumulator.merge, pool.map(simulate, firsts))
 
 
 def derivatives_of(
@@ -200,9 +195,9 @@ def derivatives_of(
     return jax.vmap(along, out_axes=(None, 0, None))(directions if chosen is None else directions[chosen])
 
 
-def units_of(holder: PyTree, paths: tuple[NumberPath, ...]) -> Float[np.ndarray, " paths"]:
-    """The units in which `derivatives_of` varies the numbers at `paths` of an engine or a model."""
-    return np.array([abs(float(number_at(holder, path))) or 1.0 for path in paths])
+def units_of(tree: Engine | StochasticModel, paths: tuple[NumberPath, ...]) -> Float[np.ndarray, " paths"]:
+    """The units in which `derivatives_of` varies the numbers at `paths`."""
+    return np.array([abs(float(number_at(tree, path))) or 1.0 for path in paths])
 
 
 def _count(
@@ -222,15 +217,9 @@ def _count(
 
 
 def _sequence(
-    statistics: tuple[StickStatistic, ...],
-    job: Job,
-    bandwidths: AnyArray,
-    *,
-    paths: tuple[NumberPath, ...],
-    lanes: int,
-    buffer: BufferSizes,
-    dtype: DType,
-) -> tuple[tuple[Features, ...], tuple[Features, ...], RecordedCounts]:
+    statistics: tuple[StickStatistic, ...], job: Job, bandwidths: AnyArray, *, paths: tuple[NumberPath, ...],
+    lanes: int, buffer: BufferSizes, dtype: DType,
+) -> tuple[tuple[Features, ...], tuple[Features, ...], RecordedCounts]:  # fmt: skip
     """`Features` of each statistic, their derivatives by the numbers at `paths` along a first axis, and the counts.
 
     The derivatives are pathwise parts, event parts, and how many distances the windows hold; none without `paths`.
@@ -263,61 +252,20 @@ _TOGETHER = 2  # derivatives in one pass of time steps: XLA (jaxlib 0.10) makes 
 _MOST_TRIES = 6  # with larger and larger buffers of a realisation
 
 
-def counted(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
-    """Derivatives by all parameters with a counting engine, a window per bandwidth; without any, the pathwise part."""
-    engine, paths = counting_engine(problem, pilot, bandwidths), problem.paths("engine")
-    # The derivative by a rate comes from the likelihood; its pathwise part is found beside it.
-    every = tuple(dict.fromkeys((*score_paths(engine, paths), *paths)))
-    count, pathwise = counter(problem, engine, every), [every.index(path) for path in paths]
+def counted(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray, *, by_score: bool = True) -> Source:
+    """Derivatives by all parameters with a counting engine, a window per bandwidth; without any, the pathwise part.
 
-    def rows(first: int, number: int) -> list[Rows]:
-        own = slice(len(paths))
-        return [
-            Rows(status, parts, slopes[own], path_parts[pathwise], in_window[own])
-            for status, parts, slopes, path_parts, in_window in count(first, number)
-        ]
-
-    return Source(rows, problem.per_task, bandwidths)
-
-
-def counting_engine(
-    problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray
-) -> IntervalCounting | StepCounting | RandomEngine:
-    """The engine that counts; of a problem with inputs, a `RandomEngine` over one. Without `bandwidths`, for pathwise
-    derivatives only.
+    `by_score`: whether the derivative by a rate comes from the likelihood; its pathwise part is found beside it.
     """
-    bandwidths = np.asarray(bandwidths, problem.dtype)
-
-    def counting(engine):
-        if not problem.by_intervals:
-            return StepCounting(engine, bandwidths, problem.fixed_start)
-        law, likelihood = engine.law, None
-        if law.gap_rate is not None:
-            likelihood = Likelihood(getattr(law, law.gap_rate), pilot.stick_time, pilot.sticks)
-        return IntervalCounting(engine, bandwidths, likelihood, problem.fixed_start)
-
-    return wrapped(problem.engine(), counting)
-
-
-def score_paths(engine: Engine, paths: tuple[NumberPath, ...]) -> tuple[NumberPath, ...]:
-    """The `paths`, but where one is that of the rate of the base's gaps, that of the rate the likelihood knows."""
-    counting, outer = single_engine(engine), ("template",) if isinstance(engine, RandomEngine) else ()
-    if not isinstance(counting, IntervalCounting) or counting.likelihood is None:
-        return paths
-    rate = (*outer, "engine", "law", counting.engine.law.gap_rate)
-    return tuple((*outer, "likelihood", "rate") if path == rate else path for path in paths)
-
-
-def counter(
-    problem: SensitivityProblem, engine: Engine, paths: tuple[NumberPath, ...]
-) -> Callable[[int, int], list[Rows]]:
-    """A function of a task's first sample and number of samples, with derivatives by the numbers at `paths`."""
+    engine, own = counting_engine(problem, pilot, bandwidths), problem.paths("engine")
+    paths = tuple(dict.fromkeys((*score_paths(engine, own), *own))) if by_score else own
+    parameters, places = slice(len(own)), [paths.index(path) for path in own]  # of the derivatives, of pathwise parts
     units, t1 = units_of(engine, paths)[:, None], problem.t1
     together = len(paths) if problem.by_intervals else min(len(paths), _TOGETHER)
-    parts = -(-len(paths) // together)
-    chosen = np.minimum(np.arange(parts * together, dtype=np.int32), len(paths) - 1).reshape(parts, together)
+    passes = -(-len(paths) // together)
+    chosen = np.minimum(np.arange(passes * together, dtype=np.int32), len(paths) - 1).reshape(passes, together)
 
-    def count(first: int, number: int) -> list[Rows]:
+    def rows(first: int, number: int) -> list[Rows]:
         job = problem.job(engine, first, LANES * ROWS, -(-number // LANES))
         found = [
             count_chunk[is_built_in(engine)](job, part, paths=paths, lanes=LANES, rows=ROWS, dtype=problem.dtype)
@@ -340,14 +288,43 @@ def counter(
             parts = totals @ weights[:, :2].T + weights[:, 2]
             # The number of sticks has no pathwise derivative: it is locally constant.
             pathwise = time[..., None] * weights[:, 0]
-            if statistic.ignores_stick_count or not event_parts:
-                return Rows(status, parts, pathwise[:, :, None], pathwise, no_window)
-            slopes = [np.stack([time, part], axis=-1) @ weights[:, :2].T for part in event_parts]
-            return Rows(status, parts, np.stack(slopes, axis=2), pathwise, in_window)
+            slopes, windows = pathwise[:, :, None], no_window
+            if event_parts and not statistic.ignores_stick_count:
+                each = [np.stack([time, part], axis=-1) @ weights[:, :2].T for part in event_parts]
+                slopes, windows = np.stack(each, axis=2), in_window
+            return Rows(status, parts, slopes[parameters], pathwise[places], windows[parameters])
 
         return list(map(rows_of, problem.totals))
 
-    return count
+    return Source(rows, problem.per_task, bandwidths)
+
+
+def counting_engine(
+    problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray
+) -> IntervalCounting | StepCounting | RandomEngine:
+    """The engine that counts; of a problem with inputs, a `RandomEngine` over one. Without `bandwidths`, for pathwise
+    derivatives only.
+    """
+    bandwidths = np.asarray(bandwidths, problem.dtype)
+
+    def counting(engine):
+        if not problem.by_intervals:
+            return StepCounting(engine, bandwidths, problem.fixed_start, with_distances=len(bandwidths) > 0)
+        law, likelihood = engine.law, None
+        if law.gap_rate is not None:
+            likelihood = Likelihood(getattr(law, law.gap_rate), pilot.stick_time, pilot.sticks)
+        return IntervalCounting(engine, bandwidths, likelihood, problem.fixed_start)
+
+    return wrapped(problem.engine(), counting)
+
+
+def score_paths(engine: Engine, paths: tuple[NumberPath, ...]) -> tuple[NumberPath, ...]:
+    """The `paths`, but where one is that of the rate of the base's gaps, that of the rate the likelihood knows."""
+    counting, outer = single_engine(engine), ("template",) if isinstance(engine, RandomEngine) else ()
+    if not isinstance(counting, IntervalCounting) or counting.likelihood is None:
+        return paths
+    rate = (*outer, "engine", "law", counting.engine.law.gap_rate)
+    return tuple((*outer, "likelihood", "rate") if path == rate else path for path in paths)
 
 
 def recorded(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
@@ -382,10 +359,8 @@ def with_sequences(
     `paths`: in the engine that records. Without `bandwidths` nothing but the sticks is recorded.
     """
     job = job._replace(engine=wrapped(job.engine, partial(recording, fixed_start=problem.fixed_start)))
-    larger = buffer if len(bandwidths) else buffer._replace(candidates=0)
-    found: Any = None
-    for _ in range(_MOST_TRIES):
-        buffer = larger
+    buffer, tries = buffer if len(bandwidths) else buffer._replace(candidates=0), 0
+    while True:
         found = sequence_chunk(
             problem.statistics, job, np.asarray(bandwidths, problem.dtype), paths=paths, lanes=problem.sequence_lanes,
             buffer=buffer, dtype=problem.dtype,
@@ -396,9 +371,10 @@ def with_sequences(
         larger = BufferSizes(buffer.blocks, max(slots, buffer.slots), max(candidates, buffer.candidates))
         if larger == buffer and np.any(np.isin(status, (Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS))):
             larger = buffer._replace(blocks=2 * buffer.blocks)
-        if larger == buffer:
-            break
-    return found
+        tries += 1
+        if larger == buffer or tries == _MOST_TRIES:
+            return found
+        buffer = larger
 
 
 def flat(leaf: AnyArray, number: int) -> np.ndarray:
@@ -412,8 +388,6 @@ def flat(leaf: AnyArray, number: int) -> np.ndarray:
 # options of the method that follow from the system, such as the threshold, follow the parameter. So do the matrices of
 # structures with a list of contacts.
 
-
-_ALL = Numbering(1, True)  # counts a stick that begins at t = 0, as the statistics do
 
 _TOLERANCE = 0.1
 """How far, in standard errors, the derivatives of an output by two steps may differ even if it is not by chance.
@@ -445,13 +419,14 @@ def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, wi
 
     Raises ValueError if a value at an end is not allowed.
     """
-    tree: Any
-    if problem.needs_ensembles:
-        tree, paths = problem.model, tuple(parameter.path for parameter in problem.parameters)
-        values_at = partial(_values_of_ensemble, problem)
-    else:
-        tree, paths = problem.engine(), problem.paths()
-        values_at = partial(partial, _values_of_engine, problem, pilot)
+    tree: Any = problem.model if problem.needs_ensembles else problem.engine()
+    paths = tuple(one.path for one in problem.parameters) if problem.needs_ensembles else problem.paths()
+
+    def values_at(tree: Any) -> _ValuesOf:
+        if problem.needs_ensembles:
+            return _values_of_ensemble(problem, tree)
+        return partial(_values_of_engine, problem, pilot, tree)
+
     pairs: list[tuple[float, list[_ValuesOf]]] = []  # the half-width, and both ends, for all parameters and steps
     for path, parameter, unit in zip(paths, problem.parameters, units_of(tree, paths), strict=True):
         for length in steps * unit:
@@ -465,11 +440,10 @@ def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, wi
                     f"to be varied by {length:g}, which it does not allow. {error}"
                 ) from error
             pairs.append((length, [values_at(end) for end in ends]))
-    centre, pathwise_of = values_at(tree), None
-    if with_pathwise and problem.is_counted:
-        pathwise_of = counter(problem, counting_engine(problem, pilot, np.zeros(0)), problem.paths("engine"))
-    elif with_pathwise:
-        pathwise_of = recorded(problem, pilot, np.zeros(0)).rows
+    centre, pathwise_by = values_at(tree), None
+    if with_pathwise:
+        find = partial(counted, by_score=False) if problem.is_counted else recorded
+        pathwise_by = find(problem, pilot, np.zeros(0))
 
     def rows(first: int, number: int) -> list[Rows]:
         def difference(length: float, ends: list[_ValuesOf]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -485,19 +459,20 @@ def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, wi
         slopes = np.moveaxis(np.reshape(slopes, (*shape, 2)), (2, 3), (0, 2))
         differs = np.moveaxis(np.reshape(differs, shape), (2, 3), (0, 2)).astype(float)
         pathwise = np.zeros((len(parts), len(paths), number, 2))
-        if pathwise_of is not None:
-            pathwise = [one.pathwise for one in pathwise_of(first, number)]
-        return list(map(partial(Rows, status), parts, slopes, pathwise, differs))
+        if pathwise_by is not None:
+            pathwise = [one.pathwise for one in pathwise_by.rows(first, number)]
+        tolerance = [_TOLERANCE if problem.is_output else 0.0] * len(parts)
+        return list(map(partial(Rows, status), parts, slopes, pathwise, differs, tolerance))
 
     by_totals = problem.is_counted or problem.needs_ensembles
-    per_task = problem.per_task if by_totals else problem.sequence_lanes
-    return Source(rows, per_task, steps, tolerance=_TOLERANCE if problem.is_output else 0.0)
+    return Source(rows, problem.per_task if by_totals else problem.sequence_lanes, steps)
 
 
 def _values_of_ensemble(problem: SensitivityProblem, model: StochasticModel) -> _ValuesOf:
     """The values of the samples of an ensemble of `model`."""
     key = jax.random.wrap_key_data(problem.key_data)
-    options = (problem.samples, 0, key, None, problem.method, "sticks", _ALL)
+    numbering = Numbering(1, True)  # counts a stick that begins at t = 0, as the statistics do
+    options = (problem.samples, 0, key, None, problem.method, "sticks", numbering)
     setup = EnsembleSetup.checked(model, problem.t1, *options)
     if problem.is_output:
         outputs = {one.output.name: one.output for one in problem.statistics if isinstance(one, OfOutput)}
@@ -528,8 +503,7 @@ def _values_of_engine(problem: SensitivityProblem, pilot: Pilot, engine: Engine,
     job = problem.job(engine, first, samples, rows)
     if isinstance(engine, RandomEngine):
         # With its random numbers drawn, both ends of a difference are compiled once.
-        drawn, varying = engine.drawn(job.varying)
-        job = job._replace(engine=drawn, varying=varying)
+        job = job.with_columns()._replace(engine=dataclasses.replace(engine, sources=(None,) * len(engine.sources)))
     if problem.is_counted:
         with_records = problem.random is not None and problem.random.inputs.has_sampled_law
         summarize = compiled_for(job.engine, with_records=with_records).summarize

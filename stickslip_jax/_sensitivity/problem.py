@@ -14,7 +14,6 @@ from .._dynamics.common.lanes import BLOCK, Engine, Job
 from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, check_method, state_of
 from .._dynamics.engine_choice import ByIntervals, engine_for, engines_of_all, sample_engines
 from .._dynamics.interval.arcs import Scales
-from .._dynamics.interval.crossing import start_motion
 from .._dynamics.interval.engine import IntervalEngine
 from .._dynamics.switched.engine import steps_for
 from .._ensemble.call import simulate_ensemble
@@ -97,12 +96,6 @@ class SensitivityProblem(NamedTuple):
     model: StochasticModel
     random: RandomInputs | None = None
 
-    @property
-    def statistic(self) -> StickStatistic:
-        """The statistic, where there is one."""
-        (statistic,) = self.statistics
-        return statistic
-
     def only(self, statistic: StickStatistic) -> "SensitivityProblem":
         """The problem of one statistic."""
         return self._replace(statistics=(statistic,))
@@ -132,7 +125,10 @@ class SensitivityProblem(NamedTuple):
 
     @property
     def steps(self) -> int:
-        """How many time steps suffice for nearly every realisation."""
+        """How many intervals or time steps suffice for nearly every realisation."""
+        if self.by_intervals:
+            assert isinstance(self.law, PiecewiseConstantLaw)
+            return self.law.checked_capacity(self.t1)
         excitation, step = self.arguments.checked_step("law")
         return steps_for(self.system, excitation, self.t1, step)
 
@@ -186,8 +182,7 @@ class SensitivityProblem(NamedTuple):
     @property
     def is_paired(self) -> bool:
         """Whether the event part is a difference between pairs of trajectories, because kernels cannot estimate it."""
-        by_kernels = self.ignores_stick_count or not self.system.traits.stops_are_unstable
-        return self.has_sudden_switches or not by_kernels
+        return self.has_sudden_switches or (self.system.traits.stops_are_unstable and not self.ignores_stick_count)
 
     @property
     def is_counted(self) -> bool:
@@ -282,13 +277,8 @@ class SensitivityProblem(NamedTuple):
 def buffer_sizes_for(problem: SensitivityProblem, pilot: Pilot) -> BufferSizes:
     """Buffer sizes that suffice for nearly every realisation; callers enlarge them when they do not."""
     assert pilot.most is not None
-    if problem.by_intervals:
-        assert isinstance(problem.law, PiecewiseConstantLaw)
-        intervals = problem.law.checked_capacity(problem.t1)
-    else:
-        intervals = problem.steps
     slots = 8 * -(-pilot.most // 8) + 8
-    return BufferSizes(*map(max, (-(-intervals // BLOCK), slots, 2 * slots), pilot.fewest))
+    return BufferSizes(*map(max, (-(-problem.steps // BLOCK), slots, 2 * slots), pilot.fewest))
 
 
 # Check of the arguments, and a pilot simulation of few samples, from which the widths of the kernels are chosen.
@@ -356,8 +346,10 @@ def problem_of(
     return problem if smoothed else problem.with_inputs(inputs), pilot
 
 
-def require_precision(problem: SensitivityProblem) -> None:
-    """Raise ValueError where float32 resolves neither near misses nor the derivatives of slips that begin slowly."""
+def require_correctable(problem: SensitivityProblem) -> None:
+    """Raise ValueError where the corrected method does not know what differs from sample to sample, and where float32
+    resolves neither near misses nor the derivatives of slips that begin slowly.
+    """
     if problem.dtype.itemsize < 8 and not (problem.by_intervals or problem.has_sudden_switches):
         raise ValueError(
             "Argument system (or law) must be a MassSpring without damping or force on a base of piecewise-constant "
@@ -365,10 +357,6 @@ def require_precision(problem: SensitivityProblem) -> None:
             "velocity, and how slowly a slip began. Call jax.config.update('jax_enable_x64', True) first, or use "
             "estimator='finite-difference'."
         )
-
-
-def require_correctable(problem: SensitivityProblem) -> None:
-    """Raise ValueError where the corrected method does not know what differs from sample to sample."""
     if not problem.can_be_corrected:
         raise ValueError(
             "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
@@ -403,7 +391,7 @@ def warn_if_grazing(problem: SensitivityProblem) -> tuple[str, ...]:
     """Names of the parameters by which no derivative exists because the first arc grazes; warns (RuntimeWarning)."""
     if not (problem.by_intervals and problem.fixed_start):
         return ()
-    grazes, moved = _zeros(problem, _excess)
+    grazes, moved = _zeros(problem, relative_excess)
     if moved:
         warnings.warn(
             f"The derivative with respect to {', '.join(moved)} does not exist: {np.mean(grazes):.0%} of the "
@@ -438,12 +426,6 @@ def warn_at_special_speeds(problem: SensitivityProblem, already_warned: tuple[st
             RuntimeWarning,
             stacklevel=3,
         )
-
-
-def _excess(engine: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Float[Array, " lanes"]:
-    """``R^2 - q^2`` of the first arc, relative to its scale; 1 for arcs from above."""
-    motion = start_motion(scales, (engine.y0[0], engine.y0[1]))
-    return jax.vmap(lambda velocity: relative_excess(scales, motion, velocity))(velocities)
 
 
 def _from_special_speeds(_: IntervalEngine, scales: Scales, velocities: Float[Array, " lanes"]) -> Array:

@@ -299,10 +299,6 @@ class RandomEngine(VaryingEngine):
             for source, column in zip(self.sources, varying, strict=True)
         )
 
-    def drawn(self, varying: tuple[AnyArray, ...]) -> tuple["RandomEngine", tuple[AnyArray, ...]]:
-        """The engine without sources, and its varying leaves."""
-        return dataclasses.replace(self, sources=(None,) * len(self.sources)), self.columns(varying)
-
     def after_block(self, samples: PyTree, motions: PyTree, records: PyTree) -> PyTree:
         return self.template.after_block(self.constants(samples), motions, records)
 
@@ -354,11 +350,10 @@ class RecordedCounts(NamedTuple):
 
 
 class LaneSticks(NamedTuple):
-    """The sticks of each lane's sample in order of time, 0 in spare slots."""
+    """The sticks of each lane's sample in order of time, and what decides about them."""
 
-    start: Float[Array, "slots lanes"]
-    end: Float[Array, "slots lanes"]
-    ending: Int[Array, "slots lanes"]
+    sticks: StickSequence  # (lanes, slots)
+    first_ending: Int[Array, " lanes"]  # of the first stick, -1 where there is none
     t1: FloatArray  # s
     deterministic_until: Float[Array, " lanes"]  # when the first random thing happens, s
     counts: RecordedCounts
@@ -411,12 +406,12 @@ def record_sequences(job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType)
     if buffer.candidates > 0:
         candidates, is_filled, candidates_found = _gathered(is_candidate, candidates, buffer.candidates)
         distances = single.distances(samples, candidates).after(samples.deterministic_until[None], is_filled)
-    start, end = (jnp.where(is_stick, column, 0) for column in (kept.start, kept.end))
-    ending = jnp.where(is_stick, kept.ending, -1).astype(jnp.int32)
-    status = jnp.asarray(jax.vmap(engine.results)(now.sample, now.motion), jnp.int32)
+    start, duration = (jnp.where(is_stick, column, 0).T for column in (kept.start, kept.end - kept.start))
+    first_ending = jnp.where(is_stick[0], kept.ending[0], -1).astype(jnp.int32)
+    status = jnp.asarray(jax.vmap(engine.results)(now.sample, now.motion).status, jnp.int32)
     counts = RecordedCounts(status, sticks_found, candidates_found)
-    t1 = jnp.asarray(single.engine.t1, dtype)
-    return LaneSticks(start, end, ending, t1, samples.deterministic_until, counts, distances)
+    sequences, t1 = StickSequence(start, duration, is_stick.T), jnp.asarray(single.engine.t1, dtype)
+    return LaneSticks(sequences, first_ending, t1, samples.deterministic_until, counts, distances)
 
 
 def _gathered(exists: BoolArray, columns: _Tree, slots: int) -> tuple[_Tree, BoolArray, IntArray]:
@@ -436,18 +431,17 @@ def features_of(statistic: StickStatistic, recorded: LaneSticks, bandwidths: Any
 
     `bandwidths` (windows,): relative bandwidths of the kernels.
     """
-    start, end, dtype = recorded.start.T, recorded.end.T, recorded.start.dtype
-    bandwidths, mask = jnp.asarray(bandwidths, dtype), recorded.ending.T >= 0
-    sequences = StickSequence(jnp.where(mask, start, 0), jnp.where(mask, end - start, 0), mask)
+    dtype = recorded.sticks.start.dtype
+    bandwidths = jnp.asarray(bandwidths, dtype)
 
     def parts(sticks):
         return jnp.stack([jnp.asarray(part, dtype) for part in statistic.parts(sticks, recorded.t1)])
 
     if recorded.distances is None:
-        shape = (len(mask), len(bandwidths))
-        return Features(jax.vmap(parts)(sequences), jnp.zeros((*shape, 2), dtype), jnp.zeros(shape, dtype))
+        shape = (len(recorded.first_ending), len(bandwidths))
+        return Features(jax.vmap(parts)(recorded.sticks), jnp.zeros((*shape, 2), dtype), jnp.zeros(shape, dtype))
 
-    def of(sticks, ending, deterministic_until, distances):
+    def of(sticks, first_ending, deterministic_until, distances):
         fixed = lax.stop_gradient(sticks)
 
         def jump_at(time, exists, is_slip):
@@ -459,7 +453,7 @@ def features_of(statistic: StickStatistic, recorded: LaneSticks, bandwidths: Any
         at_start = _jump_of_stick(parts, fixed, fixed.start[0], True)
         sums = BoundarySums.over(distances, bandwidths)
         # Only the first stick can begin at t = 0.
-        of_first = sticks.start[0], sticks.duration[0], ending[0]
+        of_first = sticks.start[0], sticks.duration[0], first_ending
         first = BoundarySums.over_vanishing(*of_first, deterministic_until, bandwidths)
         event_parts = [jnp.sum(weights[:, None] * at_boundaries, axis=0) + weight * at_start
                        for weights, weight in zip(sums.event_parts, first.event_parts, strict=True)]  # fmt: skip
@@ -467,7 +461,7 @@ def features_of(statistic: StickStatistic, recorded: LaneSticks, bandwidths: Any
         return Features(parts(sticks), jnp.stack(event_parts), jnp.stack(in_window))
 
     distances = jax.tree.map(jnp.transpose, recorded.distances)
-    return jax.vmap(of)(sequences, recorded.ending.T, recorded.deterministic_until, distances)
+    return jax.vmap(of)(recorded.sticks, recorded.first_ending, recorded.deterministic_until, distances)
 
 
 _Parts: TypeAlias = Callable[[StickSequence], FloatArray]

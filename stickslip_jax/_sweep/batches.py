@@ -32,7 +32,8 @@ from .._ensemble.result import Ensemble
 from .._foundation import compilation_cache
 from .._foundation.files import unpacked_arrays
 from .._foundation.types import Status
-from .._sensitivity import Sensitivities, sensitivity
+from .._sensitivity.call import sensitivity
+from .._sensitivity.estimate import Sensitivities
 from .._statistics.totals import DIFFERENTIABLE
 from .plan import RETAINED, Plan, Task
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._sensitivity.problem import problem_of, require_precision
+from stickslip_jax._sensitivity.problem import problem_of, require_correctable
 
 OSCILLATOR = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4))
 
@@ -88,10 +88,10 @@ def test_motion_in_steps_needs_double_precision():
     problem, _ = problem_of(ss.mean_stick_count, OSCILLATOR, law, "mu", 5.0, 64, key, None)
     damped = problem._replace(system=ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.4), damping=0.1))
     single = np.dtype(np.float32)
-    require_precision(damped)
-    require_precision(problem._replace(dtype=single))
+    require_correctable(damped)
+    require_correctable(problem._replace(dtype=single))
     with pytest.raises(ValueError, match=r"must be a MassSpring without damping .* single precision"):
-        require_precision(damped._replace(dtype=single))
+        require_correctable(damped._replace(dtype=single))
 
 
 @pytest.mark.slow

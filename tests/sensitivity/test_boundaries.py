@@ -171,18 +171,18 @@ def tally_of(rng, bias, number=4000):
 
 def test_window_is_wide_unless_it_disagrees(monkeypatch):
     accumulator, where = tally_of(np.random.default_rng(3), 0.0)
-    got, window = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
+    got, window, _ = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
     assert window == 0
     assert got == gradient_of_ratio(accumulator.moments, 2, 6, None)
     # No two windows agree: the error of the narrowest alone would be too sure of itself, and is not given.
     accumulator, where = tally_of(np.random.default_rng(3), 1.0)
-    got, window = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
+    got, window, _ = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
     narrow = gradient_of_ratio(accumulator.moments, 4, 6, None)
     assert (window, got.derivative) == (1, narrow.derivative)
     assert np.isnan(got.standard_error)
     assert estimate.windows_disagree(accumulator, where, accumulator.in_window[0])
     monkeypatch.setattr(estimate, "_DISAGREE", np.inf)  # without that guard the error is finite
-    assert estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None) == (narrow, 1)
+    assert estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)[:2] == (narrow, 1)
     # A narrow window that holds too little judges nothing.
     assert estimate.estimate_by_windows(accumulator, where, np.array([1000.0, estimate.FEW - 1]), None)[1] == 0
 
@@ -200,7 +200,7 @@ def test_choosing_a_window_leaves_errors_honest():
     rng, scores, scaled, narrow = np.random.default_rng(5), [], [], 0
     for _ in range(2000):
         accumulator, where = tally_of(rng, 0.0, number=400)
-        got, window = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
+        got, window, _ = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
         scores.append((got.derivative - 1) / got.standard_error)
         narrow += window
         chosen = where.derivative[_chosen(accumulator, where)]
