@@ -17,7 +17,7 @@ from .._dynamics.interval.engine import IntervalEngine, is_over
 from .._dynamics.sticks import StickRecord, start_totals
 from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
 from .._dynamics.switched.stepping import Lane, advance
-from .._excitation.motion import RandomSignal, Signal
+from .._excitation.motion import Signal
 from .._foundation.types import AnyArray, BoolArray, FloatArray, IntArray, Scalar
 from .._systems.system import one_contact_model
 from .boundaries import (
@@ -103,7 +103,7 @@ class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Co
     """Engine that counts the sticks that an `IntervalEngine` simulates, and records candidates, if `with_distances`.
 
     `bandwidths` (windows,): relative bandwidths of the kernels (see `two_sided_kernel`). `fixed_start`: whether all
-    samples begin in the same state: then the outcome of the first arc has no density.
+    samples begin alike: then nothing has a density before the base's first segment ends, but the distance to that end.
     """
 
     engine: IntervalEngine
@@ -124,16 +124,16 @@ class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Co
     def shared(self, dtype) -> Scales:
         return self.engine.shared(dtype)
 
-    def draw(self, sample: IntervalSample, number: Array, dtype) -> tuple[PyTree, BoolArray]:
-        return self.engine.law.draw(sample.key_data, number, dtype), number == 0
+    def draw(self, sample: IntervalSample, number: Array, dtype) -> PyTree:
+        return self.engine.law.draw(sample.key_data, number, dtype)
 
     def step(
-        self, shared: Scales, sample: IntervalSample, motion: _IntervalMotion, drawn: tuple[PyTree, BoolArray]
+        self, shared: Scales, sample: IntervalSample, motion: _IntervalMotion, drawn: PyTree
     ) -> tuple[_IntervalMotion, Trace]:
-        (lane, sums, switches), (drawn, is_first), law = motion, drawn, self.engine.law
+        (lane, sums, switches), law = motion, self.engine.law
         moved, stick, distances, duration = cross_with_distances(law, shared, lane, drawn)
-        arrival, is_fixed = stick.start - lane.motion.t, is_first & self.fixed_start  # nothing before it was random
-        exact, switch_where = jnp.zeros_like(arrival), ~is_fixed
+        arrival = stick.start - lane.motion.t
+        exact, switch_where = jnp.zeros_like(arrival), jnp.ones((), bool)
         if law.gap_rate is not None:
             rate = jnp.asarray(getattr(law, law.gap_rate), arrival.dtype)
             # A gap that ends at the arrival, E / rate with its random number E held fixed.
@@ -142,7 +142,7 @@ class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Co
             switch_where = jnp.zeros((), bool)
         sums = sums._replace(event_parts=tuple(part + exact for part in sums.event_parts))
         bandwidths = jnp.asarray(self.bandwidths, arrival.dtype)
-        more = BoundarySums.over(distances.only(~is_fixed, switch_where), bandwidths)
+        more = BoundarySums.over(distances.only(lane.motion.t >= sample.deterministic_until, switch_where), bandwidths)
         sums = jax.tree.map(jnp.add, sums, more)
         following = _IntervalMotion(moved, sums, switches + (lane.motion.t + duration < shared.t1))
         if not self.with_distances:
@@ -205,9 +205,7 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
         smooth, lane = self.engine.begin(key_data, dtype)
         laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
         ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
-        # All samples move alike until their first random segment ends, if nothing else is random from the start on.
-        is_deterministic = self.fixed_start and ends and not isinstance(self.engine.excitation.smooth, RandomSignal)
-        until = jnp.min(jnp.stack(ends)) if is_deterministic else jnp.zeros((), dtype)
+        until = jnp.min(jnp.stack(ends)) if self.fixed_start and ends else jnp.zeros((), dtype)
         begun = _StepMotion(lane, -jnp.ones((), dtype), BoundarySums.none(len(self.bandwidths), dtype))
         return StepSample(smooth, until), begun
 

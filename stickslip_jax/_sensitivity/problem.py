@@ -20,6 +20,7 @@ from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
 from .._excitation.excitation import (
     BaseMotion,
+    excitation_of,
     is_random,
     key_data_for,
     law_of,
@@ -27,7 +28,14 @@ from .._excitation.excitation import (
     path_in_excitation,
     path_in_merged,
 )
-from .._excitation.piecewise_constant import GivenSteps, PiecewiseConstantLaw, VelocitySteps
+from .._excitation.motion import RandomSignal
+from .._excitation.piecewise_constant import (
+    GivenSteps,
+    PiecewiseConstantLaw,
+    PoissonSwitching,
+    RandomSteps,
+    VelocitySteps,
+)
 from .._foundation import checks
 from .._foundation.processes import cores, require_threads_of_jax
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
@@ -78,7 +86,8 @@ class SensitivityProblem(NamedTuple):
 
     What it says of its statistics holds if they are of one kind (`kinds`).
     `system`, `law`, `y0`: those of the first sample. `random`: the numbers that differ from sample to sample; None if
-    there are none. `model`: with all distributions and arrays, for what ensembles simulate.
+    there are none. `model`: with all distributions and arrays, for what ensembles simulate. `starts_alike`: whether the
+    base begins as one of a few motions in all of its realisations.
     """
 
     statistics: tuple[StickStatistic, ...]
@@ -94,6 +103,7 @@ class SensitivityProblem(NamedTuple):
     chunk: int | None
     dtype: DType
     model: StochasticModel
+    starts_alike: bool
     random: RandomInputs | None = None
 
     def only(self, statistic: StickStatistic) -> "SensitivityProblem":
@@ -110,8 +120,10 @@ class SensitivityProblem(NamedTuple):
 
     @property
     def fixed_start(self) -> bool:
-        """Whether all samples are the same system, begin in the same state, and first differ where the base does."""
-        return self.random is None
+        """Whether all samples are the same system, begin in the same state, and differ once the base's first segment
+        ends: before, no outcome has a density.
+        """
+        return self.random is None and self.starts_alike
 
     @property
     def by_intervals(self) -> bool:
@@ -341,9 +353,37 @@ def problem_of(
     base = GivenSteps(base) if isinstance(base, VelocitySteps) else base
     problem = SensitivityProblem(
         statistics, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
-        dtype, inputs.model,
+        dtype, inputs.model, _starts_alike(base, dtype),
     )  # fmt: skip
     return problem if smoothed else problem.with_inputs(inputs), pilot
+
+
+def _starts_alike(base: BaseMotion, dtype: DType) -> bool:
+    """Whether the base begins as one of a few motions in all of its realisations.
+
+    Of a random law 1,024 first segments are drawn. Where a few per cent of them have a density, more than 8 are drawn
+    once only; of a law with more than 8 rare ones it does no harm to take it for one with a density.
+    """
+    excitation = excitation_of(base)
+    if isinstance(excitation.smooth, RandomSignal):
+        return False
+    key_data = jnp.arange(2 * _PILOT, dtype=jnp.uint32).reshape(2, -1)
+    for law in (*excitation.base, *excitation.ground):
+        if not law.is_random or type(law) in (PoissonSwitching, RandomSteps):
+            continue
+
+        @jax.jit
+        def first_segments(law=law):
+            def first(high, low):
+                drawn = law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
+                _, value, slope, _ = law.next_segment(law.begin((high, low), dtype), drawn, dtype)
+                return jnp.stack([jnp.asarray(value, dtype), jnp.asarray(slope, dtype)])
+
+            return jax.vmap(first)(*key_data)
+
+        if np.sum(np.unique(np.asarray(first_segments()), axis=0, return_counts=True)[1] == 1) > 8:
+            return False
+    return True
 
 
 def require_correctable(problem: SensitivityProblem) -> None:
@@ -389,7 +429,7 @@ _Function: TypeAlias = Callable[[IntervalEngine, Scales, Float[Array, " lanes"]]
 
 def warn_if_grazing(problem: SensitivityProblem) -> tuple[str, ...]:
     """Names of the parameters by which no derivative exists because the first arc grazes; warns (RuntimeWarning)."""
-    if not (problem.by_intervals and problem.fixed_start):
+    if not problem.by_intervals or problem.random is not None:
         return ()
     grazes, moved = _zeros(problem, relative_excess)
     if moved:
