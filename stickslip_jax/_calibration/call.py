@@ -6,7 +6,6 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +25,7 @@ from .information import SHARE, Bounds, all_bounds, explanations, information_of
 from .parameters import Transform, covariance_of, transform_of
 from .problem import EstimatedNumbers, Sensor
 from .record import Observer, Record, Windows, asked, whiteness
-from .search import FoundFit, Search, as_one, chi_squared, fitted
+from .search import FoundFit, Search, as_one, fitted
 
 # The result of a calibration.
 
@@ -126,178 +125,123 @@ class Calibration:
 
 
 _VAGUE = 3.0  # standard error of an initial state, in its unit, beyond which the record does not tell it
-_WITHOUT_NOISE = (
-    1e-6  # of a channel's standard deviation: smaller residuals are what the search leaves, and never white
-)
+_WITHOUT_NOISE = 1e-6  # of a channel's standard deviation: smaller residuals are what the search leaves, never white
 _SIGNIFICANCE = 0.001  # at which residuals are called too large, or not white
 
 
-def result_of(
-    record: Record,
-    arguments: Arguments,
-    parameters: tuple[Parameter, ...],
-    found: FoundFit,
-    start: np.ndarray | None,
-    given_up: float | None,
-) -> Calibration:
+def result_of(search: Search, found: FoundFit, given_up: float | None) -> Calibration:
     """The result of a fit.
 
-    `start`: the state at t = 0 if it is known. `given_up`: by how much chi-squared grew where one motion over the whole
-    record failed.
+    `given_up`: by how much chi-squared grew where one motion over the whole record failed.
     """
-    problem, fit, _, sigma = found
-    transform, seen = problem.model.transform, fit.seen.over(sigma)
-    number, size = len(parameters), fit.point.s.shape[1]
-    is_one = len(fit.point.s) == 1
-    with_start = is_one and start is None
-    own = _without_states(seen, number) if is_one and not with_start else seen
+    record, arguments, parameters = search.record, search.arguments, search.parameters
+    problem, fit, free, sigma = found
+    channels = [channel.name for channel in record.channels]
+    transform, number, (windows_fitted, size) = problem.model.transform, len(parameters), fit.point.s.shape
+    with_start = free.s and windows_fitted == 1
+    own = found.seen if free.s else found.seen._replace(slopes=found.seen.slopes[..., :number])
     told = information_of(own, number)
     joint = information_of(own, number + size) if with_start else told
     numbers = transform.numbers(fit.point.x)
     slope = np.asarray(linalg.block_diag(transform.slopes(numbers), np.eye(size * with_start)))
-    states_searched = 0 if is_one and not with_start else fit.point.s.size
-    freedom = int(record.counts.sum()) - number - states_searched + told.lost
-    known = {channel.name: bool(np.isfinite(one)) for channel, one in zip(record.channels, record.noise, strict=True)}
-    found_bounds, is_told = all_bounds(
-        problem, sigma, fit, found.free, told, np.inf if all(known.values()) else float(max(freedom, 1))
-    )
+    freedom = int(record.counts.sum()) - number - fit.point.s.size * free.s + told.lost
+    known = np.isfinite(record.noise)
+    bounds, is_told = all_bounds(found, told, np.inf if np.all(known) else float(max(freedom, 1)))
     is_told = np.concatenate([is_told, np.diag(joint.covariance)[number:] < _VAGUE**2])
     covariance, by_blocks = (covariance_of(slope, matrix, is_told) for matrix in (joint.covariance, joint.by_blocks))
-    setting = EstimatedNumbers(arguments.system, arguments.base, sensors=problem.model.setting.sensors)
     states = np.asarray(problem.model.state_origin) + fit.point.s
     coordinates = arguments.system.coordinates
     names = [parameter.name for parameter in parameters] + [one.name for one in coordinates] * with_start
-    units = [_unit(setting, record, one) for one in parameters] + [one.unit for one in coordinates] * with_start
-    values = np.concatenate([numbers, states[0] * with_start if with_start else []])
+    units = [
+        (record.channels[int(path[1])].unit or "1")
+        if path[0] == "sensors" and path[-1] == "offset"
+        else unit_at(search.setting, path)
+        for path in (parameter.path for parameter in parameters)
+    ] + [one.unit for one in coordinates] * with_start
+    values = np.concatenate([numbers, states[0] if with_start else []])
     estimates = correlated_estimates(names, values, units, covariance, max(freedom, 1) + 1)
     windows = Windows(*map(np.asarray, problem.windows))
     fitted = record.values + windows.in_order(fit.seen.residuals, record)
-    tests = {
-        channel.name: whiteness(channel.name, row)
-        for channel, row in zip(record.channels, record.values - fitted, strict=True)
-    }
-    has_noise = sigma > _WITHOUT_NOISE * np.nanstd(record.values, axis=1)
-    noisy = {
-        channel.name: tests[channel.name] for channel, is_so in zip(record.channels, has_noise, strict=True) if is_so
-    }
-    of_bounds = _names_of_bounds(names[:number], transform)
-    bounds = {of_bounds[i]: one for i, one in found_bounds.items()}
-    total = chi_squared(seen)
-    system, base, *_ = with_numbers(setting, [one.path for one in parameters], [float(value) for value in numbers])
-    coloured = [name for name, test in noisy.items() if test.made and test.p_value < _SIGNIFICANCE]
-    wrong = []
+    tests = {name: whiteness(name, row) for name, row in zip(channels, record.values - fitted, strict=True)}
+    coloured = [
+        name
+        for (name, test), is_noisy in zip(
+            tests.items(), sigma > _WITHOUT_NOISE * np.nanstd(record.values, axis=1), strict=True
+        )
+        if is_noisy and test.made and test.p_value < _SIGNIFICANCE
+    ]
+    # The bounds of a number are of it, or of how much it is above the one from which it is counted.
+    of_bounds = [
+        f"{name} - {names[int(np.argmax(from_))]}" if np.any(from_) else name
+        for name, from_ in zip(names, np.asarray(transform.added), strict=False)
+    ]
+    system, base, *_ = with_numbers(search.setting, [one.path for one in parameters], numbers.tolist())
+
+    remarks = [] if fit.converged else ["The search did not converge: do not use its numbers."]
     if coloured:
-        wrong = explanations(record, windows, own, sigma, number)
-        wrong += other_units(record, arguments, start if start is not None else np.zeros(size))
+        remarks.append(
+            f"The residuals of {' and '.join(coloured)} are not white. First of all the model, a clock, a zero or a "
+            "unit may be wrong, and then so are the numbers, by more than any of the errors: see plot.calibration, and "
+            'search "clock.delay" or a channel\'s ".delay" or ".offset". Only if the model is right and the noise '
+            "lasts, use covariance_by_blocks."
+        )
+        remarks += explanations(record, windows, own, sigma, number)
+        remarks += other_units(record, arguments, np.zeros(size) if search.y0 is None else search.y0)
+    differences = transform.own(fit.point.x)
+    for i, limits in bounds.items():
+        ends = limits.in_words
+        limit = f"it is {ends} (95 % confidence each)" if ends else "it gives no bound either"
+        if ends and any(fit.point.x[i] == end[i] for end in transform.box):
+            remarks.append(
+                f"{of_bounds[i]} is at its bound, {differences[i]:.4g}, where its error is to one side only: {limit}."
+            )
+        elif not is_told[i]:
+            remarks.append(
+                f"The motion hardly depends on {of_bounds[i]} near {differences[i]:.2g}, so the record does not tell "
+                f"it: {limit}."
+            )
+    for direction in told.tied @ slope[:number, :number].T:
+        change = direction / np.where(numbers == 0, 1, numbers)
+        largest = np.max(np.abs(change))
+        if largest > 0:
+            shares = dict(zip(names, change / largest, strict=False))
+            parts = [f"{name} by {100 * share:+.0f} %" for name, share in shares.items() if abs(share) > SHARE]
+            remarks.append(
+                f"The record does not tell these apart: changing {', '.join(parts)} (in these ratios) leaves the "
+                "motion as it is; fix one of them."
+            )
+    if given_up is not None:
+        remarks.append(
+            f"One motion over the whole record would raise chi-squared by {given_up:.4g}: each of {windows_fitted} "
+            "windows has a start of its own."
+        )
+    if np.all(known) and freedom > 0 and stats.chi2.sf(found.seen.chi_squared, freedom) < _SIGNIFICANCE:
+        remarks.append(
+            "Chi-squared is larger than the given noise allows: the model lacks something, or noise is larger."
+        )
     return Calibration(
         estimates=dict(zip(names[:number], estimates[:number], strict=True)),
         covariance=covariance[:number, :number],
         covariance_by_blocks=by_blocks[:number, :number],
-        bounds=bounds,
+        bounds={of_bounds[i]: limits for i, limits in bounds.items()},
         system=system,
         base=base,
         start=dict(zip(names[number:], estimates[number:], strict=True)) if with_start else None,
         start_times=np.asarray(windows.begins),
         start_states=states,
-        channels=tuple(channel.name for channel in record.channels),
+        channels=tuple(channels),
         units=tuple(channel.unit for channel in record.channels),
         times=record.times,
         measured=record.values,
         fitted=fitted,
-        noise={channel.name: float(one) for channel, one in zip(record.channels, sigma, strict=True)},
-        noise_is_known=known,
-        chi_squared=total,
+        noise=dict(zip(channels, sigma.tolist(), strict=True)),
+        noise_is_known=dict(zip(channels, known.tolist(), strict=True)),
+        chi_squared=found.seen.chi_squared,
         degrees_of_freedom=freedom,
         whiteness=tests,
         converged=fit.converged,
-        remarks=(
-            *(() if fit.converged else ("The search did not converge: do not use its numbers.",)),
-            *_about_colour(coloured, wrong),
-            *_about_bounds(of_bounds, transform, fit.point.x, found_bounds, is_told),
-            *_about_ties(names[:number], numbers, told.tied @ slope[:number, :number].T),
-            *_about_fit(total, freedom, all(known.values()), given_up, len(fit.point.s)),
-        ),
+        remarks=tuple(remarks),
     )
-
-
-def _without_states(seen: Any, number: int) -> Any:
-    return seen._replace(slopes=seen.slopes[..., :number])
-
-
-def _names_of_bounds(names: list[str], transform: Transform) -> list[str]:
-    """What the bounds of each number are of: it, or how much it is above the one from which it is counted."""
-    return [
-        name if not np.any(from_) else f"{name} - {names[int(np.argmax(from_))]}"
-        for name, from_ in zip(names, np.asarray(transform.added), strict=True)
-    ]
-
-
-def _about_bounds(
-    names: list[str], transform: Transform, x: np.ndarray, bounds: dict[int, Bounds], is_told: np.ndarray
-) -> list[str]:
-    """Sentences on numbers that the record does not tell, and on those at their bounds."""
-    said, own = [], transform.own(x)
-    for i, of in bounds.items():
-        ends = of.in_words
-        limit = f"it is {ends} (95 % confidence each)" if ends else "it gives no bound either"
-        if ends and any(x[i] == end[i] for end in transform.box):
-            said.append(f"{names[i]} is at its bound, {own[i]:.4g}, where its error is to one side only: {limit}.")
-        elif not is_told[i]:
-            said.append(
-                f"The motion hardly depends on {names[i]} near {own[i]:.2g}, so the record does not tell it: {limit}."
-            )
-    return said
-
-
-def _about_ties(names: list[str], numbers: np.ndarray, directions: np.ndarray) -> list[str]:
-    """Sentences on numbers that the record tells together only; directions (directions, parameters) of them."""
-    said = []
-    for direction in directions:
-        change = direction / np.where(numbers == 0, 1, numbers)
-        if not np.any(np.abs(change) > 0):
-            continue
-        change = change / np.max(np.abs(change))
-        parts = [f"{name} by {100 * share:+.0f} %" for name, share in zip(names, change, strict=True)
-                 if abs(share) > SHARE]  # fmt: skip
-        said.append(
-            f"The record does not tell these apart: changing {', '.join(parts)} (in these ratios) leaves the motion "
-            "as it is; fix one of them."
-        )
-    return said
-
-
-def _about_fit(total: float, freedom: int, is_known: bool, given_up: float | None, windows: int) -> list[str]:
-    """Sentences on the residuals, and on windows."""
-    said = []
-    if given_up is not None:
-        said.append(
-            f"One motion over the whole record would raise chi-squared by {given_up:.4g}: each of {windows} windows "
-            "has a start of its own."
-        )
-    if is_known and freedom > 0 and stats.chi2.sf(total, freedom) < _SIGNIFICANCE:
-        said.append("Chi-squared is larger than the given noise allows: the model lacks something, or noise is larger.")
-    return said
-
-
-def _about_colour(channels: list[str], wrong: list[str]) -> list[str]:
-    """Sentences on residuals of `channels` that are not white; `wrong`: what may be the cause."""
-    if not channels:
-        return []
-    return [
-        f"The residuals of {' and '.join(channels)} are not white. First of all the model, a clock, a zero or a unit "
-        "may be wrong, and then so are the numbers, by more than any of the errors: see plot.calibration, and search "
-        '"clock.delay" or a channel\'s ".delay" or ".offset". Only if the model is right and the noise lasts, use '
-        "covariance_by_blocks.",
-        *wrong,
-    ]
-
-
-def _unit(setting: EstimatedNumbers, record: Record, parameter: Parameter) -> str:
-    """The unit of a number of the system, the base, or a channel's sensor."""
-    kind, *_, last = parameter.path
-    if kind == "sensors" and last == "offset":
-        return record.channels[int(parameter.path[1])].unit or "1"
-    return unit_at(setting, parameter.path)
 
 
 # `calibrate`: numbers of a system and its base from a record of motion.
@@ -373,69 +317,49 @@ def calibrate(
     mu = 0.700000
     """
     require_threads_of_jax()
-    search = _checked(system, base, times, measured, wrt, noise, y0, observe, method)
-    if isinstance(method, Regularized) and windows not in (None, 1):
-        raise checks.refused("windows", "be 1 with the method Regularized", windows)
-    number = (
-        _usual_windows(search)
-        if windows is None
-        else checks.whole_number("windows", windows, maximum=len(search.record.times))
-    )
-    found = fitted(search, search.cuts(number), np.zeros(len(search.parameters)))
-    given_up = None
-    if windows is None and found.problem.windows.begins.shape[0] > 1:
-        whole = as_one(search, found)
-        given_up = None if isinstance(whole, FoundFit) else whole
-        found = whole if isinstance(whole, FoundFit) else found
-    done = result_of(search.record, search.arguments, search.parameters, found, search.y0, given_up)
-    for remark in done.remarks:
-        warnings.warn(remark, RuntimeWarning, stacklevel=2)
-    return done
-
-
-def _checked(
-    system: System,
-    base: BaseMotion,
-    times: npt.ArrayLike,
-    measured: Mapping[str, npt.ArrayLike],
-    wrt: object,
-    noise: Mapping[str, float] | None,
-    y0: InitialState | None,
-    observe: Mapping[str, Observer] | None,
-    method: Exact | Regularized,
-) -> Search:
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
-    setting, parameters = _setting_and_parameters(arguments, record, wrt)
-    transform = transform_of(setting, parameters)
-    if setting.sensors:
+    # Numbers of system and base, and delays and offsets of sensors.
+    of_sensors: dict[str, NumberPath] = {"clock.delay": ("clock", "delay")}
+    for i, channel in enumerate(record.channels):
+        of_sensors |= {f"{channel.name}.{kind}": ("sensors", i, kind) for kind in ("delay", "offset")}
+    where = {"system": arguments.system, "base": arguments.base}
+    setting = EstimatedNumbers(arguments.system, arguments.base)
+    names = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (tuple, list)) else ()
+    if any(name in of_sensors for name in names if isinstance(name, str)):
+        others = tuple(name for name in names if name not in of_sensors)
+        if len(set(names)) < len(names):
+            raise checks.refused("wrt", "be a parameter's name or several different ones", wrt)
+        known = {one.name: one for one in parameters_of(where, others)} if others else {}
+        parameters = tuple(known.get(name) or Parameter(name, of_sensors[name], 0.0) for name in names)
+        setting = setting._replace(sensors=tuple(Sensor() for _ in record.channels))
+        transform = transform_of(setting, parameters)
         record, transform = _with_sensors(record, arguments, parameters, transform)
+    else:
+        parameters = parameters_of(where, wrt)
+        transform = transform_of(setting, parameters)
     for channel, row, sigma in zip(record.channels, record.values, record.noise, strict=True):
         if np.isnan(sigma) and not np.nanmax(row, initial=-np.inf) > np.nanmin(row, initial=np.inf):
             raise ValueError(
                 f"Argument noise must give the standard deviation of {channel.name!r}, whose measurements are all the "
                 f'same, so that it cannot be estimated: noise={{"{channel.name}": ...}}.'
             )
-    return Search(record, arguments, parameters, transform, None if y0 is None else start, setting)
+    if isinstance(method, Regularized) and windows not in (None, 1):
+        raise checks.refused("windows", "be 1 with the method Regularized", windows)
+    number = 1
+    if windows is not None:
+        number = checks.whole_number("windows", windows, maximum=len(record.times))
+    elif isinstance(method, Exact):  # some periods of the slowest time scale in each, and enough measurements
+        by_time = (arguments.t1 - record.times[0]) / (_PERIODS * slowest_time(arguments.system, arguments.base))
+        number = int(np.clip(min(by_time, len(record.times) / _FEWEST), 1, _MOST_WINDOWS))
 
-
-def _setting_and_parameters(
-    arguments: Arguments, record: Record, wrt: object
-) -> tuple[EstimatedNumbers, tuple[Parameter, ...]]:
-    """Where the numbers stand, and those named by `wrt`: of system and base, and offsets and delays."""
-    own: dict[str, NumberPath] = {"clock.delay": ("clock", "delay")}
-    for i, channel in enumerate(record.channels):
-        own |= {f"{channel.name}.{kind}": ("sensors", i, kind) for kind in ("delay", "offset")}
-    where = {"system": arguments.system, "base": arguments.base}
-    names = (wrt,) if isinstance(wrt, str) else wrt
-    if not isinstance(names, (tuple, list)) or not any(name in own for name in names if isinstance(name, str)):
-        return EstimatedNumbers(arguments.system, arguments.base), parameters_of(where, wrt)
-    others = tuple(name for name in names if name not in own)
-    if len(set(names)) < len(names):
-        raise checks.refused("wrt", "be a parameter's name or several different ones", wrt)
-    known = {one.name: one for one in parameters_of(where, others)} if others else {}
-    parameters = tuple(known.get(name) or Parameter(name, own[name], 0.0) for name in names)
-    sensors = tuple(Sensor() for _ in record.channels)
-    return EstimatedNumbers(arguments.system, arguments.base, sensors=sensors), parameters
+    search = Search(record, arguments, parameters, transform, None if y0 is None else start, setting)
+    found = fitted(search, search.cuts(number), np.zeros(len(parameters)))
+    whole = as_one(search, found) if windows is None and len(found.problem.windows.begins) > 1 else found
+    is_whole = isinstance(whole, FoundFit)
+    done = result_of(search, whole if is_whole else found, None if is_whole else whole)
+    for remark in done.remarks:
+        warnings.warn(remark, RuntimeWarning, stacklevel=2)
+    return done
 
 
 def _with_sensors(
@@ -455,7 +379,7 @@ def _with_sensors(
         elif parameter.path[0] in ("clock", "sensors"):
             low[i], high[i], closed[i], scale[i] = -longest, longest, 1.0, 2 * longest
     delays = [parameter.path[0] for parameter in parameters if parameter.path[-1] == "delay"]
-    if delays and {"clock", "sensors"} <= set(delays) and delays.count("sensors") == len(record.channels):
+    if {"clock", "sensors"} <= set(delays) and delays.count("sensors") == len(record.channels):
         raise ValueError(
             'Argument wrt must leave one channel without a delay of its own if "clock.delay" is searched, which delays '
             "all of them."
@@ -468,13 +392,3 @@ def _with_sensors(
             "delays are searched, which need the motion before and after a measurement, but it holds fewer than three."
         )
     return record, transform._replace(low=low, high=high, closed=closed, scale=scale)
-
-
-def _usual_windows(search: Search) -> int:
-    """As many windows as have some periods of the slowest time scale, and enough measurements."""
-    system, base, method, t1 = search.arguments
-    if isinstance(method, Regularized):
-        return 1
-    by_time = (t1 - search.record.times[0]) / (_PERIODS * slowest_time(system, base))
-    by_number = len(search.record.times) / _FEWEST
-    return int(np.clip(min(by_time, by_number), 1, _MOST_WINDOWS))

@@ -11,7 +11,7 @@ from scipy import linalg, optimize, stats
 from .._dynamics.common.method import Arguments
 from .._dynamics.simulate import simulate
 from .record import Record, Windows
-from .search import LOOSE, Fit, FitProblem, Free, Residuals, SearchPoint, chi_squared
+from .search import LOOSE, FoundFit, Free, Residuals, SearchPoint
 
 # What a record says about each number: covariances, and numbers that it does not tell.
 
@@ -49,7 +49,11 @@ def information_of(seen: Residuals, number: int) -> Information:
     untold, loose = np.diag(inverse) > _UNTOLD**2, directions.T[variances > _UNTOLD**2]
     tied = loose if len(loose) < np.count_nonzero(untold) else loose[:0]
     alone = np.sum(np.abs(tied) > _ALONE * np.max(np.abs(tied), axis=1, initial=0, keepdims=True), axis=1) == 1
-    scores = _scores(matrix, seen.residuals.ravel())
+    # The covariance of the gradient, from its parts by blocks of the record that are taken as independent.
+    blocks = min(_BLOCKS, max(len(matrix) // 10, 2))
+    along = matrix * seen.residuals.ravel()[:, None]
+    parts = np.stack([part.sum(axis=0) for part in np.array_split(along, blocks)])
+    scores = parts.T @ parts * blocks / max(blocks - 1, 1)
     return Information(inverse, inverse @ scores @ inverse, untold, tied[~alone], lost + len(loose))
 
 
@@ -64,13 +68,6 @@ def without_states(slopes: np.ndarray, number: int) -> tuple[np.ndarray, int]:
         lost += both.shape[1] - number - own.shape[1]
         of_numbers[window] = both[:, :number] - own @ (own.T @ both[:, :number])
     return of_numbers.reshape(-1, number), lost
-
-
-def _scores(matrix: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-    """The covariance of the gradient, from its parts by blocks of the record that are taken as independent."""
-    blocks = min(_BLOCKS, max(len(residuals) // 10, 2))
-    parts = np.stack([part.sum(axis=0) for part in np.array_split(matrix * residuals[:, None], blocks)])
-    return parts.T @ parts * blocks / max(blocks - 1, 1)
 
 
 def orthonormal(columns: np.ndarray) -> np.ndarray:
@@ -114,9 +111,7 @@ class Bounds(NamedTuple):
         return " and ".join(f"{word} {one:.3g}" for word, one in ends if one is not None)
 
 
-def all_bounds(
-    problem: FitProblem, sigma: np.ndarray, fit: Fit, free: Free, told: Information, freedom: float
-) -> tuple[dict[int, Bounds], np.ndarray]:
+def all_bounds(found: FoundFit, told: Information, freedom: float) -> tuple[dict[int, Bounds], np.ndarray]:
     """The bounds by the record of the numbers, by place, that it does not tell, each by itself, of those near a bound
     that they may have, and of those around which chi-squared is no parabola; and which numbers the record tells,
     (parameters,). `freedom`: degrees of freedom of the noise, infinite where it is known: chi-squared may grow by the
@@ -124,7 +119,7 @@ def all_bounds(
 
     Near its bound a number need not be known to 30 % to be told: the record only has to say how far away it can be.
     """
-    at, transform, is_told = fit.point, problem.model.transform, ~told.untold
+    at, transform, is_told = found.fit.point, found.problem.model.transform, ~told.untold
     errors = np.sqrt(np.diag(told.covariance))
     slopes, own = np.diag(transform.slopes(transform.numbers(at.x))), transform.own(at.x)
     from_low, from_high = (
@@ -139,48 +134,45 @@ def all_bounds(
     for i in np.flatnonzero(~is_tied):
         if not (told.untold[i] or is_near[i]):
             change = limit * told.covariance[i] / errors[i]
-            if not fit.converged or not _is_bent(problem, sigma, fit, free, int(i), slopes[i] * errors[i], change):
+            if not found.fit.converged or not _is_bent(found, int(i), slopes[i] * errors[i], change):
                 continue
-        bounds[int(i)] = _bounds_of(problem, sigma, at, free, int(i), errors[i], limit)
+        bounds[int(i)] = _bounds_of(found, int(i), errors[i], limit)
         end = bounds[int(i)][int(from_low[i] <= from_high[i])]
         if is_near[i] and end is not None:
             is_told[i] = slopes[i] * errors[i] < _AS_NORMAL * abs(end - own[i])
     return bounds, is_told
 
 
-def _is_bent(
-    problem: FitProblem, sigma: np.ndarray, fit: Fit, free: Free, which: int, error: float, change: np.ndarray
-) -> bool:
+def _is_bent(found: FoundFit, which: int, error: float, change: np.ndarray) -> bool:
     """Whether the root of what chi-squared grows by is another one than the standard `error` of a number promises.
 
     So it is where a slip or a stick appears within the error, or where this is large. Looked at on both sides of the
     number `which`, where the coordinates `change` so, to first order to keep chi-squared least; the starts too.
     """
-    at, seen, transform = fit.point, fit.seen.over(sigma), problem.model.transform
-    number, least = len(at.x), chi_squared(seen)
+    at, seen, transform = found.fit.point, found.seen, found.problem.model.transform
+    number = len(at.x)
     slopes = seen.slopes.reshape(len(at.s), -1, seen.slopes.shape[-1])
     starts = np.zeros_like(at.s)
-    if free.s:
+    if found.free.s:
         starts = np.stack([-np.linalg.lstsq(one[:, number:], one[:, :number] @ change)[0] for one in slopes])
     for sign in (1.0, -1.0):
         beside = SearchPoint(np.clip(at.x + sign * change, *transform.box), at.s + sign * starts)
         promised = abs(transform.own(beside.x)[which] - transform.own(at.x)[which]) / error
-        grown = np.sqrt(max(chi_squared(problem.seen(beside).over(sigma)) - least, 0))
+        grown = np.sqrt(max(found.problem.seen(beside).over(found.sigma).chi_squared - seen.chi_squared, 0))
         if not promised / _AS_STRAIGHT < grown < promised * _AS_STRAIGHT:
             return True
     return False
 
 
-def _bounds_of(
-    problem: FitProblem, sigma: np.ndarray, at: SearchPoint, free: Free, which: int, error: float, limit: float
-) -> Bounds:
+def _bounds_of(found: FoundFit, which: int, error: float, limit: float) -> Bounds:
     """How far the number `which`, or how much it is above the one it is counted from, can go down and up until the
     record contradicts it, all others fitted again.
 
     One-sided: chi-squared has then grown by the square of `limit`. `error`: about the standard error of the coordinate.
     """
+    problem, (at, *_), free, sigma = found
     others = Free(free.x & (np.arange(len(free.x)) != which), free.s)
-    least = chi_squared(problem.search(sigma, at, others).seen.over(sigma))
+    least = problem.search(sigma, at, others).seen.over(sigma).chi_squared
     first = min(2 * error, _FARTHEST_FIRST)
     ends = [float(end[which]) for end in problem.model.transform.box]
 
@@ -196,7 +188,7 @@ def _bounds_of(
                 fit = problem.search(sigma, SearchPoint(x, point.s), others)
             except ValueError:  # no motion there reaches the end of its window
                 return _NO_MOTION
-            over = np.sqrt(max(chi_squared(fit.seen.over(sigma)) - least, 0)) - limit
+            over = np.sqrt(max(fit.seen.over(sigma).chi_squared - least, 0)) - limit
             point = fit.point if over <= 0 else point
             return float(over) if np.isfinite(over) else _NO_MOTION
 

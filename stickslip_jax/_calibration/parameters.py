@@ -110,17 +110,21 @@ def transform_of(tree: Any, parameters: tuple[Parameter, ...]) -> Transform:
     bounds, added = np.empty((len(start), 2)), np.zeros((len(start), len(start)))
     closed = np.zeros(len(start))
     for i, parameter in enumerate(parameters):
-        about, (law, field) = quantity_at(tree, parameter.path), (parameter.path[:-1], parameter.path[-1])
+        about, (*place, field) = quantity_at(tree, parameter.path), parameter.path
         low = max((float(one) for one in (about.above, about.at_least) if one is not None), default=-math.inf)
         high = math.inf if about.below is None else float(about.below)
         counted_from = 0.0
-        if field == "mu_static" and (kinetic := _kinetic(number_at(tree, law))) is not None:
-            low = max(low, kinetic)
-            if (*law, "mu") in places:
-                added[i, places[*law, "mu"]] = 1
-                counted_from = kinetic
-        elif field == "mu" and (*law, "mu_static") not in places:
-            static = getattr(number_at(tree, law), "mu_static", None)
+        if field == "mu_static":
+            law = number_at(tree, tuple(place))
+            # Static friction is never below kinetic friction, where that is a number of its own.
+            if hasattr(law, "mu") or isinstance(law, FrictionCurve):
+                kinetic = float(law.curve(jnp.zeros(())) if isinstance(law, FrictionCurve) else law.mu)
+                low = max(low, kinetic)
+                if (*place, "mu") in places:
+                    added[i, places[*place, "mu"]] = 1
+                    counted_from = kinetic
+        elif field == "mu" and (*place, "mu_static") not in places:
+            static = getattr(number_at(tree, tuple(place)), "mu_static", None)
             high = high if static is None else min(high, float(static))
         if not low < parameter.value < high:
             words = [f"{word} {one:g}" for word, one in (("above", low), ("below", high)) if math.isfinite(one)]
@@ -138,13 +142,6 @@ def transform_of(tree: Any, parameters: tuple[Parameter, ...]) -> Transform:
     return Transform(start, low, high, closed, scale, added)
 
 
-def _kinetic(law: Any) -> float | None:
-    """The friction coefficient that static friction of a law is never below, where it is a number of its own."""
-    if hasattr(law, "mu"):
-        return float(law.mu)
-    return float(law.curve(jnp.zeros(()))) if isinstance(law, FrictionCurve) else None
-
-
 def identity(number: int, dtype: DType) -> Transform:
     """That of so many numbers without bounds, which are their own coordinates."""
     none, one = jnp.zeros(number, dtype), jnp.ones(number, dtype)
@@ -152,9 +149,6 @@ def identity(number: int, dtype: DType) -> Transform:
 
 
 # The parameters of a fit: where they stand in the models of all experiments, and how they are searched.
-
-
-_Vector = Float[np.ndarray, " parameters"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -183,15 +177,7 @@ class Models:
         """Of the parameters, as given."""
         return tuple(one.name for one in self.parameters[0])
 
-    def values(self, x: _Vector) -> _Vector:
-        """The parameters at coordinates `x`."""
-        return self.transform.numbers(x)
-
-    def slopes(self, values: _Vector) -> Float[np.ndarray, "parameters coordinates"]:
-        """The derivatives of the parameters by the coordinates."""
-        return self.transform.slopes(values)
-
-    def at(self, values: _Vector) -> list[StochasticModel]:
+    def at(self, values: Float[np.ndarray, " parameters"]) -> list[StochasticModel]:
         """The models with these values. Raises ValueError for values that a constructor refuses."""
         found = []
         for model, parameters in zip(self.models, self.parameters, strict=True):

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._dynamics.common.method import Arguments, Exact, Regularized
-from .._dynamics.common.path import SegmentLaws
+from .._dynamics.common.path import SegmentLaws, padded_length
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
-from .._dynamics.switched.engine import run_of, run_trajectory
+from .._dynamics.switched.engine import run_of, run_trajectory, steps_for
 from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.segments import first_segment, segment_at
 from .._foundation.fields import Quantity, modules_in
@@ -73,37 +73,42 @@ class FittedMotion(eqx.Module):
         """System, base and sensors with other numbers, (parameters,)."""
         return with_numbers(self.setting, self.paths, numbers)
 
-    def motion(
-        self, setting: EstimatedNumbers, y: FloatArray, resting: BoolArray | None, window: Windows
-    ) -> Simulation:
-        """The motion in a window from the state `y` (coordinates,)."""
-        begin, end = jnp.asarray(window.begins), jnp.asarray(window.ends)
-        system, base, *_ = setting
-        if isinstance(self.method, Regularized):
-            return simulate(system, base, t1=end, y0=tuple(y), method=self.method)
-        excitation, step = Arguments(system, merged(base, end), self.method, end).checked_step()
-        solver = self.method.solver
-        done = run_trajectory(
-            system, excitation, solver, end, tuple(y), step, steps=self.steps, dtype=y.dtype, t0=begin,
-            resting=resting,
-        )  # fmt: skip
-        return Simulation(system, base, end, self.method, *run_of(system, excitation, solver, done))
-
     def observed(
         self, x: FloatArray, s: FloatArray, origin: FloatArray, resting: BoolArray | None, window: Windows
     ) -> FloatArray:
         """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end, and for
         static friction below kinetic friction.
         """
-        setting, times = self.setting_at(self.transform.numbers(x)), jnp.asarray(window.times)
-        one = self.motion(setting, origin + s, resting, window)
-        if setting.sensors:
-            shown = zip(self.observers, setting.sensors, strict=True)
-            late = times - setting.clock.delay
+        setting, y = self.setting_at(self.transform.numbers(x)), origin + s
+        system, base, clock, sensors = setting
+        begin, end, times = map(jnp.asarray, (window.begins, window.ends, window.times))
+        if isinstance(self.method, Regularized):
+            one = simulate(system, base, t1=end, y0=tuple(y), method=self.method)
+        else:
+            excitation, step = Arguments(system, merged(base, end), self.method, end).checked_step()
+            solver = self.method.solver
+            done = run_trajectory(
+                system, excitation, solver, end, tuple(y), step, steps=self.steps, dtype=y.dtype, t0=begin,
+                resting=resting,
+            )  # fmt: skip
+            one = Simulation(system, base, end, self.method, *run_of(system, excitation, solver, done))
+        if sensors:
+            shown, late = zip(self.observers, sensors, strict=True), times - clock.delay
             seen = jnp.stack([observe(one, late - sensor.delay) + sensor.offset for observe, sensor in shown])
         else:
             seen = jnp.stack([observe(one, times) for observe in self.observers])
-        return jnp.where(static_holds(EstimatedNumbers(one.system, one.base)), seen, jnp.nan)
+        return jnp.where(static_holds(setting), seen, jnp.nan)
+
+
+def loop_steps(arguments: Arguments, share: float, spare: int = 0) -> int:
+    """Loop steps for this share of the time until the end, and `spare` ones; as many as the method says, if it does."""
+    system, _, method, t1 = arguments
+    if isinstance(method, Regularized):  # knows them itself
+        return 0
+    if method.max_steps is not None:
+        return method.max_steps
+    excitation, step = arguments.checked_step()
+    return padded_length(int(share * steps_for(system, excitation, t1, step)) + spare)
 
 
 def with_slopes(model: FittedMotion, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:

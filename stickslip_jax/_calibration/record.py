@@ -27,7 +27,6 @@ from .._systems.system import System
 
 Observer: TypeAlias = Callable[[Simulation, FloatArray], FloatArray]
 """What a channel measures: a function of a simulation and of times (s, (times,)), with one number for each time."""
-FORCE = "friction force"
 _NEAR = 6  # points at least for the state at the start of a window
 
 
@@ -76,17 +75,34 @@ class Record(NamedTuple):
         own = {} if observe is None else observe
         if not isinstance(own, Mapping) or not all(callable(function) for function in own.values()):
             raise checks.refused("observe", "be a dict with a function of simulation and times for each name", observe)
-        channels = tuple(_channel(system, name, own) for name in measured)
-        values = np.stack([_values(name, column, len(at)) for name, column in measured.items()])
+        known = known_channels(system) | {name: Channel(name, "", function) for name, function in own.items()}
+        if unknown := [name for name in measured if name not in known]:
+            raise ValueError(
+                f"Argument measured must have channels called {checks.one_of(map(repr, known_channels(system)))}, or "
+                f"names of functions in observe, but {unknown[0]!r} was given."
+            )
+        values = np.empty((len(measured), len(at)))
+        for row, (name, column) in enumerate(measured.items()):
+            array = checks.numbers(f"measured[{name!r}]", column)
+            if array.shape != at.shape or np.any(np.isinf(array)):
+                demand = f"hold one number for each of the {len(at)} times, NaN where nothing was measured"
+                raise checks.refused(f"measured[{name!r}]", demand, column)
+            values[row] = array
         if unused := [name for name in own if name not in measured]:
             raise ValueError(f"Argument observe must name channels of measured, but {unused[0]!r} is none of them.")
-        known = np.array([_noise(name, noise) for name in measured])
-        if unknown := [name for name in noise or {} if name not in measured]:
+        given = {} if noise is None else noise
+        if not isinstance(given, Mapping):
+            raise checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
+        for name in measured:
+            if name in given:
+                checks.positive(f"noise[{name!r}]", given[name])
+        if unknown := [name for name in given if name not in measured]:
             raise ValueError(f"Argument noise must name channels of measured, but {unknown[0]!r} is none of them.")
         kept = np.any(np.isfinite(values), axis=0)
         if np.count_nonzero(np.isfinite(values)) < 3:
             raise ValueError("Argument measured must hold at least three numbers, but all others are NaN.")
-        return cls(at[kept], channels, values[:, kept], known)
+        deviations = np.array([float(given.get(name, np.nan)) for name in measured])
+        return cls(at[kept], tuple(known[name] for name in measured), values[:, kept], deviations)
 
     @property
     def is_used(self) -> np.ndarray:
@@ -143,43 +159,16 @@ class Windows(NamedTuple):
         return flat
 
 
-def _values(name: str, column: npt.ArrayLike, number: int) -> np.ndarray:
-    values = np.asarray(checks.numbers(f"measured[{name!r}]", column), float)
-    if values.shape != (number,) or np.any(np.isinf(values)):
-        demand = f"hold one number for each of the {number} times, NaN where nothing was measured"
-        raise checks.refused(f"measured[{name!r}]", demand, column)
-    return values
-
-
-def _noise(name: str, noise: Mapping[str, float] | None) -> float:
-    if noise is not None and not isinstance(noise, Mapping):
-        raise checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
-    if noise is None or name not in noise:
-        return np.nan
-    checks.positive(f"noise[{name!r}]", noise[name])
-    return float(noise[name])
-
-
-def _channel(system: System, name: str, own: Mapping[str, Observer]) -> Channel:
-    """The channel called `name`. Raises ValueError for a name that is not known."""
-    coordinates = system.coordinates
-    if name in own:
-        return Channel(name, "", own[name])
-    names = [coordinate.name for coordinate in coordinates]
-    if name in names:
-        number = names.index(name)
-        return Channel(name, coordinates[number].unit, MeasuredCoordinate(number))
-    rates = {each.replace("velocity", "acceleration"): i for i, each in enumerate(names) if "velocity" in each}
-    if name in rates:
-        number = rates[name]
-        return Channel(name, coordinates[number].unit + "^2", Rate(number))
-    if name == FORCE:
-        return Channel(name, "N", friction_force)
-    known = checks.one_of(map(repr, [*names, *rates, FORCE]))
-    raise ValueError(
-        f"Argument measured must have channels called {known}, or names of functions in observe, but {name!r} was "
-        "given."
-    )
+def known_channels(system: System) -> dict[str, Channel]:
+    """The channels that can be measured of every motion of a system, by name."""
+    coordinates, found = {}, {}
+    for number, (name, unit, *_) in enumerate(system.coordinates):
+        coordinates[name] = Channel(name, unit, MeasuredCoordinate(number))
+        if "velocity" in name:
+            rate = name.replace("velocity", "acceleration")
+            found[rate] = Channel(rate, f"{unit}^2", Rate(number))
+    found["friction force"] = Channel("friction force", "N", friction_force)
+    return found | coordinates  # these come before what is called like one of them
 
 
 class MeasuredCoordinate(NamedTuple):
@@ -239,14 +228,6 @@ def start_guess(record: Record, system: System, at: float, span: float) -> np.nd
 # The arguments that `calibrate` and `log_likelihood` share, checked.
 
 
-class Asked(NamedTuple):
-    """What is simulated, with a method that has derivatives; the state at t = 0; and what was measured."""
-
-    arguments: Arguments
-    start: np.ndarray
-    record: Record
-
-
 def asked(
     system: System,
     base: BaseMotion,
@@ -256,8 +237,11 @@ def asked(
     y0: InitialState | None,
     observe: Mapping[str, Observer] | None,
     method: Exact | Regularized,
-) -> Asked:
-    """The checked arguments. Raises ValueError for those that do not fit."""
+) -> tuple[Arguments, np.ndarray, Record]:
+    """What is simulated, with a method that has derivatives; the state at t = 0; and what was measured.
+
+    Raises ValueError for arguments that do not fit.
+    """
     checks.bounded("times", times, "s", at_least=0, ndim=1)
     ends = np.asarray(times, float)
     if not len(ends) or not ends[-1] > 0:
@@ -267,7 +251,7 @@ def asked(
         arguments = arguments._replace(base=base)
     elif method.step is None and method.adjoint is None:
         arguments = arguments._replace(method=dataclasses.replace(method, adjoint=diffrax.ForwardMode()))
-    return Asked(arguments, np.array(start, float), Record.of(system, times, measured, noise, observe))
+    return arguments, np.array(start, float), Record.of(system, times, measured, noise, observe)
 
 
 # Whether residuals are white noise.

@@ -16,9 +16,7 @@ import numpy.typing as npt
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, check_method, working_dtype
-from .._dynamics.common.path import padded_length
-from .._dynamics.switched.engine import steps_for
+from .._dynamics.common.method import EXACT, Exact, Regularized, check_method, working_dtype
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.result import Ensemble
 from .._ensemble.setup import MOST_SAMPLES
@@ -26,13 +24,13 @@ from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.fields import Quantity
 from .._foundation.processes import require_threads_of_jax
-from .._foundation.types import BoolArray, FloatArray, InitialState, Status
+from .._foundation.types import FloatArray, InitialState, Status
 from .._numerics.derivatives import as_arrays
 from .._systems.system import System
 from .._uncertainty.design import table
 from .._uncertainty.numbers import matching, numbers_in, parameters_of, quantity_at
 from .parameters import checked_model, identity
-from .problem import EstimatedNumbers, FittedMotion, predicted, static_holds
+from .problem import EstimatedNumbers, FittedMotion, loop_steps, predicted, static_holds
 from .record import Observer, Windows, asked
 
 # `log_likelihood`: how likely a record of motion is, as a function for samplers of posteriors.
@@ -87,7 +85,13 @@ class LogLikelihood(eqx.Module):
 
     def _density(self, numbers: FloatArray, sigma: FloatArray) -> FloatArray:
         """The log likelihood at numbers (parameters,) and with standard deviations (channels,)."""
-        is_allowed = self._are_allowed(numbers) & jnp.all((sigma > 0) & jnp.isfinite(sigma))
+        # All numbers within the bounds of their fields, and static friction not below kinetic friction.
+        holds = [jnp.all(jnp.isfinite(numbers))]
+        for number, about in zip(numbers, self._abouts, strict=True):
+            limits = (jnp.greater, about.above), (jnp.greater_equal, about.at_least), (jnp.less, about.below)
+            holds += [compare(number, bound) for compare, bound in limits if bound is not None]
+        holds.append(static_holds(self._model.setting_at(self._parts(numbers)[0])))
+        is_allowed = jnp.all(jnp.stack(holds)) & jnp.all((sigma > 0) & jnp.isfinite(sigma))
         # What is not selected is computed too, at numbers where nothing can go wrong: its derivatives are not NaN then.
         numbers = jnp.where(is_allowed, numbers, self.first_guess)
         sigma = jnp.where(is_allowed, sigma, 1.0)
@@ -139,20 +143,6 @@ class LogLikelihood(eqx.Module):
             raise ValueError(f"Argument noise must hold a single number for {several[0]!r}.")
         deviations = [asked.get(name, self.noise[row]) for row, name in enumerate(self.channels)]
         return jnp.stack(deviations).astype(self.noise.dtype)
-
-    def _are_allowed(self, numbers: FloatArray) -> BoolArray:
-        """Whether all numbers are within the bounds of their fields, and static friction is not below kinetic."""
-        holds = [jnp.all(jnp.isfinite(numbers))]
-        for number, about in zip(numbers, self._abouts, strict=True):
-            for compare, bound in (
-                (jnp.greater, about.above),
-                (jnp.greater_equal, about.at_least),
-                (jnp.less, about.below),
-            ):
-                if bound is not None:
-                    holds.append(compare(number, bound))
-        holds.append(static_holds(self._model.setting_at(self._parts(numbers)[0])))
-        return jnp.all(jnp.stack(holds))
 
     def _parts(self, numbers: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What `predicted` takes: the numbers of system and base, and the state at the start, (1, coordinates)."""
@@ -227,7 +217,7 @@ def log_likelihood(
     model = FittedMotion(
         setting=as_arrays(setting, dtype), state_origin=jnp.zeros((1, len(state)), dtype), resting=None, method=method,
         transform=identity(len(of_setting), dtype), paths=tuple(parameter.path for parameter in of_setting),
-        observers=tuple(channel.observe for channel in record.channels), steps=_steps(arguments),
+        observers=tuple(channel.observe for channel in record.channels), steps=loop_steps(arguments, _SPARE),
     )  # fmt: skip
     return LogLikelihood(
         names=tuple(parameter.name for parameter in parameters),
@@ -241,16 +231,6 @@ def log_likelihood(
         _coordinates=tuple(int(p.path[1]) if p.path[0] == "y0" else None for p in parameters),
         _is_known=tuple(bool(np.isfinite(sigma)) for sigma in record.noise),
     )
-
-
-def _steps(arguments: Arguments) -> int:
-    """Loop steps for the whole record, at numbers other than the first guesses too."""
-    if isinstance(arguments.method, Regularized):
-        return 0
-    if arguments.method.max_steps is not None:
-        return arguments.method.max_steps
-    excitation, step = arguments.checked_step()
-    return padded_length(_SPARE * steps_for(arguments.system, excitation, arguments.t1, step))
 
 
 # `stick_simulator`: from parameters to summaries of the sticks, for inference that needs no likelihood.
@@ -299,7 +279,15 @@ class StickSimulator:
             y0=self.y0, method=self.method, keep="totals" if self.summaries is None else "sticks",
             threads=self.threads, progress=False,
         )  # fmt: skip
-        found = self._summaries_of(many)
+        if self.summaries is None:
+            found = np.column_stack([many.totals.sticks, many.totals.stick_time])
+        else:
+            found = np.asarray(self.summaries(many), float)
+            if found.ndim != 2 or len(found) != many.samples:
+                raise ValueError(
+                    f"Argument summaries must return an array ({many.samples}, summaries), a row for each sample of "
+                    f"the ensemble, but one of shape {found.shape} was returned."
+                )
         finished = np.all(np.equal(many.totals.status, Status.FINISHED).reshape(-1, number), axis=1)
         means = np.mean(found.reshape(len(rows), number, -1), axis=1)
         if not np.all(finished):
@@ -311,18 +299,6 @@ class StickSimulator:
                 stacklevel=2,
             )
         return means
-
-    def _summaries_of(self, many: Ensemble) -> np.ndarray:
-        """Of each sample, (samples, summaries)."""
-        if self.summaries is None:
-            return np.column_stack([many.totals.sticks, many.totals.stick_time])
-        found = np.asarray(self.summaries(many), float)
-        if found.ndim != 2 or len(found) != many.samples:
-            raise ValueError(
-                f"Argument summaries must return an array ({many.samples}, summaries), a row for each sample of the "
-                f"ensemble, but one of shape {found.shape} was returned."
-            )
-        return found
 
 
 def stick_simulator(

@@ -8,14 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize, sparse, stats
 
-from .._dynamics.common.method import Arguments, Exact, Regularized
-from .._dynamics.common.path import padded_length
-from .._dynamics.switched.engine import steps_for
-from .._foundation.types import AnyArray, FloatArray
+from .._dynamics.common.method import Arguments, Exact
 from .._numerics.derivatives import as_arrays
 from .._uncertainty.numbers import Parameter, with_numbers
 from .parameters import Transform
-from .problem import EstimatedNumbers, FittedMotion, slip_speeds, with_slopes
+from .problem import EstimatedNumbers, FittedMotion, loop_steps, slip_speeds, with_slopes
 from .record import Record, Windows, start_guess
 
 # The search for the numbers that explain a record best: nonlinear least squares, by scipy.
@@ -59,6 +56,11 @@ class Residuals(NamedTuple):
         """The same in units of the noise of each channel, (channels,)."""
         return Residuals(self.residuals / sigma[:, None], self.slopes / sigma[:, None, None])
 
+    @property
+    def chi_squared(self) -> float:
+        """The sum of squares, of standardised residuals."""
+        return float(np.sum(np.square(self.residuals)))
+
 
 class Fit(NamedTuple):
     """The end of a search: where, what is seen there (not standardised), and whether it converged."""
@@ -77,7 +79,9 @@ class FitProblem(NamedTuple):
     def seen(self, point: SearchPoint) -> Residuals:
         """Residuals and derivatives at a point; NaN where a motion does not reach its window's end."""
         try:
-            seen, slopes = map(np.asarray, _with_slopes(self.model, self.windows, point.x, point.s))
+            seen, slopes = map(
+                np.asarray, _with_slopes(self.model, self.windows, jnp.asarray(point.x), jnp.asarray(point.s))
+            )
         except eqx.EquinoxRuntimeError:  # an implicit step found no solution
             shape = self.windows.is_measured.shape
             seen, slopes = np.full(shape, np.nan), np.full((*shape, len(point.x) + point.s.shape[1]), np.nan)
@@ -86,14 +90,22 @@ class FitProblem(NamedTuple):
 
     def search(self, sigma: np.ndarray, start: SearchPoint, free: Free) -> Fit:
         """The least-squares fit from `start`, with the noise `sigma` (channels,)."""
+        number = int(np.count_nonzero(free.x))
         latest: list[tuple[np.ndarray, Residuals]] = []
+
+        def point(vector: np.ndarray) -> SearchPoint:
+            x = start.x.copy()
+            x[free.x] = vector[:number] - 1
+            return SearchPoint(x, vector[number:].reshape(start.s.shape) if free.s else start.s)
 
         def at(vector: np.ndarray) -> Residuals:
             if not latest or not np.array_equal(latest[0][0], vector):
-                latest[:] = [(vector.copy(), self.seen(_point(vector, start, free)))]
+                latest[:] = [(vector.copy(), self.seen(point(vector)))]
             return latest[0][1].over(sigma)
 
-        begin, number = _vector(start, free), int(np.count_nonzero(free.x))
+        # SciPy's first step is up to as long as the vector where it begins: of length one in each number from its guess
+        # on.
+        begin = np.concatenate([1 + start.x[free.x], start.s.ravel() if free.s else []])
         rope = LOOSE * np.eye(number, len(begin))
 
         def residuals(vector: np.ndarray) -> np.ndarray:
@@ -115,7 +127,7 @@ class FitProblem(NamedTuple):
         options: dict[str, Any] = {"jac": jacobian, "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS}
         tolerances: dict[str, Any] = {"ftol": _TOLERANCE, "xtol": _TOLERANCE, "gtol": None}
         found = optimize.least_squares(residuals, begin, bounds=(low, high), **options, **tolerances)
-        fit = self._at(_point(found.x, start, free), found.status > 0)
+        fit = self._at(point(found.x), found.status > 0)
         # SciPy comes as near to a bound as its tolerance asks, and never there; to some only slowly, as to static
         # friction as large as kinetic one, where nothing depends on the difference to first order.
         x = fit.point.x
@@ -124,8 +136,8 @@ class FitProblem(NamedTuple):
         if np.array_equal(ends, x):
             return fit
         there = self._at(fit.point._replace(x=ends), fit.converged)
-        most = chi_squared(fit.seen.over(sigma)) * (1 + _TOLERANCE)
-        return there if chi_squared(there.seen.over(sigma)) <= most else fit
+        most = fit.seen.over(sigma).chi_squared * (1 + _TOLERANCE)
+        return there if there.seen.over(sigma).chi_squared <= most else fit
 
     def _at(self, point: SearchPoint, converged: bool) -> Fit:
         return Fit(point, self.seen(point), converged)
@@ -145,25 +157,7 @@ def matrix_of(seen: Residuals, free: Free) -> np.ndarray | sparse.coo_matrix:
     return sparse.hstack([sparse.coo_matrix(of_x), sparse.block_diag(list(own))])  # pyright: ignore[reportReturnType]
 
 
-def chi_squared(seen: Residuals) -> float:
-    """The sum of squares of standardised residuals."""
-    return float(np.sum(np.square(seen.residuals)))
-
-
-def _vector(point: SearchPoint, free: Free) -> np.ndarray:
-    # SciPy's first step is up to as long as the vector where it begins: of length one in each number from its guess on.
-    return np.concatenate([1 + point.x[free.x], point.s.ravel() if free.s else []])
-
-
-def _point(vector: np.ndarray, start: SearchPoint, free: Free) -> SearchPoint:
-    x, number = start.x.copy(), np.count_nonzero(free.x)
-    x[free.x] = vector[:number] - 1
-    return SearchPoint(x, vector[number:].reshape(start.s.shape) if free.s else start.s)
-
-
-@eqx.filter_jit
-def _with_slopes(model: FittedMotion, windows: Windows, x: AnyArray, s: AnyArray) -> tuple[FloatArray, FloatArray]:
-    return with_slopes(model, windows, jnp.asarray(x), jnp.asarray(s))
+_with_slopes = eqx.filter_jit(with_slopes)
 
 
 # Where windows of a record begin: in slips, where there are any, so that it is clear how the motion goes on.
@@ -188,37 +182,13 @@ class Cuts(NamedTuple):
     resting: np.ndarray | None
 
 
-def cuts_of(record: Record, setting: EstimatedNumbers, solver: Any, number: int) -> Cuts:
-    """About `number` windows of equal duration; each but the first begins where the slowest contact is fastest, of some
-    measurements nearby.
-    """
-    times, width = record.times, np.ptp(record.times) / number
-    edges = times[0] + width * np.arange(1, number)
-    shifts = _REACH * width * np.linspace(-1, 1, _CANDIDATES)
-    places = np.clip(np.searchsorted(times, edges[:, None] + shifts), 1, len(times) - 1)
-    # What begins in a gap begins at the first measurement after it.
-    candidates = np.vstack([np.zeros((1, _CANDIDATES), int), places])
-    flat = candidates.ravel()
-    begins = record.begin(flat)
-    states = np.stack([start_guess(record, setting.system, float(at), _SPAN * width) for at in begins])
-    speeds = np.asarray(slip_speeds(setting, solver, jnp.asarray(begins), jnp.asarray(states)))
-    contacts = speeds.reshape(len(flat), -1)
-    usual = np.sqrt(np.mean(np.where(np.isfinite(contacts), contacts, 1.0) ** 2, axis=0)) + np.finfo(float).tiny
-    relative = contacts / usual
-    slowest = np.min(relative, axis=1).reshape(candidates.shape)
-    chosen = candidates[np.arange(number), np.argmax(slowest, axis=1)]
-    at = np.arange(number) * _CANDIDATES + np.argmax(slowest, axis=1)
-    firsts, unique = np.unique(chosen, return_index=True)
-    resting = (relative[at[unique]] < _SLOW).reshape((len(firsts), *speeds.shape[1:]))
-    return Cuts(firsts, states[at[unique]], resting if np.any(resting) else None)
-
-
 # The fit of a record in windows, and as one motion.
 
 
 _MOST_ROUNDS = 20  # of noise and fit
 _CONTRADICTION = 1e-4  # probability that one motion is given up although it holds
 _MOST_DOUBLINGS = 5  # of the number of steps
+_SPARE = 32  # steps
 
 
 class Search(NamedTuple):
@@ -232,14 +202,32 @@ class Search(NamedTuple):
     setting: EstimatedNumbers
 
     def cuts(self, number: int) -> Cuts:
-        """Where `number` windows begin, and the states there by the measurements."""
-        system, _, method, _ = self.arguments
-        if number > 1 or self.begins_where_measured:
-            solver = method.solver if isinstance(method, Exact) else None
-            return cuts_of(self.record, self.setting, solver, number)
-        size = len(system.coordinates)
-        state = np.zeros(size) if self.y0 is None else self.y0
-        return Cuts(np.zeros(1, int), state[None], None)
+        """Where windows begin, about `number` of equal duration, and the states there by the measurements.
+
+        Each but the first begins where the slowest contact is fastest, of some measurements nearby.
+        """
+        record, system, method = self.record, self.arguments.system, self.arguments.method
+        if number == 1 and not self.begins_where_measured:
+            state = np.zeros(len(system.coordinates)) if self.y0 is None else self.y0
+            return Cuts(np.zeros(1, int), state[None], None)
+        times, width = record.times, np.ptp(record.times) / number
+        edges = times[0] + width * np.arange(1, number)
+        shifts = _REACH * width * np.linspace(-1, 1, _CANDIDATES)
+        places = np.clip(np.searchsorted(times, edges[:, None] + shifts), 1, len(times) - 1)
+        # What begins in a gap begins at the first measurement after it.
+        candidates = np.vstack([np.zeros((1, _CANDIDATES), int), places])
+        begins = record.begin(candidates.ravel())
+        states = np.stack([start_guess(record, system, float(at), _SPAN * width) for at in begins])
+        solver = method.solver if isinstance(method, Exact) else None
+        speeds = np.asarray(slip_speeds(self.setting, solver, jnp.asarray(begins), jnp.asarray(states)))
+        contacts = speeds.reshape(len(begins), -1)
+        usual = np.sqrt(np.mean(np.where(np.isfinite(contacts), contacts, 1.0) ** 2, axis=0)) + np.finfo(float).tiny
+        relative = contacts / usual
+        best = np.argmax(np.min(relative, axis=1).reshape(candidates.shape), axis=1)
+        firsts, unique = np.unique(candidates[np.arange(number), best], return_index=True)
+        at = (np.arange(number) * _CANDIDATES + best)[unique]
+        resting = (relative[at] < _SLOW).reshape((len(firsts), *speeds.shape[1:]))
+        return Cuts(firsts, states[at], resting if np.any(resting) else None)
 
     @property
     def begins_where_measured(self) -> bool:
@@ -248,7 +236,6 @@ class Search(NamedTuple):
 
     def problem(self, cuts: Cuts, numbers: np.ndarray, more: int = 1) -> FitProblem:
         """The problem in windows, with steps for the parameters at `numbers`, or `more` times as many."""
-        method = self.arguments.method
         is_from_zero = len(cuts.firsts) == 1 and not self.begins_where_measured
         windows = self.record.cut(cuts.firsts, 0.0 if is_from_zero else None)
         dtype = jnp.result_type(float)
@@ -256,35 +243,20 @@ class Search(NamedTuple):
             as_arrays(self.setting, dtype),
             jnp.asarray(cuts.states, dtype),
             None if cuts.resting is None else jnp.asarray(cuts.resting),
-            method,
+            self.arguments.method,
             Transform(*(jnp.asarray(one, dtype) for one in self.transform)),
             tuple(parameter.path for parameter in self.parameters),
             tuple(channel.observe for channel in self.record.channels),
-            0
-            if isinstance(method, Regularized)
-            else more * self._steps(np.asarray(windows.ends - windows.begins), numbers),
+            more * self.steps(windows, numbers),
         )
         return FitProblem(model, jax.tree.map(jnp.asarray, windows))
 
-    def _steps(self, durations: np.ndarray, numbers: np.ndarray) -> int:
-        """Loop steps for the longest window, with the parameters at `numbers`."""
+    def steps(self, windows: Windows, numbers: np.ndarray) -> int:
+        """Loop steps for the longest of the windows, with the parameters at `numbers`."""
         paths = tuple(parameter.path for parameter in self.parameters)
         system, base, *_ = with_numbers(self.setting, paths, [float(number) for number in numbers])
-        arguments = self.arguments._replace(system=system, base=base)
-        assert isinstance(arguments.method, Exact)
-        if arguments.method.max_steps is not None:
-            return arguments.method.max_steps
-        excitation, step = arguments.checked_step()
-        share = min(1.0, 2 * float(np.max(durations)) / float(arguments.t1))
-        return padded_length(int(share * steps_for(system, excitation, arguments.t1, step)) + 32)
-
-    def needs_more(self, problem: FitProblem, fit: Fit) -> bool:
-        """Whether the motion where a search ended may need more steps than it had."""
-        if isinstance(problem.model.method, Regularized):
-            return False
-        numbers = self.transform.numbers(fit.point.x)
-        windows = problem.windows
-        return self._steps(np.asarray(windows.ends - windows.begins), numbers) > problem.model.steps
+        share = min(1.0, 2 * float(np.max(np.asarray(windows.ends - windows.begins))) / float(self.arguments.t1))
+        return loop_steps(self.arguments._replace(system=system, base=base), share, _SPARE)
 
 
 class FoundFit(NamedTuple):
@@ -294,6 +266,11 @@ class FoundFit(NamedTuple):
     fit: Fit
     free: Free
     sigma: np.ndarray
+
+    @property
+    def seen(self) -> Residuals:
+        """Its residuals, standardised."""
+        return self.fit.seen.over(self.sigma)
 
 
 def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None = None) -> FoundFit:
@@ -314,8 +291,8 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
             "of simulate(system, base, ...)."
         )
     found = _with_noise(problem, search.record, start, free, sigma)
-    while search.needs_more(problem, found.fit):
-        numbers = search.transform.numbers(found.fit.point.x)
+    # The motion where the search ended may need more steps than it had.
+    while search.steps(problem.windows, numbers := search.transform.numbers(found.fit.point.x)) > problem.model.steps:
         problem = search.problem(cuts, numbers, more)
         found = _with_noise(problem, search.record, found.fit.point, free, sigma)
     return found
@@ -362,12 +339,11 @@ def as_one(search: Search, found: FoundFit) -> FoundFit | float:
         model = found.problem.model
         state = np.asarray(model.state_origin)[:1] + found.fit.point.s[:1]
         cuts = cuts._replace(states=state, resting=None if model.resting is None else np.asarray(model.resting)[:1])
-    with_windows = chi_squared(found.fit.seen.over(found.sigma))
     try:
         whole = fitted(search, cuts, found.fit.point.x, found.sigma)
     except ValueError:
         return np.inf
-    growth = chi_squared(whole.fit.seen.over(found.sigma)) - with_windows
+    growth = whole.seen.chi_squared - found.seen.chi_squared
     fewer = found.fit.point.s.size - (search.y0 is None) * whole.fit.point.s.size
     if not whole.fit.converged or growth > stats.chi2.isf(_CONTRADICTION, fewer):
         return growth

@@ -5,7 +5,6 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -17,17 +16,11 @@ from .._sensitivity import estimate
 from .._sensitivity.call import cheaper, products_among, source_of
 from .._sensitivity.estimate import Estimator
 from .._sensitivity.estimators import (
-    Accumulator,
-    DerivativeColumns,
-    JointAccumulator,
-    Source,
     differenced,
     parts_of_sequences,
     run_chunks,
 )
 from .._sensitivity.problem import (
-    Pilot,
-    SensitivityProblem,
     buffer_sizes_for,
     problem_of,
     relative_bandwidth_of,
@@ -142,16 +135,17 @@ def moments_of(moments: object) -> tuple[StickStatistic, ...]:
     return found
 
 
-def observed_ensembles(observed: object) -> list[Ensemble]:
-    """The ensemble of each experiment. Raises ValueError for anything else, and where nothing can be learned."""
+def observed_ensembles(observed: object) -> dict[str, Ensemble]:
+    """The ensemble of each experiment, by the name of the argument. Raises ValueError for anything else, and where
+    nothing can be learned.
+    """
     several = list(observed) if isinstance(observed, (list, tuple)) else [observed]
-    found: list[Ensemble] = []
+    found: dict[str, Ensemble] = {}
     for number, one in enumerate(several):
         name = "observed" if len(several) == 1 else f"observed[{number}]"
         if not isinstance(one, Ensemble):
             raise checks.refused(name, "be an Ensemble, as Ensemble.from_sticks makes one of measured sticks", one)
-        unfinished = sum(count for status, count in one.status_counts.items() if status != Status.FINISHED)
-        if unfinished:
+        if unfinished := sum(count for status, count in one.status_counts.items() if status != Status.FINISHED):
             raise ValueError(
                 f"Argument {name} must hold realisations that reached t1, but {unfinished} of {one.samples} did not; "
                 "leave these out."
@@ -166,7 +160,7 @@ def observed_ensembles(observed: object) -> list[Ensemble]:
                 f"Argument {name} must hold sticks, but its {one.samples} recordings have none: nothing of sticks can "
                 "be fitted to them."
             )
-        found.append(one)
+        found[name] = one
     if not found:
         raise checks.refused("observed", "be an Ensemble or a list of them, at least one", observed)
     return found
@@ -205,8 +199,7 @@ def check_covariance(observed: Observed, name: str) -> None:
             f"Argument {name} must hold at least {moments + 2} recordings for the covariance of {moments} moments, but "
             f"it holds {observed.recordings}; take fewer moments, or objective='likelihood', which has the model's."
         )
-    fixed = without_scatter(observed)
-    if fixed:
+    if fixed := without_scatter(observed):
         raise ValueError(
             f"Argument moments must differ between recordings, but {observed.statistics[fixed[0]].name!r} is the same "
             f"in all of {name}; leave it out."
@@ -247,9 +240,10 @@ class Simulated(NamedTuple):
         """That of the mean."""
         return self.error[: len(self.mean), : len(self.mean)]
 
-    def covariance_of_one(self, moments: int) -> Float[np.ndarray, "moments moments"]:
-        """That of one realisation's numbers, of the first `moments`."""
-        return self.covariance[:moments, :moments] * self.samples
+    @property
+    def covariance_of_one(self) -> Float[np.ndarray, "moments moments"]:
+        """That of one realisation's numbers."""
+        return self.covariance * self.samples
 
     @property
     def is_known(self) -> bool:
@@ -271,103 +265,77 @@ class Simulated(NamedTuple):
         return np.einsum("ij,iajb->ab", weight, np.nan_to_num(of_slopes))
 
 
+@dataclasses.dataclass(eq=False)
 class Simulator:
     """Simulates the moments of one experiment, at any parameters with the same random numbers.
 
-    - `statistics`, `t1` (s), `samples`, `key`, `wrt`: as for `sensitivity`.
+    - `statistics`, `t1` (s), `samples`, `key`, `wrt`, `method`, `threads`: as for `sensitivity`.
+    - `estimator`: that of the derivatives; None: for each kind of statistic the cheaper one.
     - `units`: of the parameters, and `products`: sentences about those that act together only, both once it was called.
-    - `estimator`: that of the derivatives; by default for each kind of statistic the cheaper one.
+    - `fewest`: what buffers hold at least, so that their size suffices nearby too: each size is compiled anew.
     """
 
-    def __init__(
-        self, statistics: tuple[StickStatistic, ...], t1: float, samples: int, key: Array | None,
-        wrt: tuple[str, ...], method: Exact | Regularized, threads: int | None, estimator: Estimator | None,
-    ):  # fmt: skip
-        self.statistics, self.t1, self.samples, self.key, self.wrt = statistics, t1, samples, key, wrt
-        self.options: dict[str, Any] = {"method": method, "threads": threads}
-        self.estimator: Estimator | None = estimator
-        self.fewest = BufferSizes(0, 0, 0)
-        self.units: tuple[str, ...] = ()
-        self.products: set[str] = set()
+    statistics: tuple[StickStatistic, ...]
+    t1: float
+    samples: int
+    key: Array | None
+    wrt: tuple[str, ...]
+    method: Exact | Regularized
+    threads: int | None
+    estimator: Estimator | None
+    units: tuple[str, ...] = ()
+    products: frozenset[str] = frozenset()
+    fewest: tuple[int, ...] = (0, 0, 0)
 
     def __call__(self, model: StochasticModel) -> Simulated:
         """The moments of `model`. Raises ValueError for what `sensitivity` refuses."""
         y0: InitialState | None = model.y0
         problem, pilot = problem_of(
-            self.statistics, model.system, model.law, self.wrt, self.t1, self.samples, self.key, y0, **self.options
-        )
-        pilot = self._with_room(problem, pilot)
-        kinds = problem.kinds()
+            self.statistics, model.system, model.law, self.wrt, self.t1, self.samples, self.key, y0,
+            method=self.method, threads=self.threads,
+        )  # fmt: skip
+        if not (pilot.most is None or problem.needs_ensembles):
+            needed = buffer_sizes_for(problem, pilot)
+            if any(size > room for size, room in zip(needed, self.fewest, strict=True)):
+                self.fewest = tuple(2 ** math.ceil(math.log2(1.2 * size + 1)) for size in needed)
+            pilot = pilot._replace(fewest=BufferSizes(*self.fewest))
         self.units = tuple(unit_at(problem.model, parameter.path) for parameter in problem.parameters)
-        sources = [self._source(kind, pilot, relative_bandwidth_of(problem, pilot)) for kind in kinds]
+        kinds, sources, widest = problem.kinds(), [], relative_bandwidth_of(problem, pilot)
+        for kind in kinds:
+            if (self.estimator or cheaper(kind)) == "finite-difference":
+                sources.append(differenced(kind, pilot, np.array([max(widest, _STEP)]), with_pathwise=False))
+            else:
+                closed = kind.in_closed_form()
+                require_correctable(closed)
+                sources.append(source_of(closed, pilot, widest))
         accumulated = run_chunks(sources, problem.samples, problem.threads)
-        self.products = set(products_among(problem, accumulated))
+        self.products = frozenset(products_among(problem, accumulated))
+
+        # The moments, their derivatives, and the covariance of all (delta method): `influence` holds, for each half of
+        # the samples, the derivatives of means and then of slopes by the means of all columns.
         order = [one for kind in kinds for one in kind.statistics]
-        return _simulated(accumulated, [order.index(one) for one in self.statistics], len(self.wrt), self.samples)
-
-    def _source(self, kind: SensitivityProblem, pilot: Pilot, widest: float) -> Source:
-        """How the moments of one kind, and their derivatives, are found."""
-        if (self.estimator or cheaper(kind)) == "finite-difference":
-            return differenced(kind, pilot, np.array([max(widest, _STEP)]), with_pathwise=False)
-        kind = kind.in_closed_form()
-        require_correctable(kind)
-        return source_of(kind, pilot, widest)
-
-    def _with_room(self, problem: SensitivityProblem, pilot: Pilot) -> Pilot:
-        """The pilot, with buffers of a size that suffices nearby too: each size is compiled anew."""
-        if pilot.most is None or problem.needs_ensembles:
-            return pilot
-        needed = buffer_sizes_for(problem, pilot)
-        if any(size > room for size, room in zip(needed, self.fewest, strict=True)):
-            self.fewest = BufferSizes(*(2 ** math.ceil(math.log2(1.2 * size + 1)) for size in needed))
-        return pilot._replace(fewest=self.fewest)
-
-
-def key_of(key: Array | None, experiment: int) -> Array | None:
-    """The key of an experiment: its simulations are independent of those of the others."""
-    return key if key is None or experiment == 0 else jax.random.fold_in(key, experiment)
-
-
-def _simulated(accumulated: JointAccumulator, order: list[int], parameters: int, asked: int) -> Simulated:
-    """The moments in this order, their derivatives, and the covariance of all (delta method)."""
-    means, slopes, of_means, of_slopes = [], [], [], []
-    for number in order:
-        one, own = accumulated.single(number), accumulated.slice_of(number)
-
-        def placed(weights: tuple[np.ndarray, np.ndarray], own: slice = own) -> list[np.ndarray]:
-            whole = [np.zeros(len(half.mean)) for half in accumulated.halves]
-            for all_columns, mine in zip(whole, weights, strict=True):
-                all_columns[own] = mine
-            return whole
-
-        moments = one.moments
-        above, below = moments.mean[:2]
-        mean, weight = math.nan, np.zeros(len(moments.mean))
-        if moments.number and below > 0:
-            mean = above / below
-            weight[:2] = 1 / below, -mean / below
-        share = one.halves[0].number / max(moments.number, 1)
-        means.append(mean)
-        of_means.append(placed((share * weight, (1 - share) * weight)))
-        for columns, in_window in zip(one.columns, one.in_window, strict=True):
-            found, influence = _derivative(one, columns, in_window)
-            slopes.append(found)
-            of_slopes.append(placed(influence))
-    size, error = len(of_means) + len(of_slopes), 0.0
-    for half, sums in enumerate(accumulated.halves):
-        of = np.array([weights[half] for weights in (*of_means, *of_slopes)])
-        error = error + of @ sums.covariance_of_mean @ of.T
-    finished = sum(half.number for half in accumulated.halves)
-    slope = np.reshape(slopes, (len(order), parameters))
-    return Simulated(np.array(means), slope, np.reshape(error, (size, size)), finished, asked - finished)
-
-
-def _derivative(
-    one: Accumulator, columns: DerivativeColumns, in_window: np.ndarray
-) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
-    """A derivative and its own derivatives by the means of the columns in both halves (0 where not known)."""
-    found, _, (first, second) = estimate.estimate_by_windows(one, columns, in_window, None)
-    return found.derivative, (np.nan_to_num(first), np.nan_to_num(second))
+        moments, parameters = len(order), len(self.wrt)
+        mean, slope = np.full(moments, math.nan), np.empty((moments, parameters))
+        influence = [np.zeros((moments * (1 + parameters), len(half.mean))) for half in accumulated.halves]
+        for row, statistic in enumerate(self.statistics):
+            place = order.index(statistic)
+            one, own = accumulated.single(place), accumulated.slice_of(place)
+            above, below = one.moments.mean[:2]
+            weight = np.zeros(len(one.moments.mean))
+            if one.moments.number and below > 0:
+                mean[row] = above / below
+                weight[:2] = 1 / below, -mean[row] / below
+            share = one.halves[0].number / max(one.moments.number, 1)
+            for half, part in zip(influence, (share, 1 - share), strict=True):
+                half[row, own] = part * weight
+            for at, window in enumerate(zip(one.columns, one.in_window, strict=True)):
+                found, _, influences = estimate.estimate_by_windows(one, *window, None)
+                slope[row, at] = found.derivative
+                for half, by_half in zip(influence, influences, strict=True):
+                    half[moments + row * parameters + at, own] = np.nan_to_num(by_half)
+        errors = [of @ half.covariance_of_mean @ of.T for of, half in zip(influence, accumulated.halves, strict=True)]
+        finished = sum(half.number for half in accumulated.halves)
+        return Simulated(mean, slope, errors[0] + errors[1], finished, self.samples - finished)
 
 
 # Weights of the misfits of moments: from the recordings' covariance, or from the model (synthetic likelihood).
@@ -443,12 +411,18 @@ def by_likelihood(observed: Observed, simulated: Simulated) -> FitPart:
     covariance = np.zeros((number, number))
     covariance[one, other] = covariance[other, one] = simulated.mean[number:] - mean[one] * mean[other]
     spread = np.sqrt(np.diag(covariance))
-    to_standard = _standardising(mean, spread)
+    # Makes deviations of means and mean products those of standardised numbers, to first order.
+    units, rows, corner = np.eye(number), spread[one] * spread[other], np.zeros((number, len(one)))
+    by_means = -(units[one] * mean[other, None] + units[other] * mean[one, None]) / rows[:, None]
+    to_standard = np.block([[np.diag(1 / spread), corner], [by_means, np.diag(1 / rows)]])
     deviations = (observed.values - mean) / spread
     correlation = covariance / np.outer(spread, spread)
     seen = deviations.T @ deviations / recordings
     inverse = np.linalg.inv(correlation)
-    information = _information(correlation, inverse)
+    # The Fisher information of a standardised normal distribution about its means and its covariances.
+    products = correlation[np.ix_(one, one)] * correlation[np.ix_(other, other)]
+    products += correlation[np.ix_(one, other)] * correlation[np.ix_(other, one)]
+    information = np.block([[inverse, corner], [corner.T, np.linalg.inv(products)]])
     misfit = np.concatenate([deviations.mean(axis=0), (seen - correlation)[one, other]])
     slope = to_standard @ simulated.slope
     weighted = recordings * slope.T @ information
@@ -457,24 +431,3 @@ def by_likelihood(observed: Observed, simulated: Simulated) -> FitPart:
     value = np.linalg.slogdet(correlation)[1] + 2 * math.fsum(np.log(spread)) + float(np.sum(inverse * seen))
     noise = simulated.noise(recordings * to_standard.T @ information @ to_standard)
     return FitPart(0.5 * recordings * value, -weighted @ misfit, hessian, noise, weighted @ of_means @ weighted.T)
-
-
-def _standardising(mean: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """The matrix that makes deviations of means and mean products those of standardised numbers, to first order."""
-    number = len(mean)
-    one, other = np.triu_indices(number)
-    units, rows = np.eye(number), spread[one] * spread[other]
-    by_means = -(units[one] * mean[other, None] + units[other] * mean[one, None]) / rows[:, None]
-    above = np.hstack([np.diag(1 / spread), np.zeros((number, len(rows)))])
-    return np.vstack([above, np.hstack([by_means, np.diag(1 / rows)])])
-
-
-def _information(correlation: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """The Fisher information of a standardised normal distribution about its means and its covariances."""
-    one, other = np.triu_indices(len(correlation))
-    products = correlation[np.ix_(one, one)] * correlation[np.ix_(other, other)]
-    products += correlation[np.ix_(one, other)] * correlation[np.ix_(other, one)]
-    number = len(correlation)
-    whole = np.zeros((number + len(one),) * 2)
-    whole[:number, :number], whole[number:, number:] = inverse, np.linalg.inv(products)
-    return whole

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
+import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -31,7 +32,6 @@ from .stick_moments import (
     by_moments,
     check_covariance,
     covariance_of_misfit,
-    key_of,
     moments_of,
     observed_ensembles,
     observed_moments,
@@ -69,16 +69,10 @@ def minimised(at: Callable[[_Vector], FitPart | None], x: _Vector, most: int) ->
     """
     from scipy import optimize  # noqa: PLC0415 - takes long to load
 
-    known: dict[bytes, FitPart | None] = {}
     stands, last = 0, np.inf
 
-    def part(x: _Vector) -> FitPart | None:
-        if x.tobytes() not in known:
-            known[x.tobytes()] = at(x)
-        return known[x.tobytes()]
-
     def value(x: _Vector) -> float:
-        found = part(x)
+        found = at(x)
         return np.inf if found is None else found.value
 
     def stop(intermediate_result: Any) -> None:
@@ -86,25 +80,25 @@ def minimised(at: Callable[[_Vector], FitPart | None], x: _Vector, most: int) ->
         now = np.asarray(intermediate_result.x)
         stands = 0 if value(now) < last - _GAINED else stands + 1
         last = min(last, value(now))
-        if stands >= _STANDS or gain(part(now)) < _ENOUGH:
+        if stands >= _STANDS or gain(at(now)) < _ENOUGH:
             raise StopIteration
 
     def gradient(x: _Vector) -> _Vector:
-        found = part(x)
+        found = at(x)
         return np.zeros(len(x)) if found is None else found.gradient
 
     def hessian(x: _Vector) -> _Square:
         # SciPy asks for it where there is nothing too, before it goes back.
-        found = part(x)
+        found = at(x)
         return np.eye(len(x)) if found is None else found.hessian
 
-    if gain(part(x)) >= _ENOUGH:
+    if gain(at(x)) >= _ENOUGH:
         found = optimize.minimize(
             value, x, method="trust-exact", jac=gradient, hess=hessian, callback=stop,
             options={"initial_trust_radius": 0.5, "max_trust_radius": 2.0, "maxiter": most, "gtol": 0.0},
         )  # fmt: skip
         x = np.asarray(found.x)
-    end = part(x)
+    end = at(x)
     assert end is not None
     return SearchEnd(x, end, stands >= _STANDS)
 
@@ -151,10 +145,8 @@ def precision(part: FitPart, stands: bool = False) -> Precision:
     bread = kept @ inner @ kept.T
     left = kept.T @ (part.gradient / size)
     still = float(np.sum(left**2 / np.sum(kept * (whole @ kept), axis=0)))
-    covariance = bread @ scores @ bread / scale
-    for one in lost:
-        covariance[one] = covariance[:, one] = np.nan
-        covariance[one, one] = np.inf
+    is_told = ~np.any(np.reshape(lost, (len(lost), len(size))), axis=0)
+    covariance = covariance_of(np.eye(len(size)), bread @ scores @ bread / scale, is_told)
     return Precision(covariance, lost, still < (1 if stands else _CONVERGED), float(1 / max(ratios[0], 1.0)))
 
 
@@ -408,29 +400,15 @@ def calibrate_sticks(
     require_differences(estimator, method)
     ensembles = observed_ensembles(observed)
     models = Models.of(system, law, y0, wrt, len(ensembles))
-    fit = _Fit(
-        models, _observations(ensembles, moments, objective), objective, samples, key, method, threads, estimator
-    )
-    found = fit.found()
-    certain = precision(found.part, found.stands)
-    result = fit.result(found, certain)
-    for remark in result.remarks:
-        warnings.warn(remark, RuntimeWarning, stacklevel=2)
-    return result
-
-
-def _observations(ensembles: list[Ensemble], moments: object, objective: Objective) -> list[Observed]:
-    """The moments of each experiment. Raises ValueError for those that cannot be fitted."""
-    statistics, found = moments_of(moments), []
-    if objective == "likelihood":
+    statistics, observations, is_likelihood = moments_of(moments), [], objective == "likelihood"
+    if is_likelihood:
         statistics = tuple(map(FromRecordedSticks, statistics))
-    for number, one in enumerate(ensembles):
+    for name, one in ensembles.items():
         seen = observed_moments(statistics, one)
-        drops = moments is None and objective == "moments" and seen.recordings > len(statistics)
-        fixed = without_scatter(seen) if drops else []
-        seen = seen.only([at for at in range(len(statistics)) if at not in fixed])
-        name = "observed" if len(ensembles) == 1 else f"observed[{number}]"
-        if objective == "moments":
+        if moments is None and not is_likelihood and seen.recordings > len(statistics):
+            fixed = without_scatter(seen)
+            seen = seen.only([at for at in range(len(statistics)) if at not in fixed])
+        if not is_likelihood:
             check_covariance(seen, name)
         elif seen.has_ratios:
             raise ValueError(
@@ -438,35 +416,36 @@ def _observations(ensembles: list[Ensemble], moments: object, objective: Objecti
                 f"{', '.join(repr(one.name) for one in seen.statistics)} were given, one of which is a ratio of two "
                 "means; take both means, such as mean_total_stick_time and mean_stick_count."
             )
-        found.append(seen)
-    return found
+        observations.append(seen)
+    number, parameters = sum(len(one.mean) for one in observations), len(models.names)
+    if not is_likelihood and number < parameters:
+        raise ValueError(
+            f"Argument moments must hold at least as many moments as there are parameters, {parameters}, but there "
+            f"are {number}; take more moments or experiments, or fit fewer parameters."
+        )
+    samples, simulators = checks.whole_number("samples", samples, minimum=2, maximum=2**31), []
+    for at, one in enumerate(observations):
+        own = with_products(one.statistics) if is_likelihood else one.statistics
+        # Simulations of an experiment are independent of those of the others.
+        of_experiment = key if key is None or at == 0 else jax.random.fold_in(key, at)
+        simulators.append(Simulator(own, one.t1, samples, of_experiment, models.names, method, threads, estimator))
+    result = _Fit(models, observations, simulators, is_likelihood).result()
+    for remark in result.remarks:
+        warnings.warn(remark, RuntimeWarning, stacklevel=2)
+    return result
 
 
+@dataclasses.dataclass(eq=False)
 class _Fit:
     """A fit: models, what was observed, and simulations at the parameters that were looked at."""
 
-    def __init__(
-        self, models: Models, observations: list[Observed], objective: Objective, samples: int, key: Array | None,
-        method: Exact | Regularized, threads: int | None, estimator: Estimator | None,
-    ):  # fmt: skip
-        self.models, self.observations, self.objective = models, observations, objective
-        number, parameters = sum(len(one.mean) for one in observations), len(models.names)
-        if objective == "moments" and number < parameters:
-            raise ValueError(
-                f"Argument moments must hold at least as many moments as there are parameters, {parameters}, but there "
-                f"are {number}; take more moments or experiments, or fit fewer parameters."
-            )
-        products = with_products if objective == "likelihood" else tuple
-        self.simulators = [
-            Simulator(
-                products(one.statistics), one.t1, samples, key_of(key, at), models.names, method, threads, estimator
-            )
-            for at, one in enumerate(observations)
-        ]
-        self.simulated: dict[bytes, list[Simulated] | None] = {}
-        self.samples = checks.whole_number("samples", samples, minimum=2, maximum=2**31)
+    models: Models
+    observations: list[Observed]
+    simulators: list[Simulator]
+    is_likelihood: bool
+    simulated: dict[bytes, list[Simulated] | None] = dataclasses.field(default_factory=dict)
 
-    def at(self, x: Float[np.ndarray, " parameters"]) -> list[Simulated] | None:
+    def at(self, x: _Vector) -> list[Simulated] | None:
         """The simulations at coordinates `x`; None where there are none. Raises ValueError at the first."""
         if x.tobytes() not in self.simulated:
             try:
@@ -477,127 +456,99 @@ class _Fit:
                 self.simulated[x.tobytes()] = None
         return self.simulated[x.tobytes()]
 
-    def _simulate(self, x: Float[np.ndarray, " parameters"]) -> list[Simulated]:
-        values = self.models.values(x)
-        slopes = self.models.slopes(values)
+    def _simulate(self, x: _Vector) -> list[Simulated]:
+        values = self.models.transform.numbers(x)
+        slopes = self.models.transform.slopes(values)
         found = [one(model).scaled(slopes) for one, model in zip(self.simulators, self.models.at(values), strict=True)]
-        everywhere = set.intersection(*(one.products for one in self.simulators))
-        if everywhere:
+        if everywhere := frozenset.intersection(*(one.products for one in self.simulators)):
             raise ValueError(
                 f"Argument wrt must name parameters that can be told apart, but {min(everywhere)}; fit one."
             )
+        shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.models.names, values, strict=True))
         for one, seen in zip(found, self.observations, strict=True):
             if not one.is_known:
                 raise ValueError(
-                    f"The moments or their derivatives do not exist at {self._shown(values)}: there are no sticks, or "
-                    "every motion grazes the base velocity; start from other values."
+                    f"The moments or their derivatives do not exist at {shown}: there are no sticks, or every motion "
+                    "grazes the base velocity; start from other values."
                 )
             size = len(seen.mean)
-            if self.objective == "likelihood" and np.any(
-                np.diag(one.covariance)[:size] <= 1e-24 * one.mean[:size] ** 2
-            ):
+            if self.is_likelihood and np.any(np.diag(one.covariance)[:size] <= 1e-24 * one.mean[:size] ** 2):
                 raise ValueError(
                     "Argument moments must differ between realisations, but one is the same in all that were simulated "
-                    f"at {self._shown(values)}; leave it out."
+                    f"at {shown}; leave it out."
                 )
         return found
 
-    def _shown(self, values: Float[np.ndarray, " parameters"]) -> str:
-        return ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.models.names, values, strict=True))
+    def pairs(self, x: _Vector) -> list[tuple[Observed, Simulated]]:
+        """What was observed and simulated in each experiment, at coordinates `x` that have been simulated."""
+        return list(zip(self.observations, self.at(x) or [], strict=True))
 
-    def part(
-        self, x: Float[np.ndarray, " parameters"], covariances: list[Float[np.ndarray, "moments moments"]] | None
-    ) -> FitPart | None:
+    def part(self, x: _Vector, covariances: list[Float[np.ndarray, "moments moments"]] | None = None) -> FitPart | None:
         """What all experiments add up to at `x`; `covariances` of the misfits, by default from the recordings."""
-        simulated = self.at(x)
-        if simulated is None:
+        if self.at(x) is None:
             return None
-        pairs = list(zip(self.observations, simulated, strict=True))
-        if self.objective == "likelihood":
-            return FitPart.total([by_likelihood(*pair) for pair in pairs])
-        known = covariances or [covariance_of_misfit(*pair) for pair in pairs]
-        return FitPart.total([by_moments(*pair, weight) for pair, weight in zip(pairs, known, strict=True)])
+        if self.is_likelihood:
+            return FitPart.total([by_likelihood(*pair) for pair in self.pairs(x)])
+        known = covariances or [covariance_of_misfit(*pair) for pair in self.pairs(x)]
+        return FitPart.total([by_moments(*pair, weight) for pair, weight in zip(self.pairs(x), known, strict=True)])
 
-    def covariances(self, x: Float[np.ndarray, " parameters"]) -> list[Float[np.ndarray, "moments moments"]]:
-        """Of the misfits, with those of the simulations at `x`."""
-        pairs = zip(self.observations, self.at(x) or [], strict=True)
-        return [covariance_of_misfit(seen, one, one.covariance_of_one(len(seen.mean))) for seen, one in pairs]
-
-    def found(self) -> SearchEnd:
+    def result(self) -> StickCalibration:
         """The estimate. Of moments, a second search has the weights that the first one's end suggests."""
-        start = np.zeros(len(self.models.names))
-        first = minimised(lambda x: self.part(x, None), start, _MOST)
-        if self.objective == "likelihood":
-            return first
-        known = self.covariances(first.x)
-        return minimised(lambda x: self.part(x, known), first.x, _MOST)
-
-    def result(self, found: SearchEnd, certain: Precision) -> StickCalibration:
-        """What the user gets."""
-        values = self.models.values(found.x)
-        slopes = self.models.slopes(values)
+        models, transform, recordings = self.models, self.models.transform, sum(o.recordings for o in self.observations)
+        found = minimised(self.part, np.zeros(len(models.names)), _MOST)
+        if not self.is_likelihood:
+            # Of the misfits, with those of the simulations where the first search ended.
+            known = [covariance_of_misfit(*pair, pair[1].covariance_of_one) for pair in self.pairs(found.x)]
+            found = minimised(lambda x: self.part(x, known), found.x, _MOST)
+        certain = precision(found.part, found.stands)
+        values = transform.numbers(found.x)
+        slopes = transform.slopes(values)
         covariance = covariance_of(slopes, certain.covariance, np.isfinite(np.diag(certain.covariance)))
-        simulated, models = self.at(found.x) or [], self.models.at(values)
-        fits = tuple(
-            fit for at, pair in enumerate(zip(self.observations, simulated, strict=True)) for fit in _fits(at, *pair)
-        )
-        recordings = sum(one.recordings for one in self.observations)
-        test, curvature = self._test(found, len(fits)), None
-        if self.objective == "likelihood":
+        fits = []
+        for experiment, (observed, simulated) in enumerate(self.pairs(found.x)):
+            origins: Any = object(), object()
+            errors = np.sqrt(np.diag(observed.covariance) / observed.recordings)
+            for at, one in enumerate(observed.statistics):
+                # The moment as observed and as fitted.
+                pair = [(observed.mean[at], errors[at], observed.recordings)]
+                pair += [(simulated.mean[at], math.sqrt(simulated.covariance[at, at]), simulated.samples)]
+                seen, fitted = (
+                    Estimate(one.name, float(mean), float(error), one.unit, number, origin)
+                    for (mean, error, number), origin in zip(pair, origins, strict=True)
+                )
+                # One recording alone has no scatter: the model's stands for it.
+                error = fitted.standard_error * math.sqrt(1 + simulated.samples / observed.recordings)
+                if observed.recordings > 1:
+                    error = math.hypot(seen.standard_error, fitted.standard_error)
+                fits.append(MomentFit(experiment, seen, fitted, error))
+        test = curvature = None
+        if self.is_likelihood:
             errors = np.sqrt(np.diag(slopes @ np.linalg.pinv(found.part.hessian) @ slopes.T))
-            curvature = dict(zip(self.models.names, map(float, errors), strict=True))
-        unfinished = sum(one.unfinished for one in simulated)
+            curvature = dict(zip(models.names, errors.tolist(), strict=True))
+        else:
+            from scipy import stats  # noqa: PLC0415 - takes long to load
+
+            freedom, statistic = len(fits) - len(models.names), 2 * found.part.value
+            p_value = float(stats.chi2.sf(statistic, freedom)) if freedom else math.nan
+            test = Overidentification(statistic, freedom, p_value)
+        # The errors of the likelihood rest on simulations alone.
+        samples, units = self.simulators[0].samples, self.simulators[0].units
+        size = samples if self.is_likelihood else recordings
+        estimates = correlated_estimates(models.names, values, units, covariance, size)
+        unfinished, ends = sum(simulated.unfinished for _, simulated in self.pairs(found.x)), models.at(values)
         return StickCalibration(
-            estimates=self._estimates(values, covariance, recordings),
+            estimates={one.name: one for one in estimates},
             covariance=covariance,
-            objective=self.objective,
-            moments=fits,
+            objective="likelihood" if self.is_likelihood else "moments",
+            moments=tuple(fits),
             overidentification=test,
             curvature_errors=curvature,
-            systems=tuple(model.system for model in models),
-            laws=tuple(model.law for model in models),
+            systems=tuple(model.system for model in ends),
+            laws=tuple(model.law for model in ends),
             recordings=recordings,
-            samples=self.samples,
+            samples=samples,
             unfinished=unfinished,
             converged=certain.converged,
             evaluations=len(self.simulated),
-            remarks=remarks_of(self.models.names, certain, test, unfinished, self.samples * len(simulated)),
+            remarks=remarks_of(models.names, certain, test, unfinished, samples * len(self.simulators)),
         )
-
-    def _test(self, found: SearchEnd, moments: int) -> Overidentification | None:
-        if self.objective == "likelihood":
-            return None
-        from scipy import stats  # noqa: PLC0415 - takes long to load
-
-        freedom, statistic = moments - len(self.models.names), 2 * found.part.value
-        return Overidentification(
-            statistic, freedom, float(stats.chi2.sf(statistic, freedom)) if freedom else math.nan
-        )  # fmt: skip
-
-    def _estimates(
-        self, values: Float[np.ndarray, " parameters"], covariance: np.ndarray, recordings: int
-    ) -> dict[str, Estimate]:
-        """The estimates, which know how they are correlated. The likelihood's errors rest on simulations alone."""
-        samples = recordings if self.objective == "moments" else self.samples
-        found = correlated_estimates(self.models.names, values, self.simulators[0].units, covariance, samples)
-        return {one.name: one for one in found}
-
-
-def _fits(experiment: int, observed: Observed, simulated: Simulated) -> list[MomentFit]:
-    """The moments of one experiment, observed and fitted."""
-    found: list[MomentFit] = []
-    origins: Any = object(), object()
-    errors = np.sqrt(np.diag(observed.covariance) / observed.recordings)
-    for at, one in enumerate(observed.statistics):
-        pair = [(observed.mean[at], errors[at], observed.recordings)]
-        pair += [(simulated.mean[at], math.sqrt(simulated.covariance[at, at]), simulated.samples)]
-        seen, fitted = (
-            Estimate(one.name, float(mean), float(error), one.unit, number, origin)
-            for (mean, error, number), origin in zip(pair, origins, strict=True)
-        )
-        # One recording alone has no scatter: the model's stands for it.
-        error = fitted.standard_error * math.sqrt(1 + simulated.samples / observed.recordings)
-        if observed.recordings > 1:
-            error = math.hypot(seen.standard_error, fitted.standard_error)
-        found.append(MomentFit(experiment, seen, fitted, error))
-    return found

@@ -22,7 +22,7 @@ from .._uncertainty.inputs import SampledLaw, UserLaw
 from .._uncertainty.numbers import NumberPath
 from .motion import Motion, Parts, RandomSignal, Signal, SourceVoltage, UserMotion
 from .piecewise_constant import Interval, PiecewiseConstantLaw, VelocitySteps
-from .segments import SegmentLaw, SegmentTable, marked
+from .segments import SegmentLaw, SegmentTable, marked, no_key
 
 # The excitation of a system: a smooth part and piecewise-linear parts, as the switched engine follows them.
 
@@ -202,10 +202,7 @@ def key_data_for(base: BaseMotion, key: Array | None) -> Array:
     if key is not None:
         return key_data_of(key)
     if is_random(base):
-        raise ValueError(
-            f"Argument key must be a key such as jax.random.key(0) for the random law {type(base).__name__}, but None "
-            "was given."
-        )
+        raise no_key(base)
     return jnp.zeros(2, jnp.uint32)
 
 
@@ -329,7 +326,19 @@ def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | 
         )
     times = jnp.asarray(times, jnp.result_type(float))
     flat = times.reshape(-1)
-    tables = [_table(law, flat) for law in excitation.base]
+    # Segments until the last of the times, and one more: it may begin there.
+    latest = jnp.max(flat) if checks.is_traced(flat) else float(np.max(np.asarray(flat), initial=0.0))
+    tables, none = [], jnp.zeros((), jnp.uint32)
+    for law in excitation.base:
+        try:
+            number = law.segments(latest)
+        except (ConcretizationTypeError, NotKnown):
+            raise ValueError(
+                "Argument base must be a realisation where times or its numbers are traced by a JAX transformation (it "
+                f"is not known then how many segments it has), but the law {type(law).__name__} was given; take "
+                "base.sample(None, t1)."
+            ) from None
+        tables.append(SegmentTable.of(law, (none, none), number + 1, flat.dtype))
 
     def at(time: FloatScalar) -> FloatScalar:
         smooth = excitation.signal
@@ -341,18 +350,3 @@ def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | 
         return velocity
 
     return jax.vmap(at)(flat).reshape(times.shape)
-
-
-def _table(law: SegmentLaw, times: FloatArray) -> SegmentTable:
-    """The segments of a law without randomness until the last of `times`, and one more: it may begin there."""
-    latest = jnp.max(times) if checks.is_traced(times) else float(np.max(np.asarray(times), initial=0.0))
-    try:
-        number = law.segments(latest)
-    except (ConcretizationTypeError, NotKnown):
-        raise ValueError(
-            "Argument base must be a realisation where times or its numbers are traced by a JAX transformation (it "
-            f"is not known then how many segments it has), but the law {type(law).__name__} was given; take "
-            "base.sample(None, t1)."
-        ) from None
-    none = jnp.zeros((), jnp.uint32)
-    return SegmentTable.of(law, (none, none), number + 1, times.dtype)

@@ -498,22 +498,19 @@ class KanaiTajimi(GroundMotion):
         """
         checks.positive("t1", t1, "s")
         if points is None:
-            points = self._points(t1)
+            enough = "about t1 / interval + 2 are enough"
+            samples = known_number(
+                lambda t1: largest(t1) / smallest(self.interval), t1, enough, "points", "law's interval is"
+            )
+            if samples > LARGEST_CAPACITY - 2:
+                raise ValueError(
+                    f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_CAPACITY} samples, "
+                    f"{self.interval} s apart."
+                )
+            # Both ends, and one to spare: rounded, the last sampling time may lie just short of t1.
+            points = math.ceil(samples) + 2
         points = checks.whole_number("points", points, minimum=2, maximum=LARGEST_CAPACITY)
         return GroundAcceleration(*_sample(self, key_data_of(key), points, jnp.result_type(float)))
-
-    def _points(self, t1: Scalar) -> int:
-        enough = "about t1 / interval + 2 are enough"
-        samples = known_number(
-            lambda t1: largest(t1) / smallest(self.interval), t1, enough, "points", "law's interval is"
-        )
-        if samples > LARGEST_CAPACITY - 2:
-            raise ValueError(
-                f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_CAPACITY} samples, "
-                f"{self.interval} s apart."
-            )
-        # Both ends, and one to spare: rounded, the last sampling time may lie just short of t1.
-        return math.ceil(samples) + 2
 
 
 def _step(ground_frequency, damping, interval, dtype):

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, PyTree
 from .._foundation import checks
 from .._foundation.fields import Choice, Quantity, is_of_package
 from .._foundation.methods import keeps
-from .._foundation.types import AnyArray, FloatArray, FloatScalar, IntArray, Number, Scalar
+from .._foundation.types import AnyArray, FloatArray, FloatScalar, Number, Scalar
 from .._numerics.derivatives import largest, smallest
 from .._numerics.elementary import exponential, fine_uniform, random_words, uniform
 from .._uncertainty.families import Discrete, RandomNumber, Truncated
@@ -419,7 +419,7 @@ class RandomSteps(PiecewiseConstantLaw):
 
     def begin(self, key_data, dtype):
         high, _ = random_words(key_data, jnp.asarray(BEGINNING))
-        return _choose(uniform(high, dtype), jnp.cumsum(jnp.asarray(self.level_probabilities, dtype)))
+        return _chosen(uniform(high, dtype), jnp.asarray(self.level_probabilities, dtype))
 
     def draw(self, key_data, number, dtype):
         high, low = random_words(key_data, number)
@@ -432,7 +432,7 @@ class RandomSteps(PiecewiseConstantLaw):
         for_length, for_next = drawn
         steps = jnp.floor(jnp.log(for_length) / jnp.log(shares)[memory]) + 1
         velocity = self.speed * jnp.asarray(self.levels, dtype)[memory]
-        return steps * self.interval, velocity, _choose(for_next, jnp.cumsum(others, axis=1)[memory])
+        return steps * self.interval, velocity, _chosen(for_next, others[memory])
 
     def capacity(self, t1: Scalar) -> int:
         return math.ceil(largest(t1) / smallest(self.interval)) + 1
@@ -485,11 +485,6 @@ class PiecewiseConstant(PiecewiseConstantLaw):
         return len(self.times)
 
 
-def _choose(draw: Float[Array, ""], cumulative: Float[Array, " cells"]) -> IntArray:
-    """Index of the cell of the ``cumulative`` probabilities that holds the uniform ``draw``."""
-    return jnp.minimum(jnp.sum(draw > cumulative, axis=-1), cumulative.shape[-1] - 1)
-
-
 def _floats(name: str, values: Iterable[float]) -> tuple[float, ...]:
     checks.numeric(name, values, ndim=1)
     return tuple(float(value) for value in values)
@@ -536,12 +531,21 @@ class SemiMarkovSwitching(PiecewiseConstantLaw):
     is_random = True
 
     def check_relations(self) -> None:
-        checks.truth("alternating", self.alternating)
         _check_distribution("gap", self.gap, "s", positive=True)
         if isinstance(self.speed, RandomNumber):
             _check_distribution("speed", self.speed, "m/s", positive=self.alternating)
-            if not self.alternating:
-                _check_values(self.speed)
+            if not self.alternating and not self.speed.is_continuous:
+                if not keeps(self.speed, Discrete, "icdf"):  # its values and probabilities are not known
+                    raise ValueError(
+                        "Argument speed must be continuous or a Discrete, and no other distribution of single values, "
+                        f"where alternating is False, but {checks.show(self.speed)} was given."
+                    )
+                assert isinstance(self.speed, Discrete)
+                shares = self.speed.probabilities  # neighbouring velocities can differ
+                if checks.is_traced(shares):
+                    return
+                if (len(self.speed.values) if shares is None else np.count_nonzero(np.asarray(shares))) < 2:
+                    raise checks.refused("speed", "have two or more values with positive probabilities", self.speed)
             return
         if any(callable(getattr(self.speed, name, None)) for name in ("icdf", "ppf", "sample")):
             _check_distribution("speed", self.speed, "m/s", positive=True)
@@ -633,8 +637,13 @@ def _check_distribution(name: str, given: object, unit: str, *, positive: bool) 
         )
     if any(checks.is_traced(leaf) for leaf in jax.tree.leaves(given)):
         return
-    if not positive or _is_positive(given):
+    if not positive:
         return
+    if not isinstance(given, Truncated):
+        # Whether the support shows that all draws are positive, without JAX: a study's file is read before it starts.
+        lowest = float(given.support[0])
+        if lowest > 0 or (lowest == 0 and not isinstance(given, Discrete)):
+            return
     with jax.ensure_compile_time_eval():
         below = float(given.cdf(0.0))
     if below > 0:
@@ -642,31 +651,6 @@ def _check_distribution(name: str, given: object, unit: str, *, positive: bool) 
             f"{what}, but {checks.show(given)} was given, of whose draws {below:.2g} are zero or negative; "
             "Truncated(..., low=...) leaves them out."
         )
-
-
-def _is_positive(given: RandomNumber) -> bool:
-    """Whether the support shows that all draws are positive, without JAX: a study's file is read before it starts."""
-    if isinstance(given, Truncated):
-        return False
-    lowest = float(given.support[0])
-    return lowest > 0 or (lowest == 0 and not isinstance(given, Discrete))
-
-
-def _check_values(speed: RandomNumber) -> None:
-    """Check that neighbouring velocities from `speed` can differ."""
-    if speed.is_continuous:
-        return
-    if not keeps(speed, Discrete, "icdf"):  # its values and probabilities are not known
-        raise ValueError(
-            "Argument speed must be continuous or a Discrete, and no other distribution of single values, where "
-            f"alternating is False, but {checks.show(speed)} was given."
-        )
-    assert isinstance(speed, Discrete)
-    shares = speed.probabilities
-    if checks.is_traced(shares):
-        return
-    if (len(speed.values) if shares is None else np.count_nonzero(np.asarray(shares))) < 2:
-        raise checks.refused("speed", "have two or more values with positive probabilities", speed)
 
 
 def _shares(values: Discrete, dtype: DTypeLike) -> Float[Array, " values"]:

@@ -68,7 +68,16 @@ def read_csv(
         raise checks.refused("delimiter", "be a single sign such as ';', or None for white space", delimiter)
     path = checks.path("path", path, "the name of a file")
     file = repr(str(path))
-    rows = _rows(file, _text(path), delimiter)
+    rows: list[Row] = []
+    for number, line in enumerate(_text(path).split("\n"), 1):
+        # Line by line, so that a stray quotation mark cannot swallow the rest of the file.
+        try:
+            cut = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter), [])
+        except csv.Error as error:
+            raise _unsuitable("rows of numbers", f"line {number} of {file} is none ({error})") from None
+        entries = [entry.strip() for entry in cut]
+        if any(entries) and not entries[0].startswith("#"):
+            rows.append((number, entries))
     if not rows:
         raise _unsuitable("a row for each sample", f"{file} is empty")
     for line, entries in rows:
@@ -82,7 +91,20 @@ def read_csv(
         rows = rows[1:]
     times = _finite(file, ((line, entries[time]) for line, entries in rows))
     values = _finite(file, ((line, entries[value]) for line, entries in rows))
-    _check_times(file, times, [line for line, _ in rows], shift)
+    if len(times) < 2:
+        raise _unsuitable("at least 2 samples", f"{file} has {len(times)}")
+    falls = np.diff(times) <= 0
+    if np.any(falls):
+        at = int(np.argmax(falls)) + 1
+        raise _unsuitable(
+            "times that increase",
+            f"in line {rows[at][0]} of {file} the time {times[at]} s follows {times[at - 1]} s; sort the lines, and "
+            "keep one of those with the same time",
+        )
+    if times[0] != 0 and not shift:
+        raise _unsuitable(
+            "times that begin with 0", f"the first in {file} is {times[0]} s; shift=True subtracts it from all of them"
+        )
     return times - times[0], values * float(scale)
 
 
@@ -184,8 +206,30 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
     if not text.strip():
         raise _unsuitable("an accelerogram", f"{file} is empty")
     lines = text.split("\n")
-    last, count, step = _end_of_header(file, lines)
-    _check_unit(file, lines[:last])
+    ends = ((n, line, pattern.search(line.upper())) for n, line in enumerate(lines, 1) for pattern in _COUNT_AND_STEP)
+    last, line, found = next((end for end in ends if end[2]), (0, "", None))
+    if found is None:
+        raise _unsuitable(
+            "a header that ends with NPTS and DT, such as 'NPTS= 5372, DT= .0050 SEC'",
+            f"{file} has no such line; read_acceleration_csv reads tables of times and values",
+        )
+    count, step = int(found[1]), float(found[2])
+    if count < 2 or not 0 < step < math.inf:
+        raise _unsuitable(
+            "NPTS of at least 2 and a positive DT", f"line {last} of {file} is {checks.show(line.strip())}"
+        )
+    # The last line of the header about quantity and unit states an acceleration in g.
+    stated = [line.strip() for line in lines[:last] if _QUANTITY_AND_UNIT.search(line.upper())]
+    if not stated:
+        raise _unsuitable(
+            "an acceleration in units of g",
+            f"the header of {file} names no unit; if it is g, add the line 'ACCELERATION TIME SERIES IN UNITS OF G'",
+        )
+    if _NO_ACCELERATION.search(stated[-1].upper()) or not _IN_G.search(stated[-1].upper()):
+        raise _unsuitable(
+            "an acceleration in units of g",
+            f"the header of {file} says {checks.show(stated[-1])}; take the AT2 file of the same record",
+        )
     entries = ((number, entry) for number, line in enumerate(lines[last:], last + 1) for entry in line.split())
     values = _finite(file, entries)
     if len(values) != count:
@@ -193,40 +237,6 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
             f"as many samples as its header says, NPTS = {count}", f"{file} holds {len(values)}; get a whole copy of it"
         )
     return GroundAcceleration(np.arange(count) * step, values * float(g))
-
-
-def _end_of_header(file: str, lines: list[str]) -> tuple[int, int, float]:
-    """Number of the line that holds NPTS and DT, and these two."""
-    for number, line in enumerate(lines, 1):
-        for pattern in _COUNT_AND_STEP:
-            if found := pattern.search(line.upper()):
-                count, step = int(found[1]), float(found[2])
-                if count < 2 or not 0 < step < math.inf:
-                    raise _unsuitable(
-                        "NPTS of at least 2 and a positive DT",
-                        f"line {number} of {file} is {checks.show(line.strip())}",
-                    )
-                return number, count, step
-    raise _unsuitable(
-        "a header that ends with NPTS and DT, such as 'NPTS= 5372, DT= .0050 SEC'",
-        f"{file} has no such line; read_acceleration_csv reads tables of times and values",
-    )
-
-
-def _check_unit(file: str, header: list[str]) -> None:
-    """Check that the last line of the header about quantity and unit states an acceleration in g."""
-    stated = [line.strip() for line in header if _QUANTITY_AND_UNIT.search(line.upper())]
-    if not stated:
-        raise _unsuitable(
-            "an acceleration in units of g",
-            f"the header of {file} names no unit; if it is g, add the line 'ACCELERATION TIME SERIES IN UNITS OF G'",
-        )
-    last = stated[-1].upper()
-    if _NO_ACCELERATION.search(last) or not _IN_G.search(last):
-        raise _unsuitable(
-            "an acceleration in units of g",
-            f"the header of {file} says {checks.show(stated[-1])}; take the AT2 file of the same record",
-        )
 
 
 def _text(path: Path) -> str:
@@ -243,21 +253,6 @@ def _text(path: Path) -> str:
         raise type(error)(
             f"Argument path must be the name of a file that can be read, but {shown} was given ({error.strerror})."
         ) from None
-
-
-def _rows(file: str, text: str, delimiter: str | None) -> list[Row]:
-    """The lines that are neither blank nor comments, split into entries."""
-    rows = []
-    for number, line in enumerate(text.split("\n"), 1):
-        # Line by line, so that a stray quotation mark cannot swallow the rest of the file.
-        try:
-            cut = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter), [])
-        except csv.Error as error:
-            raise _unsuitable("rows of numbers", f"line {number} of {file} is none ({error})") from None
-        entries = [entry.strip() for entry in cut]
-        if any(entries) and not entries[0].startswith("#"):
-            rows.append((number, entries))
-    return rows
 
 
 def _check_column(name: str, column: object) -> None:
@@ -302,23 +297,6 @@ def _finite(file: str, entries: Iterable[tuple[int, str]]) -> Float[np.ndarray, 
             )
         numbers.append(number)
     return np.array(numbers, float)
-
-
-def _check_times(file: str, times: Float[np.ndarray, " points"], lines: list[int], shift: bool) -> None:
-    if len(times) < 2:
-        raise _unsuitable("at least 2 samples", f"{file} has {len(times)}")
-    falls = np.diff(times) <= 0
-    if np.any(falls):
-        at = int(np.argmax(falls)) + 1
-        raise _unsuitable(
-            "times that increase",
-            f"in line {lines[at]} of {file} the time {times[at]} s follows {times[at - 1]} s; sort the lines, and keep "
-            "one of those with the same time",
-        )
-    if times[0] != 0 and not shift:
-        raise _unsuitable(
-            "times that begin with 0", f"the first in {file} is {times[0]} s; shift=True subtracts it from all of them"
-        )
 
 
 def _unsuitable(wanted: str, found: str) -> ValueError:

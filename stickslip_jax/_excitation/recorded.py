@@ -209,7 +209,7 @@ class Recorded(SegmentLaw):
 
     @property
     def covered_time(self) -> float:
-        return end_of(self.times)
+        return math.inf if checks.is_traced(self.times) else float(self.times[-1])
 
     def value(self, t: AnyArray | float) -> FloatArray:
         """The signal at times `t` (s, any shape)."""
@@ -233,11 +233,6 @@ def line_between(times: AnyArray, values: AnyArray, number: Word, dtype: DTypeLi
     duration = times[here + 1] - times[here]
     slope = (values[here + 1] - values[here]) / duration
     return jnp.where(number <= last, duration, 0), values[here], slope
-
-
-def end_of(times: AnyArray) -> float:
-    """The last of `times`, s; infinity where they are traced."""
-    return math.inf if checks.is_traced(times) else float(times[-1])
 
 
 def check_times(name: str, times: AnyArray, values: AnyArray) -> None:
@@ -354,7 +349,7 @@ class GroundAcceleration(GroundMotion):
 
     @property
     def covered_time(self) -> float:
-        return end_of(self.times)
+        return math.inf if checks.is_traced(self.times) else float(self.times[-1])
 
     def acceleration(self, t: AnyArray | float) -> FloatArray:
         """The ground acceleration at times `t` (s, any shape), m/s^2."""

@@ -217,7 +217,11 @@ class SegmentLaw(Checked, Motion):
         size = checks.whole_number("capacity", known, maximum=LARGEST_CAPACITY)
         drawn = _sample(self, key_data, size, dtype)
         for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
-            if _lasts(drawn[0], t1):
+            # Whether they cover the time, or there are no more, is not known of traced ones. `cumsum` adds them in the
+            # order in which a simulation does.
+            if checks.is_traced(drawn[0]) or checks.is_traced(t1):
+                break
+            if not drawn[0][-1] > 0 or float(np.cumsum(np.asarray(drawn[0]))[-1]) >= float(t1):
                 break
             size = checks.whole_number("capacity", 2 * size, maximum=LARGEST_CAPACITY)
             drawn = _sample(self, key_data, size, dtype)
@@ -233,10 +237,7 @@ class SegmentLaw(Checked, Motion):
         if not self.is_random:
             return jnp.zeros(2, jnp.uint32)
         if key is None:
-            raise ValueError(
-                f"Argument key must be a key such as jax.random.key(0) for the random law "
-                f"{type(self).__name__}, but None was given."
-            )
+            raise no_key(self)
         return key_data_of(key)
 
 
@@ -376,6 +377,14 @@ def added(t: FloatArray, segments: tuple[Segment, ...]) -> tuple[FloatArray, Flo
     return value, slope
 
 
+def no_key(law: object) -> ValueError:
+    """The error that says that a random law needs a key."""
+    name = type(law).__name__
+    return ValueError(
+        f"Argument key must be a key such as jax.random.key(0) for the random law {name}, but None was given."
+    )
+
+
 def known_number(
     number: Callable[[Scalar], N], t1: Scalar, advice: str, name: str = "capacity", of: str = "law's parameters are"
 ) -> N:
@@ -387,14 +396,6 @@ def known_number(
             f"Argument {name} must be given when t1 or the {of} traced by a JAX transformation (their values are not "
             f"known then); {advice}."
         ) from None
-
-
-def _lasts(durations: PerSegment, t1: Scalar) -> bool:
-    """Whether segments with these durations cover ``[0, t1]``, or there are no more; True where it is not known."""
-    if checks.is_traced(durations) or checks.is_traced(t1):
-        return True
-    # `cumsum` adds them in the order in which a simulation does.
-    return not durations[-1] > 0 or float(np.cumsum(np.asarray(durations))[-1]) >= float(t1)
 
 
 @partial(jax.jit, static_argnames=("size", "dtype"))

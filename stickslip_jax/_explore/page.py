@@ -7,7 +7,6 @@ import math
 import secrets
 import socket
 import sys
-import warnings
 import webbrowser
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -260,7 +259,15 @@ def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> s
             if field.init
             and (field.default is dataclasses.MISSING or not eqx.tree_equal(field.default, getattr(value, field.name)))
         ]
-        return _call(_class_name(type(value), imports), given, indent)
+        kind = type(value)
+        if kind.__module__.partition(".")[0] != _PACKAGE:
+            if "." in kind.__qualname__:
+                raise NotWritable(f"{kind.__qualname__} is defined in a function, where no program can import it.")
+            imports.add((kind.__module__, kind.__qualname__))
+            return _call(kind.__name__, given, indent)
+        if getattr(sys.modules[_PACKAGE], kind.__name__, None) is not kind:
+            raise NotWritable(f"{kind.__name__} has no public name; keep the program that made it.")
+        return _call(f"ss.{kind.__name__}", given, indent)
     raise NotWritable(f"{type(value).__name__} cannot be written as Python; keep the program that made it.")
 
 
@@ -270,17 +277,6 @@ def _call(name: str, arguments: list[str], indent: int, comma: bool = False) -> 
         return line
     inside = "".join(f"{' ' * (indent + 4)}{one},\n" for one in arguments)
     return f"{name}(\n{inside}{' ' * indent})"
-
-
-def _class_name(kind: type, imports: set[tuple[str, str]]) -> str:
-    if kind.__module__.partition(".")[0] == _PACKAGE:
-        if getattr(sys.modules[_PACKAGE], kind.__name__, None) is not kind:
-            raise NotWritable(f"{kind.__name__} has no public name; keep the program that made it.")
-        return f"ss.{kind.__name__}"
-    if "." in kind.__qualname__:
-        raise NotWritable(f"{kind.__qualname__} is defined in a function, where no program can import it.")
-    imports.add((kind.__module__, kind.__qualname__))
-    return kind.__name__
 
 
 # The page of the explorer: controls on the left, pictures on the right, and what connects them.
@@ -434,7 +430,7 @@ class Explorer(pn.viewable.Viewer):
             self.slope.object = ""
             return
         self.slope.object = html.escaped(f"Computing the derivative by {moving.name} ...")
-        slope = partial(_quietly, pictures.slope_of, scene, moving.name), partial(self._show_slope, scene)
+        slope = partial(pictures.slope_of, scene, moving.name), partial(self._show_slope, scene)
         self._slopes.do([slope], partial(self._no_slope, scene, moving))
 
     def _show_motion(self, scene: Scene, figures: pictures.Figures, motion: pictures.Motion) -> None:
@@ -510,13 +506,6 @@ class Explorer(pn.viewable.Viewer):
     def figures_file(self) -> io.BytesIO:
         """The pictures as a PDF."""
         return io.BytesIO(pictures.sheet_of(self.scene))
-
-
-def _quietly(function: Any, *arguments: Any) -> tuple[Any, list[str]]:
-    """What a function returns, with the sentences of its warnings."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", RuntimeWarning)
-        return function(*arguments), [str(one.message) for one in caught]
 
 
 # The explorer as a page that this machine serves to its own browser, and to nobody else.

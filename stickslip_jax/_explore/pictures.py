@@ -105,24 +105,35 @@ def statistics_of(scene: Scene) -> Statistics:
         method=scene.method, keep="sticks", progress=False,
     )  # fmt: skip
     sticks = many.finished_sticks()
+    # The share of realisations with each number of sticks; of neighbouring numbers together where they are many.
+    counts = sticks.count
+    low, high = (int(counts.min()), int(counts.max())) if len(counts) else (0, 0)
+    width = max(1, -(-(high - low + 1) // (2 * _BINS)))
+    edges = np.arange(low, high + width + 1, width) - 0.5
+    heights, _ = np.histogram(counts, edges)
     return Statistics(
         ensemble=many,
         durations=_bars(sticks.duration),
         starts=_bars(sticks.start, scene.t1),
-        numbers=_bars_of_counts(sticks.count),
+        numbers=Bars(edges, heights / max(1, len(counts))),
         means=tuple(of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction)),
         unfinished=scene.samples - int(many.status_counts.get(Status.FINISHED, 0)),
     )
 
 
-def slope_of(scene: Scene, name: str) -> Sensitivity:
-    """The derivative of the mean stick duration by a number. Raises ValueError for what `sensitivity` refuses."""
-    found = sensitivity(
-        mean_stick_duration, scene.system, scene.law, wrt=name, t1=scene.t1, samples=scene.samples,
-        key=jax.random.key(scene.seed), y0=scene.y0, method=scene.method,
-    )  # fmt: skip
+def slope_of(scene: Scene, name: str) -> tuple[Sensitivity, list[str]]:
+    """The derivative of the mean stick duration by a number, and the sentences of its warnings.
+
+    Raises ValueError for what `sensitivity` refuses.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", RuntimeWarning)
+        found = sensitivity(
+            mean_stick_duration, scene.system, scene.law, wrt=name, t1=scene.t1, samples=scene.samples,
+            key=jax.random.key(scene.seed), y0=scene.y0, method=scene.method,
+        )  # fmt: skip
     assert isinstance(found, Sensitivity)
-    return found
+    return found, [str(one.message) for one in caught]
 
 
 def realization(scene: Scene) -> Simulation:
@@ -167,15 +178,6 @@ def _bars(values: np.ndarray, end: float | None = None) -> Bars:
         return Bars(np.array([0.0, end or 1.0]), np.zeros(1))
     heights, edges = np.histogram(values, _BINS, (0.0, end or float(np.max(values)) or 1.0), density=True)
     return Bars(edges, heights)
-
-
-def _bars_of_counts(counts: np.ndarray) -> Bars:
-    """The share of realisations with each number of sticks; of neighbouring numbers together where they are many."""
-    low, high = (int(counts.min()), int(counts.max())) if len(counts) else (0, 0)
-    width = max(1, -(-(high - low + 1) // (2 * _BINS)))
-    edges = np.arange(low, high + width + 1, width) - 0.5
-    heights, _ = np.histogram(counts, edges)
-    return Bars(edges, heights / max(1, len(counts)))
 
 
 # The bifurcation diagram of a scene whose base is deterministic.

@@ -200,14 +200,15 @@ class Bounded(ss.FrictionLaw):
 def test_coordinates_keep_parameters_within_bounds():
     system = ss.MassSpring(mass=1.0, stiffness=1.0, normal_force=1.0, friction=Bounded())
     models = Models.of(system, ss.PoissonSwitching(1.0, 1.0), None, ("free", "positive", "below", "between"), 1)
-    assert models.values(np.zeros(4)) == pytest.approx([-3.0, 0.5, -1.0, 1.2])
-    far = models.values(np.full(4, 5.0))
+    numbers = models.transform.numbers
+    assert numbers(np.zeros(4)) == pytest.approx([-3.0, 0.5, -1.0, 1.2])
+    far = numbers(np.full(4, 5.0))
     assert far[1] == pytest.approx(0.5 * np.exp(5))
     assert far[2] < 2
-    assert 1 < models.values(np.full(4, -9.0))[3] < 1.001
+    assert 1 < numbers(np.full(4, -9.0))[3] < 1.001
     assert 2.8 < far[3] < 3
     for x in (np.zeros(4), np.full(4, 0.7)):
-        ends = [models.values(x + sign * 1e-6) for sign in (1, -1)]
+        ends = [numbers(x + sign * 1e-6) for sign in (1, -1)]
         expected = np.diag((ends[0] - ends[1]) / 2e-6)  # none is counted from another
-        assert models.slopes(models.values(x)) == pytest.approx(expected, rel=1e-6)
+        assert models.transform.slopes(numbers(x)) == pytest.approx(expected, rel=1e-6)
     assert models.at(far)[0].system.friction.between == far[3]
