@@ -118,7 +118,8 @@ def _balance_root_jvp(primals, tangents):
         return sigma + stiffness * switch.coefficient(friction, sigma) - size
 
     _, change = eqx.filter_jvp(residual, tuple(given), tuple(tangents[:-1]))
-    *_, steep = _missing(*primals[:-1], sigma)
+    switch, friction, size, stiffness = given
+    *_, steep = _missing(switch, friction, size, stiffness, sigma)
     return (sigma,), (-change / jnp.where(steep > _LEAST_STEEP, steep, 1),)
 
 
