@@ -185,20 +185,15 @@ def simulate(
     try:
         method, run = engine_for(arguments).follow(start, dtype)
     except (TypeError, jax.errors.UnexpectedTracerError) as error:
-        _explain_enclosed(error)
-        raise
+        if isinstance(error, TypeError) and not ("No constant handler" in str(error) and "Tracer" in str(error)):
+            raise
+        # A traced number that a compiled function encloses.
+        raise ValueError(
+            "Arguments system and base must hold every number that JAX traces as a field, but a function or class in "
+            "them encloses one; make an equinox.Module of it with the number as a field, as "
+            "FrictionCurve(Falling(low)) in docs/howto/own_friction.md, or a field of your SwitchedSystem."
+        ) from error
     redundant = arguments.system.redundant
     if redundant is not None:
         run = run._replace(status=jnp.where(redundant, jnp.int8(Status.REDUNDANT_CONTACTS), run.status))
     return Simulation(system, arguments.base, t1, method, *run)
-
-
-def _explain_enclosed(error: Exception) -> None:
-    """Raise ValueError where `error` is JAX's for a traced number that a compiled function encloses."""
-    if isinstance(error, TypeError) and not ("No constant handler" in str(error) and "Tracer" in str(error)):
-        return
-    raise ValueError(
-        "Arguments system and base must hold every number that JAX traces as a field, but a function or class in them "
-        "encloses one; make an equinox.Module of it with the number as a field, as FrictionCurve(Falling(low)) in "
-        "docs/howto/own_friction.md, or a field of your SwitchedSystem."
-    ) from error

@@ -3,7 +3,6 @@
 import math
 import os
 import warnings
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -16,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
-from .._foundation.extras import Entries, flags, labeled_dataset, variable
+from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import with_fields
 from .._foundation.methods import WithMethods
 from .._foundation.processes import require_threads_of_jax
@@ -94,33 +93,9 @@ def _sum(terms: energy.Terms) -> FloatScalar:
     return jnp.stack(list(terms.values())).sum(axis=0)
 
 
-def friction_force_of(one: "Simulation", times: Float[Array, "*times"]) -> Float[Array, "*times"]:
-    """The friction force of a `Simulation` at `times`; see there."""
-    inner = one.system.inner_model(one._path.smooth)
-    if inner is not None and isinstance(inner.inner, OneContactModel):
-        energy.require_known(one.system, inner.inner, "friction_force")
-        found = _inner_forces(inner, one._path, one.time_reached, times.reshape(-1))
-        return found.reshape(times.shape)
-    model = one_contact_model(one.system, one._path.smooth, None)
-    energy.require_known(one.system, model, "friction_force")
-    found = _forces(model, one._path, one.method, one.sticks, one.time_reached, times.reshape(-1))
-    return found.reshape(times.shape)
-
-
-@jax.jit
-def _inner_forces(model: InnerStates, path: MotionPath, last: FloatScalar, times: Times) -> Times:
-    def at(time: FloatScalar) -> FloatScalar:
-        y, forcing = path.state(time), model.forcing(time, path.segments(time))
-        coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
-        force = energy.friction_force(model.inner, y[:-1], coefficient)
-        return jnp.where((time >= 0) & (time <= last), force, jnp.nan)
-
-    return jax.vmap(at)(times)
-
-
 @jax.jit
 def _forces(
-    model: OneContactModel,
+    model: OneContactModel | InnerStates,
     path: MotionPath,
     method: Exact | Regularized,
     sticks: Sticks,
@@ -129,6 +104,10 @@ def _forces(
 ) -> Times:
     def at(time: FloatScalar) -> FloatScalar:
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
+        inside = (time >= 0) & (time <= last)
+        if isinstance(model, InnerStates):
+            coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
+            return jnp.where(inside, energy.friction_force(model.inner, y[:-1], coefficient), jnp.nan)
         if isinstance(method, Regularized):
             assert method.width is not None
             speed = model.relative_velocity(forcing, jnp.zeros_like(time), y)
@@ -139,7 +118,6 @@ def _forces(
             sign = jnp.where(model.at_rest(forcing, y), model.release_sign(forcing, y), model.slip_sign(forcing, y))
             now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
             coefficient = _coefficient(model, forcing, y, sign, now)
-        inside = (time >= 0) & (time <= last)
         return jnp.where(inside, energy.friction_force(model, y, coefficient), jnp.nan)
 
     return jax.vmap(at)(times)
@@ -151,27 +129,6 @@ def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatSca
     velocity = model.relative_velocity(forcing, none, y)
     slip = model.slip_direction(y, sign) * model.friction_at(y).slip_coefficient(velocity)
     return jnp.where(sticks, model.holding_coefficient(forcing, none, y), slip)
-
-
-def energies_of(one: "Simulation", times: Float[Array, "*times"]) -> Energies:
-    """The energies of a `Simulation` at `times`; see there."""
-    if not isinstance(one.method, Exact):
-        raise ValueError(
-            f"energies needs a simulation with method=Exact(), but one with {checks.show(one.method)} was given."
-        )
-    path = one._path
-    if not isinstance(path, StepPath):
-        # Its steps end at each change of sign of the relative velocity, which intervals do not record.
-        y0 = tuple(path.state(jnp.zeros_like(one.time_reached)))
-        path = follow_steps(one.system, one.base, Exact(), one.t1, y0, one.time_reached.dtype).path
-        assert isinstance(path, StepPath)
-    model = one_contact_model(one.system, path.smooth, path.solver)
-    energy.require_known(one.system, model, "energies")
-    energy.require_energy(one.system)
-    lengths = jnp.append(path.beginnings.t[1:], one.time_reached) - path.beginnings.t
-    rule = _Rule.of(energy.fastest_decay(model), jnp.max(lengths))
-    found = _energies(model, path.beginnings, one.time_reached, times.reshape(-1), rule)
-    return jax.tree.map(lambda values: values.reshape(times.shape), found)
 
 
 @jax.jit
@@ -225,16 +182,6 @@ def columns_of(sticks: Sticks, position: Coordinate) -> Columns:
     empty = columns_of(of_contact(sticks, -2), position)
     columns = {name: np.concatenate([empty[name], *(part[name] for part in parts)]) for name in empty}
     return {"contact": numbers} | columns
-
-
-def dataset_of(
-    sticks: Sticks, slips: Slips, position: Coordinate, totals: Entries, attributes: Mapping[str, object]
-) -> "xarray.Dataset":
-    """The sticks and slips of one trajectory with units and long names, with `totals`; see `Simulation.to_xarray`."""
-    mask = np.asarray(slips.mask)
-    columns = (np.asarray(column)[mask] for column in (slips.start, slips.end, slips.censored))
-    variables = {**stick_variables(*_in_order(sticks), position), **slip_variables(*columns), **totals}
-    return labeled_dataset(variables, {}, {**source(), **attributes})
 
 
 def source() -> dict[str, object]:
@@ -473,7 +420,15 @@ class Simulation(WithMethods):
         Raises:
             ValueError: For a `SwitchedSystem`, and for a batch.
         """
-        return friction_force_of(self, self._checked(times))
+        times = self._checked(times)
+        inner = self.system.inner_model(self._path.smooth)
+        if inner is not None and isinstance(inner.inner, OneContactModel):
+            model, known = inner, inner.inner
+        else:
+            model = known = one_contact_model(self.system, self._path.smooth, None)
+        energy.require_known(self.system, known, "friction_force")
+        found = _forces(model, self._path, self.method, self.sticks, self.time_reached, times.reshape(-1))
+        return found.reshape(times.shape)
 
     def energies(self, times: AnyArray | float) -> Energies:
         """Stored, supplied and dissipated energies at `times` (s, any shape), J: an `Energies`.
@@ -491,7 +446,24 @@ class Simulation(WithMethods):
             ValueError: For a `SwitchedSystem`, a `Regularized` method, a `MotorCart` with the printed equation, a
                 batch, and under ``jit`` where `t1` is traced.
         """
-        return energies_of(self, self._checked(times))
+        times = self._checked(times)
+        if not isinstance(self.method, Exact):
+            raise ValueError(
+                f"energies needs a simulation with method=Exact(), but one with {checks.show(self.method)} was given."
+            )
+        path, last = self._path, self.time_reached
+        if not isinstance(path, StepPath):
+            # Its steps end at each change of sign of the relative velocity, which intervals do not record.
+            y0 = tuple(path.state(jnp.zeros_like(last)))
+            path = follow_steps(self.system, self.base, Exact(), self.t1, y0, last.dtype).path
+            assert isinstance(path, StepPath)
+        model = one_contact_model(self.system, path.smooth, path.solver)
+        energy.require_known(self.system, model, "energies")
+        energy.require_energy(self.system)
+        lengths = jnp.append(path.beginnings.t[1:], last) - path.beginnings.t
+        rule = _Rule.of(energy.fastest_decay(model), jnp.max(lengths))
+        found = _energies(model, path.beginnings, last, times.reshape(-1), rule)
+        return jax.tree.map(lambda values: values.reshape(times.shape), found)
 
     def to_pandas(self) -> "pandas.DataFrame":
         """The sticks as a table of pandas, one row each; names of columns include the units.
@@ -525,9 +497,13 @@ class Simulation(WithMethods):
             ImportError: Without the extra ``study``.
         """
         self._require_numbers("to_xarray")
-        totals = {
+        slips, position = self.slips, self.system.stick_position
+        mask = np.asarray(slips.mask)
+        variables = {
+            **stick_variables(*_in_order(self.sticks), position),
+            **slip_variables(*(np.asarray(column)[mask] for column in (slips.start, slips.end, slips.censored))),
             "stick_count": variable((), np.asarray(self.sticks.count), "number of sticks"),
-            "slip_count": variable((), np.asarray(self.slips.count), "number of slips"),
+            "slip_count": variable((), np.asarray(slips.count), "number of slips"),
             "stick_time": variable((), np.asarray(self.stick_time), "total stick time", "s"),
             "near_grazing_count": variable(
                 (), np.asarray(self.near_grazing_count), "number of events decided by round-off"
@@ -536,7 +512,7 @@ class Simulation(WithMethods):
             "time_reached": variable((), np.asarray(self.time_reached), "where the simulation ended", "s"),
         }
         about = provenance(self.system, self.base, self.method, float(self.t1))
-        return dataset_of(self.sticks, self.slips, self.system.stick_position, totals, about)
+        return labeled_dataset(variables, {}, {**source(), **about})
 
     def write_sticks(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> FilePath:
         """Write the sticks as a table, one row each, with the columns of `to_pandas`.

@@ -16,7 +16,6 @@ import numpy as np
 
 from ..._excitation.excitation import BaseMotion, Excitation, excitation_of, motion_of
 from ..._excitation.motion import SEEN_IN_STEPS
-from ..._excitation.segments import SegmentLaw
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
 from ..._foundation.methods import Module
@@ -130,16 +129,21 @@ class Regularized(Module):
             )
         if self.step is not None:
             checks.positive("step", self.step, "s")
+        bounds: dict[str, Any]
         for name, unit, bounds in (("threshold", "m/s", {"above": 0}), ("minimum_duration", "s", {"at_least": 0})):
-            _check_of_contacts(name, getattr(self, name), unit, bounds)
+            value: Any = getattr(self, name)
+            if value is None:
+                continue
+            # A number, or an array with one for each of several contacts.
+            is_array = isinstance(value, (np.ndarray, jax.Array)) and np.ndim(value) > 0
+            checks.bounded(name, value, unit, ndim=int(is_array), **bounds)
+            if is_array and not np.size(value):
+                raise checks.refused(name, f"be a number (in {unit}), or one for each contact", value)
         checks.positive("rtol", self.rtol)
         if self.atol is not None:
             checks.numeric("atol", self.atol, ndim=None)
             if not checks.is_traced(self.atol) and np.any(np.asarray(self.atol) <= 0):
                 raise ValueError(f"Argument atol must be positive, but {checks.show(self.atol)} was given.")
-        self._check_solver()
-
-    def _check_solver(self):
         if self.step is not None and (self.solver is not None or self.adjoint is not None):
             raise ValueError(
                 f"Arguments solver and adjoint must be None with a fixed step, but step = {checks.show(self.step)} "
@@ -155,16 +159,6 @@ class Regularized(Module):
                 "Argument adjoint must be one of diffrax's, such as diffrax.ForwardMode(), but "
                 f"{checks.show(self.adjoint)} was given."
             )
-
-
-def _check_of_contacts(name: str, value: Any, unit: str, bounds: dict[str, Any]) -> None:
-    """Check a number, or an array with one for each of several contacts; None is none. Raises ValueError otherwise."""
-    if value is None:
-        return
-    is_array = isinstance(value, (np.ndarray, jax.Array)) and np.ndim(value) > 0
-    checks.bounded(name, value, unit, ndim=int(is_array), **bounds)
-    if is_array and not np.size(value):
-        raise checks.refused(name, f"be a number (in {unit}), or one for each contact", value)
 
 
 EXACT = Exact()
@@ -312,10 +306,12 @@ class Arguments(NamedTuple):
         """Check that recorded motions and forces last until `t1`. Raises ValueError otherwise."""
         if checks.is_traced(self.t1):
             return
-        recorded = self.system.recorded
-        loads = [(_field_of(self.system, load, "force"), load) for load in recorded.loads]
-        loads += [("normal_force", load) for load in recorded.normal_forces]
-        for name, motion in (("base", motion_of(self.base)), *loads):
+        motions = [("base", motion_of(self.base))]
+        for load in self.system.recorded.loads:  # by the name of its field; "force" where it stands within another one
+            held = (field.name for field in fields(self.system) if getattr(self.system, field.name) is load)
+            motions.append((next(held, "force"), load))
+        motions += [("normal_force", load) for load in self.system.recorded.normal_forces]
+        for name, motion in motions:
             if motion.covered_time < float(self.t1) * (1 - 1e-12):
                 raise ValueError(
                     f"Argument {name} must last until t1 = {float(self.t1):g} s, but it ends at "
@@ -335,11 +331,6 @@ class Arguments(NamedTuple):
         if checks.is_traced(step) or checks.is_traced(horizon):
             return excitation, jnp.minimum(step, horizon)
         return excitation, min(float(step), float(horizon))
-
-
-def _field_of(system: System, load: SegmentLaw, other: str) -> str:
-    """The name of the field of `system` that holds this `load`; `other` where it stands within another field."""
-    return next((field.name for field in fields(system) if getattr(system, field.name) is load), other)
 
 
 def check_method(method: object) -> None:

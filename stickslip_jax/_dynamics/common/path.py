@@ -3,15 +3,17 @@ the tracks of which sticks are counted, its extremes, and how it ends.
 """
 
 import abc
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import reduce
+from itertools import islice
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array
 
@@ -23,6 +25,8 @@ from ..._numerics.derivatives import NotKnown, largest, without_derivatives
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..sticks import StickRecord, Sticks, Totals, sticks_in_order
+
+T = TypeVar("T")
 
 # Result of one trajectory, the same for every engine: the state along it, and the parts of a `Simulation`.
 
@@ -72,6 +76,20 @@ class Run(NamedTuple):
     path: MotionPath
     of_all_contacts: tuple[Sticks, Totals] | None = None
 
+    @classmethod
+    def of(cls, system: System, records: StickRecord, totals: Totals, *others: Any) -> "Run":
+        """A trajectory with its sticks and totals, and where every contact is counted those of all at once.
+
+        `records`: (records,) or (records, tracks). `totals`: (tracks,), if there are any. `others`: the fields from
+        `status` to `path`.
+        """
+        (records, totals), of_all = of_track((records, totals), system), None
+        if system.tracks.number is not None:  # of what can stick, the last is all contacts at once
+            last, last_totals = jax.tree.map(lambda of_each: of_each[..., -1], (records, totals))
+            of_all = sticks_in_order(last), last_totals
+            records, totals = jax.tree.map(lambda of_each: of_each[..., :-1], (records, totals))
+        return cls(sticks_in_order(records), totals, *others, of_all_contacts=of_all)
+
 
 # The parts of an excitation that consist of segments, as a trajectory passes through them.
 
@@ -95,9 +113,12 @@ class SegmentLaws(eqx.Module):
 
     def segments(self, segment_states: tuple[SegmentState, ...]) -> Segments:
         """The current segments."""
-        now = tuple(segment_state.segment for segment_state in segment_states)
-        ends = np.cumsum([len(self.base), len(self.ground), len(self.force)])
-        return Segments(now[: ends[0]], now[ends[0] : ends[1]], now[ends[1] : ends[2]], now[ends[2] :])
+        return Segments(*self.parted([state.segment for state in segment_states]))
+
+    def parted(self, of_all: list[T]) -> Iterator[tuple[T, ...]]:
+        """What belongs to `all` laws, for each of the four parts."""
+        remaining = iter(of_all)
+        return (tuple(islice(remaining, len(part))) for part in (self.base, self.ground, self.force, self.normal))
 
 
 def following_segments(
@@ -126,9 +147,6 @@ def to_digits(t: FloatArray, step: FloatArray) -> FloatArray:
 # The tracks of a system with several contacts: what sticks are counted of, each contact and all at once.
 
 
-T = TypeVar("T")
-
-
 def of_track(tree: T, system: System) -> T:
     """The arrays (..., tracks) in `tree`, or of these what the `system` counts alone, if it does."""
     return (
@@ -136,24 +154,6 @@ def of_track(tree: T, system: System) -> T:
         if system.tracks.counted is None
         else jax.tree.map(lambda of_each: of_each[..., system.tracks.counted], tree)
     )
-
-
-def sticks_and_totals(
-    records: StickRecord, totals: Totals, system: System
-) -> tuple[Sticks, Totals, tuple[Sticks, Totals] | None]:
-    """The sticks and totals of one trajectory, and where every contact is counted those of all at once.
-
-    `records`: (records,) or (records, tracks). `totals`: (tracks,), if there are any.
-    """
-    (records, totals), of_all = of_track((records, totals), system), None
-    if system.tracks.number is not None:  # of what can stick, the last is all contacts at once
-        of_all = (sticks_in_order(jax.tree.map(lambda of_each: of_each[:, -1], records)), _only(totals, -1))
-        records, totals = jax.tree.map(lambda of_each: of_each[:, :-1], records), _only(totals, slice(-1))
-    return sticks_in_order(records), totals, of_all
-
-
-def _only(totals: Totals, part: int | slice) -> Totals:
-    return jax.tree.map(lambda of_each: of_each[part], totals)
 
 
 # The extreme of a number of the state over time, where the motion is known as a function of time inside each step.
@@ -185,19 +185,11 @@ def largest_in_steps(
         lengths: Of the steps, s, (steps,); 0 for those that were only tried.
         last: The value at the end of the last step.
     """
+    # The time since the beginning of each step at which an inner maximum is largest; 0 if there is none.
     fixed, where = without_derivatives((steps, lengths))
-    at = lax.stop_gradient(_instants(jax.vmap(inside), fixed, where))
-    values, _ = jax.vmap(inside)(steps, at)
-    return jnp.maximum(jnp.max(jnp.maximum(values, starts)), last)
-
-
-def _instants(inside: Inside[_Step], steps: _Step, lengths: FloatArray) -> FloatArray:
-    """The time since the beginning of each step at which an inner maximum is largest; 0 if there is none.
-
-    `inside`: of all steps at once. It stands in the program twice, for it takes long to compile.
-    """
-    h = jnp.asarray(_INSTANTS, lengths.dtype)[:, None] * lengths[None]
-    values, slopes = lax.map(lambda at: inside(steps, at), h)
+    of_all = jax.vmap(inside)  # for the search it stands in the program twice, for it takes long to compile
+    h = jnp.asarray(_INSTANTS, where.dtype)[:, None] * where[None]
+    values, slopes = lax.map(lambda at: of_all(fixed, at), h)
     turns = (slopes[:-1] > 0) & (slopes[1:] < 0)
     # Of several turns the one beside the largest value.
     beside = jnp.where(turns, jnp.maximum(values[:-1], values[1:]), -jnp.inf)
@@ -210,7 +202,7 @@ def _instants(inside: Inside[_Step], steps: _Step, lengths: FloatArray) -> Float
         fall = above - below
         secant = low + (high - low) * jnp.where(fall > 0, above / jnp.where(fall > 0, fall, 1), 0.5)
         at = jnp.where(number % 4 == 3, 0.5 * (low + high), secant)  # the Illinois rule, and halving
-        _, here = inside(steps, at)
+        _, here = of_all(fixed, at)
         rises = here > 0
         # An end that stays has its slope halved, so that the other end moves next.
         return (
@@ -222,7 +214,9 @@ def _instants(inside: Inside[_Step], steps: _Step, lengths: FloatArray) -> Float
         )
 
     *_, found = lax.fori_loop(0, _TRIES, narrow, (low, high, above, below, 0.5 * (low + high)))
-    return jnp.where(jnp.any(turns, axis=0), found, 0)
+    at = lax.stop_gradient(jnp.where(jnp.any(turns, axis=0), found, 0))
+    values, _ = of_all(steps, at)
+    return jnp.maximum(jnp.max(jnp.maximum(values, starts)), last)
 
 
 # A scan of fixed length that stops early, for trajectories whose number of steps is not known in advance.
@@ -278,9 +272,7 @@ def padded_length(number: int) -> int:
 
 def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
     """The `Status` of a trajectory that has ended or is given up."""
-    finite = jnp.isfinite(lane.t + t1)
-    for value in lane.y:
-        finite = finite & _all(jnp.isfinite(value))
+    finite = reduce(operator.and_, map(_is_finite, lane.y), jnp.isfinite(lane.t + t1))
     unfinished = jnp.where(is_spent(lane), Status.BASE_TOO_SHORT, Status.OUT_OF_STEPS)
     code = jnp.where(finite, jnp.where(lane.t < t1, unfinished, Status.FINISHED), Status.NOT_FINITE)
     for segment_state in lane.segment_states:  # one that cannot be may have made the state infinite
@@ -290,9 +282,7 @@ def status_of_lane(lane: Any, t1: FloatArray) -> IntArray:
 
 def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
     """Whether the trajectory has ended: by the horizon, the end of the base motion, a NaN, or too many loop steps."""
-    finite = jnp.ones((), bool)
-    for value in lane.y:
-        finite = finite & _all(jnp.isfinite(value))
+    finite = reduce(operator.and_, map(_is_finite, lane.y), jnp.ones((), bool))
     return ~(lane.t < t1) | is_spent(lane) | (lane.steps >= most_steps) | ~finite
 
 
@@ -305,11 +295,9 @@ def is_short(status: Any) -> bool:
 
 def is_spent(lane: Any) -> BoolArray:
     """Whether some part of the excitation has no further segment."""
-    spent = jnp.zeros((), bool)
-    for segment_state in lane.segment_states:
-        spent = spent | segment_state.spent
-    return spent
+    return reduce(operator.or_, (state.spent for state in lane.segment_states), jnp.zeros((), bool))
 
 
-def _all(each: BoolArray) -> BoolArray:
-    return each if each.ndim == 0 else jnp.all(each)
+def _is_finite(value: FloatArray) -> BoolArray:
+    finite = jnp.isfinite(value)
+    return finite if finite.ndim == 0 else jnp.all(finite)

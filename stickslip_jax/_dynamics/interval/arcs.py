@@ -344,7 +344,9 @@ def _stick(
     # An interval without length is no stick. With the error of the velocity, that of the instant of an arrival is this
     # error / H (near a tangency less than the square root of it). From below a release has the same error: it cancels.
     length = left - entered - CLOCK_ULPS * float(jnp.finfo(H.dtype).eps) * began
-    least = jnp.where(released & (side > 0), 0, _speed_error(q, scales))
+    # The round-off of the velocity on an arc from which the mass can stick, of radius 2 alpha + omega q at most.
+    speed_error = few(q) * q + 3 * NEAR_ULPS[q.dtype.itemsize] / _REST_ULPS * scales.rest_speed
+    least = jnp.where(released & (side > 0), 0, speed_error)
     lasts = (lacks > 4 * few(H) * alpha) & (length * H > least)
     lasts = lasts | (length > math.sqrt(few(H)) * scales.clock)
     return _Stick(position, left_at, left, released, arrived & lasts)
@@ -355,11 +357,6 @@ def is_crossed(H: FloatArray, alpha: FloatArray) -> BoolArray:
     one of no motion, which on a base at rest lasts for half a turn.
     """
     return (2 + 2 * few(H)) * alpha < H
-
-
-def _speed_error(q: FloatArray, scales: Scales) -> FloatArray:
-    """The round-off of the velocity on an arc from which the mass can stick, of radius 2 alpha + omega q at most."""
-    return few(q) * q + 3 * NEAR_ULPS[q.dtype.itemsize] / _REST_ULPS * scales.rest_speed
 
 
 def few(like: FloatArray) -> float:
@@ -472,13 +469,10 @@ def _follow_crossings(side, H, entered, arrived, q, turned, alpha, spring, span)
     along with the times.
     """
     # Among thousands of lanes some lane nearly always needs the first crossing: it is done without a loop.
-    state = _cross_if_needed((arrived & is_crossed(H, alpha), side, H, entered, arrived), turned, alpha, spring, span)
+    state = (arrived & is_crossed(H, alpha), side, H, entered, arrived)
+    crossed = _cross(state, turned, alpha, spring, span)
+    state = jax.tree.map(lambda new, old: jnp.where(state[0], new, old), crossed, state)
     return lax.while_loop(lambda s: s[0], lambda s: _cross(s, turned, alpha, spring, span), state)[1:]
-
-
-def _cross_if_needed(state, turned, alpha, spring, span):
-    new = _cross(state, turned, alpha, spring, span)
-    return jax.tree.map(lambda new, old: jnp.where(state[0], new, old), new, state)
 
 
 @_follow_crossings.defjvp

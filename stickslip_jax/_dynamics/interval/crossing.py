@@ -26,14 +26,12 @@ from ..sticks import (
 from .arcs import (
     CLOCK_ULPS,
     Scales,
-    SpringScales,
     carry_across,
     few,
     first_arc,
     is_crossed,
     mirrored,
     quotient,
-    sticks_from_start,
     swung,
     time_of_arc,
     touch,
@@ -72,11 +70,6 @@ def start_motion(scales: Scales, y0: tuple[Scalar, Scalar], quantities: tuple[st
     dtype = scales.t1.dtype
     x, v = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
     return MassState(jnp.zeros((), dtype), x, v, begin_quantities(x, quantities))
-
-
-def sticks_at_start(scales: Scales, motion: MassState, velocity: FloatArray) -> BoolArray:
-    """Whether the trajectory begins with a stick, and so without a slip before it, at the first base `velocity`."""
-    return sticks_from_start(motion.x, motion.v, velocity, scales)
 
 
 def cross_interval(
@@ -154,37 +147,59 @@ def status_of(motion: MassState, t1: FloatArray) -> IntArray:
 LAST_LEFT = "slip_displacement"  # the quantity of a stick that remembers where the last one ended
 
 
-class _Arc(NamedTuple):
-    """The first arc of an interval, in accelerations (`arcs.py`): `A`, its distance from the centre at the beginning;
-    its first velocity and the base speed times omega, `v` and `q`; where (`H`, `side`) and when (`time`, s) it meets
-    the base velocity, and whether it `meets` it; `excess` ``= R^2 - q^2``.
-
-    `begins`: with the base velocity. Errors: `of_x`, that of positions times w2; `of_v`, of velocities (m/s); `of_H`,
-    that of H.
-    """
-
-    A: FloatArray
-    v: FloatArray
-    q: FloatArray
-    speed: FloatArray  # of the base, m/s
-    begins: BoolArray
-    span: FloatArray
-    excess: FloatArray
-    side: FloatArray
-    H: FloatArray
-    time: FloatArray
-    meets: BoolArray
-    of_x: FloatArray
-    of_v: FloatArray
-    of_H: FloatArray
-
-
 def is_tie(scales: Scales, began: MassState, duration: FloatArray, velocity: FloatArray) -> BoolArray:
     """Whether round-off decided about an event in the interval of the base that began so. No derivative."""
     scales, began, duration, velocity = lax.stop_gradient((scales, began, duration, velocity))
-    arc = _arc(scales, began, duration, velocity)
-    has_events = (arc.span > 0) & (scales.deceleration > 0)  # without friction there is none
-    return has_events & (_ties_at_first(scales, began, arc) | _ties_later(scales, began, arc))
+    alpha, t1, omega, w2 = scales.deceleration, scales.t1, scales.spring.omega, scales.spring.squared
+    span = jnp.where(began.t + duration >= t1, t1 - began.t, duration)
+    # The first arc, in accelerations (`arcs.py`): its velocity v and the base speed q are times omega.
+    _, x, v, speed, q, span = mirrored(began.x, began.v, velocity, scales, span)
+    side, A, v, excess, first_H, first_time, _, _, _ = first_arc(x, v, speed, q, scales, span)
+    meets = excess > jnp.where(v < speed, touch(A, q, scales), 0)
+    A, begins = jnp.abs(A), v == speed
+    # The errors of positions times w2, of velocities (m/s), and of H.
+    of_v = few(x) * (jnp.abs(v) + speed + (A + alpha) * scales.clock)
+    v = omega * v
+    size = A + jnp.abs(v) + q + alpha
+    of_x, of_state = few(x) * (A + 2 * alpha), few(x) * size
+    # H^2 = A^2 + v^2 - q^2 has the error of its terms; a mass that has the base's velocity exactly meets it at H = A.
+    of_H = jnp.where(begins, of_x, of_state * size / jnp.where(meets, first_H, 1))
+
+    # Ties of the first arc: of the place where the mass begins on the base, of tangency, of the edge of the band. After
+    # a release at this velocity the arc is tangent to it in exact numbers, which the threshold knows.
+    threshold, left_at = touch(A, q, scales), w2 * jnp.abs(began.remembered[LAST_LEFT])
+    released = (jnp.abs(left_at - alpha) <= few(alpha) * alpha) & (began.t > 0)
+    returns = released & (jnp.abs(excess) <= threshold)
+    tangent = (v < q) & (jnp.abs(excess) <= 2 * threshold) & ~returns
+    at_edge = meets & (jnp.abs(first_H - 2 * alpha) <= of_H)
+    at_first = ((first_time < span) & (tangent | at_edge)) | (begins & (of_x >= A))
+
+    # The first meeting with the base velocity that friction can hold or that lies after the interval, at the distance H
+    # from the centre; all before it are crossings.
+    def crosses(state):
+        _, H, arrival = state
+        return is_crossed(H, alpha) & (arrival < span)
+
+    def cross(state):
+        side, H, arrival = state
+        return -side, H - 2 * alpha, arrival + time_of_arc(H - 2 * alpha, -side, q, scales.spring)
+
+    state = side, jnp.where(meets, first_H, 0), first_time
+    state = jax.tree.map(lambda new, old: jnp.where(crosses(state), new, old), cross(state), state)
+    side, H, arrival = lax.while_loop(crosses, cross, state)
+
+    # Ties after crossings, and of arrivals and releases with the ends of the interval.
+    arrived, crossed = meets & (arrival < span), meets & (first_H > H)
+    holds = crossed & ((arrived & (jnp.abs(H - 2 * alpha) <= of_H)) | (of_H >= H))
+    # The relative velocity changes at the rate H where it passes zero: times H, times are velocities.
+    eps, rate = float(jnp.finfo(H.dtype).eps), w2 * speed
+    when = of_v + H * (few(H) * span + CLOCK_ULPS * eps * began.t)
+    at_end = meets & (2 * alpha + of_H >= H) & (jnp.abs(arrival - span) * H <= when)
+    at_start = arrived & ~crossed & ~begins & (arrival * H <= of_v)
+    beyond = side * (alpha - H) + rate * (span - arrival) - alpha
+    at_release = arrived & (rate > 0) & (jnp.abs(beyond) * H <= (of_H + of_x) * H + rate * when)
+    has_events = (span > 0) & (alpha > 0)  # without friction there is none
+    return has_events & (at_first | (holds | at_end | at_start | at_release))
 
 
 def starts_at_edge(scales: Scales, start: MassState, velocity: FloatArray) -> BoolArray:
@@ -195,88 +210,11 @@ def starts_at_edge(scales: Scales, start: MassState, velocity: FloatArray) -> Bo
     return (jnp.abs(pull - alpha) <= few(pull) * (pull + alpha)) & (start.v == velocity) & (alpha > 0)
 
 
-def _arc(scales, began, duration, velocity) -> _Arc:
-    alpha, t1, omega = scales.deceleration, scales.t1, scales.spring.omega
-    span = jnp.where(began.t + duration >= t1, t1 - began.t, duration)
-    _, x, v, speed, q, span = mirrored(began.x, began.v, velocity, scales, span)
-    side, A, v, excess, H, time, _, _, _ = first_arc(x, v, speed, q, scales, span)
-    meets = excess > jnp.where(v < speed, touch(A, q, scales), 0)
-    A, begins = jnp.abs(A), v == speed
-    of_v = few(x) * (jnp.abs(v) + speed + (A + alpha) * scales.clock)
-    v = omega * v
-    size = A + jnp.abs(v) + q + alpha
-    of_x, of_state = few(x) * (A + 2 * alpha), few(x) * size
-    # H^2 = A^2 + v^2 - q^2 has the error of its terms; a mass that has the base's velocity exactly meets it at H = A.
-    of_H = jnp.where(begins, of_x, of_state * size / jnp.where(meets, H, 1))
-    return _Arc(A, v, q, speed, begins, span, excess, side, H, time, meets, of_x, of_v, of_H)
-
-
-def _ties_at_first(scales, began, arc) -> BoolArray:
-    """Ties of the first arc: of the place where the mass begins on the base, of tangency, of the edge of the band."""
-    alpha, threshold = scales.deceleration, touch(arc.A, arc.q, scales)
-    # After a release at this velocity the arc is tangent to it in exact numbers, which the threshold knows.
-    left_at = scales.spring.squared * jnp.abs(began.remembered[LAST_LEFT])
-    released = (jnp.abs(left_at - alpha) <= few(alpha) * alpha) & (began.t > 0)
-    returns = released & (jnp.abs(arc.excess) <= threshold)
-    tangent = (arc.v < arc.q) & (jnp.abs(arc.excess) <= 2 * threshold) & ~returns
-    at_edge = arc.meets & (jnp.abs(arc.H - 2 * alpha) <= arc.of_H)
-    return ((arc.time < arc.span) & (tangent | at_edge)) | (arc.begins & (arc.of_x >= arc.A))
-
-
-def _ties_later(scales, began, arc) -> BoolArray:
-    """Ties after crossings, and of arrivals and releases with the ends of the interval."""
-    alpha, span = scales.deceleration, arc.span
-    side, H, arrival = _last_meeting(jnp.where(arc.meets, arc.H, 0), arc.side, arc.time, arc.q, scales, span)
-    arrived, crossed = arc.meets & (arrival < span), arc.meets & (H < arc.H)
-    holds = crossed & ((arrived & (jnp.abs(H - 2 * alpha) <= arc.of_H)) | (arc.of_H >= H))
-    # The relative velocity changes at the rate H where it passes zero: times H, times are velocities.
-    eps, rate = float(jnp.finfo(H.dtype).eps), scales.spring.squared * arc.speed
-    when = arc.of_v + H * (few(H) * span + CLOCK_ULPS * eps * began.t)
-    at_end = arc.meets & (2 * alpha + arc.of_H >= H) & (jnp.abs(arrival - span) * H <= when)
-    at_start = arrived & ~crossed & ~arc.begins & (arrival * H <= arc.of_v)
-    beyond = side * (alpha - H) + rate * (span - arrival) - alpha
-    at_release = arrived & (rate > 0) & (jnp.abs(beyond) * H <= (arc.of_H + arc.of_x) * H + rate * when)
-    return holds | at_end | at_start | at_release
-
-
-def _last_meeting(H, side, arrival, q, scales, span):
-    """Side, distance H and time of the first meeting with the base velocity that friction can hold or that lies after
-    the interval; all before it are crossings.
-    """
-    alpha = scales.deceleration
-
-    def crosses(state):
-        _, H, arrival = state
-        return is_crossed(H, alpha) & (arrival < span)
-
-    def cross(state):
-        side, H, arrival = state
-        return -side, H - 2 * alpha, arrival + time_of_arc(H - 2 * alpha, -side, q, scales.spring)
-
-    state = side, H, arrival
-    state = jax.tree.map(lambda new, old: jnp.where(crosses(state), new, old), cross(state), state)
-    return lax.while_loop(crosses, cross, state)
-
-
 # Largest position and velocity while the base velocity is constant, in closed form.
 #
 # Every slip is an arc of a circle (`arcs.py`): its position is extreme where the velocity is zero, and its velocity
 # where the mass passes the centre. Where arcs cross the base velocity one after the other, each has a smaller radius
 # than the one before: only the first on each side can hold an extreme that is not at the beginning of an interval.
-
-
-_AHEAD = {False: (0.0, jnp.pi), True: (-jnp.pi / 2, jnp.pi / 2)}
-"""How much further an arc turns to its largest and to its smallest value than to its largest position."""
-
-
-class _ArcBeyond(NamedTuple):
-    """An arc from the position `x`, velocity `v` and deceleration `A`, which lasts for `time` if it `exists`."""
-
-    exists: BoolArray
-    x: FloatArray
-    v: FloatArray
-    A: FloatArray
-    time: FloatArray
 
 
 def largest_in_interval(
@@ -294,44 +232,30 @@ def largest_in_interval(
     start, stick = (v, q) if of_velocity else (x, passage.position)
     # A stick moves at the base's velocity, from where it begins.
     found = [upwards * start, jnp.where(passage.stuck, upwards * stick, upwards * start)]
-    arcs = _arcs_until_stick(x, v, q, turned, scales, span)
-    arcs.append(_ArcBeyond(passage.released, passage.left_at, q, jnp.zeros_like(q), span - passage.left))
-    for arc in arcs:
-        reached, value = _largest_on(arc, scales.spring, of_velocity, upwards)
-        found.append(jnp.where(reached, value, upwards * start))
-    return jnp.max(jnp.stack(found))
-
-
-def _arcs_until_stick(
-    x: FloatArray, v: FloatArray, q: FloatArray, turned: FloatArray, scales: Scales, span: FloatArray
-) -> list[_ArcBeyond]:
-    """The first arc of the interval, and the first two after crossings of the base velocity."""
+    # Arcs: whether each exists, its position, velocity and deceleration at its beginning, and how long it lasts. The
+    # first one of the interval, the first two after crossings of the base velocity, and the one after a stick.
     alpha, spring = scales.deceleration, scales.spring
     first = first_arc(x, v, q, turned, scales, span)
     begun = jnp.where(first.arrives, first.time, span)
-    arcs = [_ArcBeyond(jnp.ones((), bool), x, first.v, first.side * first.A, begun)]
+    arcs = [(jnp.ones((), bool), x, first.v, first.side * first.A, begun)]
     crosses, side, H = first.arrives & is_crossed(first.H, alpha), first.side, first.H
     for _ in range(2):
         side, H = -side, jnp.where(crosses, H - 2 * alpha, 1)
         time = time_of_arc(H, side, turned, spring)
         arrives = begun + time < span
         time = jnp.where(arrives, time, span - begun)
-        arcs.append(_ArcBeyond(crosses, side * quotient(alpha + H, crosses, spring), q, side * H, time))
+        arcs.append((crosses, side * quotient(alpha + H, crosses, spring), q, side * H, time))
         crosses, begun = crosses & arrives & is_crossed(H, alpha), begun + time
-    return arcs
-
-
-def _largest_on(
-    arc: _ArcBeyond, spring: SpringScales, of_velocity: bool, sign: FloatArray
-) -> tuple[BoolArray, FloatArray]:
-    """Whether an arc reaches the largest value of `sign` times position or velocity on its circle, and that value."""
-    x, v, A = arc.x, arc.v, arc.A
-    # Clockwise from its beginning to the largest position. No derivative passes through when that is: there the value
-    # does not change with time.
-    angle = jnp.arctan2(*lax.stop_gradient((spring.omega * v, A)))
-    to_largest, to_smallest = _AHEAD[of_velocity]
-    ahead = jnp.mod(angle + jnp.where(sign > 0, to_largest, to_smallest), 2 * jnp.pi)
-    when = ahead * spring.inverse_omega
-    reached = arc.exists & ((A != 0) | (v != 0)) & (when <= arc.time)
-    position, velocity = swung(x, v, A, jnp.where(reached, when, 0), spring)
-    return reached, sign * (velocity if of_velocity else position)
+    arcs.append((passage.released, passage.left_at, q, jnp.zeros_like(q), span - passage.left))
+    # How much further an arc turns to its largest and to its smallest value than to its largest position.
+    to_largest, to_smallest = (-jnp.pi / 2, jnp.pi / 2) if of_velocity else (0.0, jnp.pi)
+    for exists, x, v, A, time in arcs:
+        # Clockwise from its beginning to the largest position. No derivative passes through when that is: there the
+        # value does not change with time.
+        angle = jnp.arctan2(*lax.stop_gradient((spring.omega * v, A)))
+        ahead = jnp.mod(angle + jnp.where(upwards > 0, to_largest, to_smallest), 2 * jnp.pi)
+        when = ahead * spring.inverse_omega
+        reached = exists & ((A != 0) | (v != 0)) & (when <= time)
+        position, velocity = swung(x, v, A, jnp.where(reached, when, 0), spring)
+        found.append(jnp.where(reached, upwards * (velocity if of_velocity else position), upwards * start))
+    return jnp.max(jnp.stack(found))

@@ -24,7 +24,7 @@ from ..._systems.switched_model import Segments, State
 from ..common.lanes import Engine, SampleTotals
 from ..common.path import MotionPath, Run
 from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, count_slips, start_totals, sticks_of
-from .arcs import Scales
+from .arcs import Scales, sticks_from_start
 from .crossing import (
     LAST_LEFT,
     MassState,
@@ -37,7 +37,6 @@ from .crossing import (
     start_motion,
     starts_at_edge,
     status_of,
-    sticks_at_start,
 )
 
 # Lanes of the interval engine: a step is a whole base interval, drawn when it is simulated.
@@ -79,7 +78,7 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
         motion = start_motion(scales, (x, velocity), self.quantities)
         memory = computed_once(lambda key_data: self.law.begin(key_data, dtype))(key_data)
         _, base, _ = self.law.next_interval(memory, self.law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
-        at_start = sticks_at_start(scales, motion, base)
+        at_start = sticks_from_start(motion.x, motion.v, base, scales)
         at_edge = starts_at_edge(scales, motion, base).astype(jnp.int32)
         return _Sample(key_data, at_start), _Lane(memory, motion, start_totals(dtype), at_edge)
 
@@ -200,7 +199,10 @@ def _fast(what: _What, given: Given) -> Any:
 def _fast_jvp(what: _What, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Any, Any]:
     (given,), (direction,) = primals, tangents
     if not (_is_zero(direction.durations) and _is_zero(direction.velocities)):
-        whole = jax.tree.map(_instantiated, given, direction, is_leaf=_is_zero)
+        whole = jax.tree.map(
+            lambda value, tangent: jnp.zeros_like(value) if _is_zero(tangent) else tangent,
+            given, direction, is_leaf=_is_zero,
+        )  # fmt: skip
         return jax.jvp(partial(_plain, what), (given,), (whole,))
     changes = _numbers_of(direction)
     moved = tuple(not _is_zero(change) for change in changes)
@@ -221,17 +223,8 @@ def _numbers_of(given: Given) -> list[Any]:
     return jax.tree.leaves((given.scales, given.y0), is_leaf=_is_zero)
 
 
-def _with_numbers(given: Given, numbers: list[Any]) -> Given:
-    scales, y0 = jax.tree.unflatten(jax.tree.structure((given.scales, given.y0)), numbers)
-    return given._replace(scales=scales, y0=y0)
-
-
 def _is_zero(leaf: Any) -> bool:
     return isinstance(leaf, SymbolicZero)
-
-
-def _instantiated(value: Array, tangent: Any) -> Array:
-    return jnp.zeros_like(value) if _is_zero(tangent) else tangent
 
 
 def _one_lane(given: Given) -> Given:
@@ -255,12 +248,16 @@ def _lanes_with_slopes(what: _What, moved: tuple[bool, ...]) -> Callable[[Given]
         numbers = _numbers_of(given)
         basis = jnp.eye(sum(moved), dtype=given.durations.dtype)
 
+        def block_of(numbers):
+            scales, y0 = jax.tree.unflatten(jax.tree.structure((given.scales, given.y0)), numbers)
+            return _run_block(what, given._replace(scales=scales, y0=y0))
+
         def along(direction):
             entries = iter(direction)
             change = [
                 jnp.full_like(n, next(entries)) if m else jnp.zeros_like(n) for n, m in zip(numbers, moved, strict=True)
             ]
-            out, slopes = jax.jvp(lambda ns: _run_block(what, _with_numbers(given, ns)), (numbers,), (change,))
+            out, slopes = jax.jvp(block_of, (numbers,), (change,))
             real = [leaf for leaf in jax.tree.leaves(slopes) if leaf.dtype != jax.dtypes.float0]
             return out, real
 

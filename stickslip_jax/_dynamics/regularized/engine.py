@@ -13,7 +13,6 @@ from jaxtyping import Array
 
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.motion import Signal
-from ..._excitation.segments import first_segment
 from ..._foundation import checks
 from ..._foundation.types import AnyArray, AnyInteger, BoolArray, DType, FloatArray, IntArray, Number, Scalar
 from ..._numerics.derivatives import NotKnown, with_slopes
@@ -33,7 +32,6 @@ from ..common.path import (
     of_track,
     padded_length,
     status_of_lane,
-    sticks_and_totals,
     stopping_scan,
 )
 from ..sticks import ALL, StickRecord, Totals, count_slips, no_stick
@@ -45,7 +43,6 @@ from .solve import (
     MORE,
     FixedLane,
     PathStep,
-    Solver,
     Tables,
     advance_fixed,
     detect_in_step,
@@ -101,10 +98,8 @@ class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, Sam
         smooth = _realized(self.excitation, key_data, dtype)
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
         words, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
-        segment_states = tuple(first_segment(law, words, dtype) for law in segment_laws.all)
-        field = switched_field(self.system, smooth, self.method)
-        criterion = criterion_of(self.method)
-        return smooth, start_fixed(field, segment_laws, criterion, segment_states, y0, dtype, self.quantities)
+        field, criterion = switched_field(self.system, smooth, self.method), criterion_of(self.method)
+        return smooth, start_fixed(field, segment_laws, criterion, words, y0, dtype, self.quantities)
 
     def shared(self, dtype) -> FixedShared:
         laws, most = SegmentLaws.of(self.system, self.excitation), jnp.asarray(self.most_steps, jnp.int32)
@@ -172,7 +167,7 @@ def solve_batch(
         tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
         field, criterion = field_of(here.system, smooth, method), criterion_of(method)
         y0, until = tuple(jnp.asarray(value, dtype) for value in here.y0), jnp.where(place < used, t1, 0)
-        solution = solve_adaptive(field, tables, until, y0, Solver.of(method, here.longest_step), most)
+        solution = solve_adaptive(field, tables, until, y0, method, here.longest_step, most)
 
         def one_step(detector, index):
             detector, record, _ = detect_in_step(field, tables, criterion, until, solution, detector, index)
@@ -316,7 +311,15 @@ def follow_regularized(
         if checks.is_traced(step):
             method = dataclasses.replace(method, step=lax.stop_gradient(jnp.asarray(step, dtype)))
     adaptive = method.step is None
-    steps = method.max_steps or (ADAPTIVE_STEPS if adaptive else _fixed_steps(system, excitation, given, t1))
+    steps = method.max_steps or ADAPTIVE_STEPS
+    if not adaptive and method.max_steps is None:
+        try:
+            steps = padded_length(fixed_steps(system, excitation, given, t1))
+        except NotKnown:
+            raise ValueError(
+                "Argument method must give max_steps, Regularized(..., max_steps=...), when t1 or the step is an "
+                f"argument of a function under jax.jit: {max_steps_advice(system, excitation, given, t1)}."
+            ) from None
     sizes = table_sizes(system, excitation, t1)
     longest = longest_step(system, excitation) if adaptive else math.inf
     system, excitation, t1, y0, longest = numbers_as_arrays((system, excitation, t1, y0, longest), dtype)
@@ -330,54 +333,36 @@ def follow_regularized(
     return dataclasses.replace(method, max_steps=steps), run
 
 
-def _fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
-    """Upper bound of the number of fixed steps of the trajectory."""
-    try:
-        return padded_length(fixed_steps(system, excitation, method, t1))
-    except NotKnown:
-        raise ValueError(
-            "Argument method must give max_steps, Regularized(..., max_steps=...), when t1 or the step is an argument "
-            f"of a function under jax.jit: {max_steps_advice(system, excitation, method, t1)}."
-        ) from None
-
-
-def _fixed_loop(setting: _Arguments, steps: int) -> tuple[FixedLane, tuple[StickRecord, PathStep]]:
-    system, excitation, method, t1, y0, _ = setting
-    dtype = t1.dtype
-    field, segment_laws, criterion = (
-        switched_field(system, excitation.signal, method),
-        SegmentLaws.of(system, excitation),
-        criterion_of(method),
-    )
-    segment_states = tuple(first_segment(law, _NO_KEY_DATA, dtype) for law in segment_laws.all)
-    start = start_fixed(field, segment_laws, criterion, segment_states, y0, dtype, ALL)
-
-    most = jnp.asarray(steps, jnp.int32)
-
-    def one_step(lane, _):
-        lane, record, passage = advance_fixed(field, segment_laws, criterion, t1, jnp.asarray(method.step), most, lane)
-        return lane, (record, passage)
-
-    return stopping_scan(
-        one_step,
-        start,
-        steps,
-        lambda lane, _: has_ended(lane, t1, most),
-        lambda lane: nothing_seen(field.model.numbers(lane.y), field.model.contacts),
-    )
-
-
 @eqx.filter_jit
 def _follow_fixed(setting: _Arguments, steps: int, sizes: tuple[int, ...]) -> Run:
     system, excitation, method, t1, *_ = setting
     # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.
     method = dataclasses.replace(method, atol=None, minimum_duration=lax.stop_gradient(method.minimum_duration))
-    setting = setting._replace(method=method)
-    lane, (records, passages) = with_slopes(lambda setting: _fixed_loop(setting, steps), setting, most=_MOST_SLOPES)
+
+    def loop(setting: _Arguments) -> tuple[FixedLane, tuple[StickRecord, PathStep]]:
+        system, excitation, method, t1, y0, _ = setting
+        field, segment_laws = switched_field(system, excitation.signal, method), SegmentLaws.of(system, excitation)
+        criterion, most = criterion_of(method), jnp.asarray(steps, jnp.int32)
+        step = jnp.asarray(method.step)
+
+        def one_step(lane, _):
+            lane, record, passage = advance_fixed(field, segment_laws, criterion, t1, step, most, lane)
+            return lane, (record, passage)
+
+        return stopping_scan(
+            one_step,
+            start_fixed(field, segment_laws, criterion, _NO_KEY_DATA, y0, t1.dtype, ALL),
+            steps,
+            lambda lane, _: has_ended(lane, t1, most),
+            lambda lane: nothing_seen(field.model.numbers(lane.y), field.model.contacts),
+        )
+
+    lane, (records, passages) = with_slopes(loop, setting._replace(method=method), most=_MOST_SLOPES)
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
     final = system.switched_model(excitation.signal, None).numbers(lane.y)
     path = CubicPath.of(excitation, tables, passages, lane.steps, lane.t, final)
-    return _run(records, lane.detector.totals, system, status_of_lane(lane, t1), lane.t, final, path)
+    none, status = jnp.zeros((), jnp.int32), status_of_lane(lane, t1)
+    return Run.of(system, records, lane.detector.totals, status, lane.t, final, none, path)
 
 
 @eqx.filter_jit
@@ -386,7 +371,7 @@ def _follow_adaptive(setting: _Arguments, steps: int, sizes: tuple[int, ...]) ->
     field, criterion = field_of(system, excitation.signal, method), criterion_of(method)
     dtype = t1.dtype
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, dtype)
-    solution = solve_adaptive(field, tables, t1, y0, Solver.of(method, longest), steps)
+    solution = solve_adaptive(field, tables, t1, y0, method, longest, steps)
 
     def one_step(detector, index):
         detector, record, passage = detect_in_step(field, tables, criterion, t1, solution, detector, index)
@@ -402,18 +387,5 @@ def _follow_adaptive(setting: _Arguments, steps: int, sizes: tuple[int, ...]) ->
     )
     final = tuple(solution.y[solution.steps])
     path = CubicPath.of(excitation, tables, passages, solution.steps, solution.time_reached, final)
-    return _run(records, detector.totals, system, status_of(solution, detector), solution.time_reached, final, path)
-
-
-def _run(
-    records: Any,
-    totals: Totals,
-    system: System,
-    status: IntArray,
-    time_reached: FloatArray,
-    final: State,
-    path: MotionPath,
-) -> Run:
-    none = jnp.zeros((), jnp.int32)
-    sticks, totals, of_all = sticks_and_totals(records, totals, system)
-    return Run(sticks, totals, status, time_reached, final, none, path, of_all)
+    none, status = jnp.zeros((), jnp.int32), status_of(solution, detector)
+    return Run.of(system, records, detector.totals, status, solution.time_reached, final, none, path)

@@ -4,7 +4,8 @@ is the root of one function, and with several, whose forces are balanced togethe
 
 import abc
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,7 +15,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Scalar
+from ..._foundation.types import BoolScalar, FloatArray, FloatScalar, IntArray, Scalar
 from ..._numerics.derivatives import OwnDerivative, without_derivatives
 from ..._numerics.elementary import angle_of
 from ..._numerics.matrices import linear_solve, times
@@ -117,10 +118,17 @@ def _balance_root_jvp(primals, tangents):
         return sigma + stiffness * switch.coefficient(friction, sigma) - size
 
     _, change = eqx.filter_jvp(residual, tuple(given), tuple(tangents[:-1]))
-    switch, friction, _, stiffness = given
-    _, slope = jax.jvp(lambda value: switch.coefficient(friction, value), (sigma,), (jnp.ones_like(sigma),))
-    steep = 1 + stiffness * slope
+    switch, friction, size, stiffness = given
+    *_, steep = _missing(switch, friction, size, stiffness, sigma)
     return (sigma,), (-change / jnp.where(steep > _LEAST_STEEP, steep, 1),)
+
+
+def _missing(
+    switch: Switch, friction: FrictionLaw, size: FloatArray, stiffness: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """At `sigma` the friction coefficient, its slope, what is missing from the balance, and the slope of that."""
+    value, slope = jax.jvp(lambda at: switch.coefficient(friction, at), (sigma,), (jnp.ones_like(sigma),))
+    return value, slope, sigma + stiffness * value - size, 1 + stiffness * slope
 
 
 # The balance of forces in a stage of an implicit step where static friction exceeds kinetic friction.
@@ -133,9 +141,6 @@ def _balance_root_jvp(primals, tangents):
 _RISE, _FALL = 7, 10  # iterations
 _BALANCED = 1e-6  # of the largest friction: as good as equal
 
-# Of a relative velocity: the friction coefficient, its slope, what is missing from a balance, and the slope of that.
-_Missing = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray, FloatArray]]
-
 
 def balance_with_static(
     switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness: FloatArray, slides: FloatArray
@@ -147,46 +152,33 @@ def balance_with_static(
     sign = jnp.where(speed < 0, -1.0, 1.0)
     given = switch, friction.in_direction(sign), jnp.abs(speed), stiffness
     switch, friction, size, stiffness = without_derivatives(given)
+    missing = partial(_missing, switch, friction, size, stiffness)
     most = switch.width + stiffness * friction.static  # what a stick can take up
-
-    def missing(sigma):
-        value, slope = jax.jvp(lambda at: switch.coefficient(friction, at), (sigma,), (jnp.ones_like(sigma),))
-        return value, slope, sigma + stiffness * value - size, 1 + stiffness * slope
-
     least = _BALANCED * stiffness * friction.static
-    sliding, balanced = _sliding(missing, switch.width, size, least)
+    # The fastest balance beyond the width, by Newton's method from above, and whether there is one.
+    low, high, sliding = jnp.minimum(jnp.full_like(size, switch.width), size), size, size
+    for _ in range(_FALL):
+        _, _, rest, gain = missing(sliding)
+        low, high = jnp.where(rest > 0, low, sliding), jnp.where(rest > 0, sliding, high)
+        following = sliding - rest / jnp.where(gain > 0, gain, 1)
+        sliding = jnp.where((gain > 0) & (following >= low) & (following <= high), following, (low + high) / 2)
+    _, _, rest, gain = missing(sliding)
+    balanced = (jnp.abs(rest) <= least) & (gain > 0) & (sliding > switch.width)
     breaks = size > most + least
     chosen = breaks | ((slides == sign) & balanced)
-    sigma = jnp.where(chosen, sliding, _sticking(missing, switch, size))
+    # The balance in a stick, by Newton's method from below: the rise to static friction is concave.
+    inside = switch.width * (1 - 1e-7)
+    *_, steepest = missing(jnp.full_like(size, 1e-9) * switch.width)
+    sticking = jnp.minimum(size / steepest, inside)
+    for _ in range(_RISE):
+        _, _, rest, gain = missing(sticking)
+        sticking = jnp.clip(sticking - rest / jnp.maximum(gain, 1), 0, inside)
+    sigma = jnp.where(chosen, sliding, sticking)
     _, slope, rest, gain = missing(sigma)
     last = slope * rest / jnp.where(gain > 0, gain, 1)  # one more Newton step
     (sigma,) = balance_root(*given, sigma)
     switch, friction, *_ = given
     return sign * (switch.coefficient(friction, sigma) - last), jnp.where(chosen, sign, 0)
-
-
-def _sticking(missing: _Missing, switch: Switch, size: FloatArray) -> FloatArray:
-    """The balance in a stick, by Newton's method from below: the rise to static friction is concave."""
-    inside = switch.width * (1 - 1e-7)
-    _, _, _, steepest = missing(jnp.full_like(size, 1e-9) * switch.width)
-    sigma = jnp.minimum(size / steepest, inside)
-    for _ in range(_RISE):
-        _, _, rest, gain = missing(sigma)
-        sigma = jnp.clip(sigma - rest / jnp.maximum(gain, 1), 0, inside)
-    return sigma
-
-
-def _sliding(missing: _Missing, width: Scalar, size: FloatArray, tolerance: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """The fastest balance beyond the `width`, by Newton's method from above, and whether there is one."""
-    low, high = jnp.minimum(jnp.full_like(size, width), size), size
-    sigma = size
-    for _ in range(_FALL):
-        _, _, rest, gain = missing(sigma)
-        low, high = jnp.where(rest > 0, low, sigma), jnp.where(rest > 0, sigma, high)
-        following = sigma - rest / jnp.where(gain > 0, gain, 1)
-        sigma = jnp.where((gain > 0) & (following >= low) & (following <= high), following, (low + high) / 2)
-    _, _, rest, gain = missing(sigma)
-    return sigma, (jnp.abs(rest) <= tolerance) & (gain > 0) & (sigma > width)
 
 
 # One step of fixed length of regularised dynamics, stable for any width.
@@ -231,7 +223,30 @@ def implicit_step(
     end = _stage(model, switch, forcing, h, base, expected, GAMMA * h, middle.slides)
     if model.time_scales_are_known:
         return end.state, None
-    return end.state, _error(*without_derivatives((model, forcing, y, h, middle, end)))
+    model, forcing, y, h, middle, last = without_derivatives((model, forcing, y, h, middle, end))
+    first = model.rates_under(forcing, jnp.zeros_like(h), y, jnp.zeros_like(h))
+    after = model.rates_under(forcing, h, last.state, jnp.zeros_like(h))
+    free = zip(first, middle.free, last.free, after, strict=True)
+    errors = map(partial(_error, h), y, free, last.gross, last.kink)
+    return end.state, reduce(jnp.maximum, errors, jnp.zeros_like(h))
+
+
+def _error(
+    h: FloatArray, value: FloatArray, free: Sequence[FloatArray], gross: FloatArray, kink: FloatArray
+) -> FloatArray:
+    """The estimated error of numbers of the state in a step from `value`, over the allowed one; at most 1 is accurate
+    enough.
+
+    `free`: their rates without friction at the beginning, in both stages, and after the step. `gross` and `kink`: of
+    the last stage, see `_Stage`.
+    """
+    *_, end, after = free
+    stages = zip(WEIGHTS, free[:-1], strict=True)
+    error = h * (jnp.abs(sum(weight * rate for weight, rate in stages)) + GAMMA * jnp.abs(after - end))
+    error = error - ROUND_OFF * jnp.finfo(h.dtype).eps * (jnp.abs(value) + h * gross) - KINK * h * h * kink
+    allowed = ERROR * h * gross
+    share = error / jnp.where(allowed > 0, allowed, 1)
+    return jnp.where((error > 0) & (allowed > 0), share, 0)
 
 
 class _Stage(NamedTuple):
@@ -247,21 +262,6 @@ class _Stage(NamedTuple):
     free: State
     gross: State
     kink: State
-
-
-def _error(model: OneContactModel, forcing: object, y: State, h: FloatArray, middle: _Stage, end: _Stage) -> FloatArray:
-    """The estimated error of a step from `y` by its two stages, over the allowed one; at most 1 is accurate enough."""
-    first = model.rates_under(forcing, jnp.zeros_like(h), y, jnp.zeros_like(h))
-    last = model.rates_under(forcing, h, end.state, jnp.zeros_like(h))
-    largest, eps = jnp.zeros_like(h), jnp.finfo(h.dtype).eps
-    for i, value in enumerate(y):
-        stages = zip(WEIGHTS, (first[i], middle.free[i], end.free[i]), strict=True)
-        error = h * (jnp.abs(sum(weight * rate for weight, rate in stages)) + GAMMA * jnp.abs(last[i] - end.free[i]))
-        error = error - ROUND_OFF * eps * (jnp.abs(value) + h * end.gross[i]) - KINK * h * h * end.kink[i]
-        allowed = ERROR * h * end.gross[i]
-        share = error / jnp.where(allowed > 0, allowed, 1)
-        largest = jnp.maximum(largest, jnp.where((error > 0) & (allowed > 0), share, 0))
-    return largest
 
 
 def _stage(
@@ -299,10 +299,10 @@ def _stage(
         coefficient = _balance(switch, model.friction_at(expected), speed, -gain)
     else:
         coefficient, slides = balance_with_static(switch, model.friction_at(expected), speed, -gain, slides)
-    change = tuple(a + coefficient * b for a, b in zip(without, per_unit, strict=True))
+    change = moved(without, coefficient, per_unit)
     _, turned = jax.jvp(free, (expected,), (change,))
     alone = tuple(r + t for r, t in zip(rates, turned, strict=True))
-    end_rates = tuple(rate + coefficient * f for rate, f in zip(alone, by_friction, strict=True))
+    end_rates = moved(alone, coefficient, by_friction)
     terms = [[part * value for part, value in zip(row, expected, strict=True)] for row in jacobian]
     gross = tuple(jnp.abs(r - sum(row)) + sum(map(jnp.abs, row)) for r, row in zip(rates, terms, strict=True))
     # Where a rate passes through zero: as large as those that it is coupled with make it in one radian of the motion.
@@ -328,17 +328,14 @@ def _balance(switch: Switch, friction: FrictionLaw, speed: FloatArray, stiffness
     given = switch, friction.in_direction(sign), jnp.abs(speed), stiffness
     switch, friction, size, stiffness = without_derivatives(given)
 
-    def coefficient(sigma):
-        return jax.jvp(lambda value: switch.coefficient(friction, value), (sigma,), (jnp.ones_like(sigma),))
-
-    _, steepest = coefficient(jnp.full_like(size, 1e-9) * switch.width)
-    sigma = jnp.maximum(size - stiffness * friction.static, size / (1 + stiffness * steepest))
+    missing = partial(_missing, switch, friction, size, stiffness)
+    *_, steepest = missing(jnp.full_like(size, 1e-9) * switch.width)
+    sigma = jnp.maximum(size - stiffness * friction.static, size / steepest)
     for _ in range(_NEWTON[switch.shape]):
-        value, slope = coefficient(sigma)
-        sigma = jnp.maximum(sigma - (sigma + stiffness * value - size) / jnp.maximum(1 + stiffness * slope, 1), 0)
-    value, slope = coefficient(sigma)
-    residual = sigma + stiffness * value - size
-    last = slope * residual / jnp.maximum(1 + stiffness * slope, 1)  # one more Newton step
+        _, _, rest, gain = missing(sigma)
+        sigma = jnp.maximum(sigma - rest / jnp.maximum(gain, 1), 0)
+    _, slope, rest, gain = missing(sigma)
+    last = slope * rest / jnp.maximum(gain, 1)  # one more Newton step
     (sigma,) = balance_root(*given, sigma)
     switch, friction, *_ = given
     return sign * (switch.coefficient(friction, sigma) - last)
@@ -404,8 +401,25 @@ class ForceLaw(eqx.Module):
 def balanced_forces(law: ForceLaw, speed: FloatArray, stiffness: FloatArray, guess: FloatArray) -> FloatArray:
     """The forces with ``force = law(speed - stiffness force)``; NaN where none are found."""
     given = law, speed, stiffness
-    force = _root(*without_derivatives((*given, guess)))
-    (force,) = _contacts_balance(*given, force)
+    law, speed, stiffness, guess = without_derivatives((*given, guess))
+    eps = jnp.finfo(speed.dtype).eps
+
+    def again(state: tuple[FloatArray, FloatScalar, IntArray]) -> tuple[FloatArray, FloatScalar, IntArray]:
+        force, _, tries = state
+        sigma = speed - times(stiffness, force)
+        value, slope = _with_slope(law, sigma)
+        change = linear_solve(_newton_matrix(slope, stiffness), value - force)
+        moved = times(stiffness, change)  # sigma falls by this
+        scale = jnp.abs(speed) + times(jnp.abs(stiffness), jnp.abs(force))
+        error = jnp.max(jnp.abs(moved) / jnp.where(scale > 0, scale, 1))
+        return force + _share(law, sigma, force, moved, change) * change, error, tries + 1
+
+    def goes_on(state: tuple[FloatArray, FloatScalar, IntArray]) -> BoolScalar:
+        _, error, tries = state
+        return (error > _ULPS * eps) & (tries < _MOST)
+
+    force, error, _ = lax.while_loop(goes_on, again, (guess, jnp.full((), jnp.inf, speed.dtype), jnp.int32(0)))
+    (force,) = _contacts_balance(*given, jnp.where(error <= jnp.sqrt(eps), force, jnp.nan))
     return force
 
 
@@ -429,27 +443,6 @@ def _balance_jvp(primals, tangents):
     law, speed, stiffness = given
     _, slope = _with_slope(law, speed - times(stiffness, force))
     return (force,), (linear_solve(_newton_matrix(slope, stiffness), change),)
-
-
-def _root(law: ForceLaw, speed: FloatArray, stiffness: FloatArray, guess: FloatArray) -> FloatArray:
-    eps = jnp.finfo(speed.dtype).eps
-
-    def again(state: tuple[FloatArray, FloatScalar, IntArray]) -> tuple[FloatArray, FloatScalar, IntArray]:
-        force, _, tries = state
-        sigma = speed - times(stiffness, force)
-        value, slope = _with_slope(law, sigma)
-        change = linear_solve(_newton_matrix(slope, stiffness), value - force)
-        moved = times(stiffness, change)  # sigma falls by this
-        scale = jnp.abs(speed) + times(jnp.abs(stiffness), jnp.abs(force))
-        error = jnp.max(jnp.abs(moved) / jnp.where(scale > 0, scale, 1))
-        return force + _share(law, sigma, force, moved, change) * change, error, tries + 1
-
-    def goes_on(state: tuple[FloatArray, FloatScalar, IntArray]) -> BoolScalar:
-        _, error, tries = state
-        return (error > _ULPS * eps) & (tries < _MOST)
-
-    force, error, _ = lax.while_loop(goes_on, again, (guess, jnp.full((), jnp.inf, speed.dtype), jnp.int32(0)))
-    return jnp.where(error <= jnp.sqrt(eps), force, jnp.nan)
 
 
 def _share(law: ForceLaw, sigma: FloatArray, force: FloatArray, moved: FloatArray, change: FloatArray) -> FloatScalar:
@@ -553,7 +546,22 @@ def contacts_step(
     end = _contacts_stage(model, switch, forcing, h, base, expected, GAMMA * h, middle.force)
     if model.time_scales_are_known:
         return end.state, None
-    return end.state, _contacts_error(*without_derivatives((model, forcing, y, h, middle, end)))
+    model, forcing, y, h, middle, last = without_derivatives((model, forcing, y, h, middle, end))
+    first = model.instant(forcing, jnp.zeros_like(h), y).rates
+    after = model.instant(forcing, h, last.state).rates
+    # Of each rate without friction the sum of its terms, each alone, and what friction could change in it, per s.
+    now, jacobian = model.instant(forcing, h, last.expected), model.jacobian(forcing, h, last.expected)
+    terms = jacobian * ravel_pytree(last.expected)[0][None, :]
+    gross = jnp.abs(ravel_pytree(now.rates)[0] - jnp.sum(terms, axis=1)) + jnp.sum(jnp.abs(terms), axis=1)
+    # Where a rate passes through zero: as large as those that it is coupled with make it in one radian of the motion.
+    fastest = jnp.sqrt(jnp.sum(jnp.abs(jacobian * jacobian.T)) + jnp.finfo(h.dtype).tiny)
+    coupled = times(jnp.abs(jacobian), gross)
+    gross = gross + jnp.where(fastest * (GAMMA * h) > 1e-9, coupled / fastest, 0)
+    held = model.limits(forcing, h, last.expected, now.velocity).largest
+    by_friction = jnp.concatenate([part.reshape(-1, len(held)) for part in last.columns])
+    kink = times(jnp.abs(jacobian) @ jnp.abs(by_friction), held)
+    value, *free = (ravel_pytree(part)[0] for part in (y, first, middle.free, last.free, after))
+    return end.state, jnp.max(_error(h, value, free, gross, kink))
 
 
 class _ContactsStage(NamedTuple):
@@ -568,8 +576,6 @@ class _ContactsStage(NamedTuple):
     free: State
     expected: State
     columns: State
-    tau: FloatArray
-    weight: FloatArray
 
 
 def _contacts_stage(
@@ -612,42 +618,9 @@ def _contacts_stage(
     _, turned = jax.jvp(free, (expected,), (change,))
     alone = moved(rates, 1.0, turned)
     end_rates = moved(alone, 1.0, tuple(_of_all(part, force) for part in columns))
-    return _ContactsStage(moved(expected, 1.0, change), end_rates, force, alone, expected, columns, tau, weight)
+    return _ContactsStage(moved(expected, 1.0, change), end_rates, force, alone, expected, columns)
 
 
 def _of_all(columns: FloatArray, force: FloatArray) -> FloatArray:
     """What the forces of all contacts do together, by the last axis of `columns`."""
     return jnp.sum(columns * jnp.expand_dims(force, range(columns.ndim - 1)), axis=-1)
-
-
-def _contacts_error(
-    model: ContactsModel, forcing: object, y: State, h: FloatArray, middle: _ContactsStage, end: _ContactsStage
-) -> FloatArray:
-    """The estimated error of a step from `y` by its two stages, over the allowed one; at most 1 is accurate enough."""
-    first = model.instant(forcing, jnp.zeros_like(h), y).rates
-    last = model.instant(forcing, h, end.state).rates
-    flat, first, between, third, last = (ravel_pytree(part)[0] for part in (y, first, middle.free, end.free, last))
-    gross, kink = _sizes(model, forcing, end)
-    stages = zip(WEIGHTS, (first, between, third), strict=True)
-    error = h * (jnp.abs(sum(weight * rate for weight, rate in stages)) + GAMMA * jnp.abs(last - third))
-    error = error - ROUND_OFF * jnp.finfo(h.dtype).eps * (jnp.abs(flat) + h * gross) - KINK * h * h * kink
-    allowed = ERROR * h * gross
-    share = error / jnp.where(allowed > 0, allowed, 1)
-    return jnp.max(jnp.where((error > 0) & (allowed > 0), share, 0))
-
-
-def _sizes(model: ContactsModel, forcing: object, stage: _ContactsStage) -> tuple[FloatArray, FloatArray]:
-    """Of each rate without friction the sum of its terms, each alone, and what friction could change in it, per s."""
-    tau, expected = stage.tau, stage.expected
-    now = model.instant(forcing, tau, expected)
-    y, rates = (ravel_pytree(part)[0] for part in (expected, now.rates))
-    jacobian = model.jacobian(forcing, tau, expected)
-    terms = jacobian * y[None, :]
-    gross = jnp.abs(rates - jnp.sum(terms, axis=1)) + jnp.sum(jnp.abs(terms), axis=1)
-    # Where a rate passes through zero: as large as those that it is coupled with make it in one radian of the motion.
-    fastest = jnp.sqrt(jnp.sum(jnp.abs(jacobian * jacobian.T)) + jnp.finfo(tau.dtype).tiny)
-    coupled = times(jnp.abs(jacobian), gross)
-    gross = gross + jnp.where(fastest * stage.weight > 1e-9, coupled / fastest, 0)
-    held = model.limits(forcing, tau, expected, now.velocity).largest
-    by_friction = jnp.concatenate([part.reshape(-1, len(held)) for part in stage.columns])
-    return gross, times(jnp.abs(jacobian) @ jnp.abs(by_friction), held)

@@ -1,7 +1,7 @@
 """Regularised motion of one trajectory: its settings, steps of fixed length, and adaptive steps by diffrax."""
 
 import math
-from functools import cache
+from functools import cache, reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,7 +13,7 @@ from jaxtyping import Array
 
 from ..._compiler import sharing
 from ..._excitation.excitation import Excitation
-from ..._excitation.segments import SegmentState, SegmentTable
+from ..._excitation.segments import SegmentState, SegmentTable, first_segment
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar, Status
@@ -37,38 +37,6 @@ from .sticks import (
     start_detector,
     start_joining,
 )
-
-# The step-size control of adaptive steps, by diffrax.
-
-
-def step_control(rtol: Any, atol: Any, longest: FloatArray, jumps: Array | None, *, is_very_stiff: bool) -> Any:
-    """Control by the tolerances, with steps of at most `longest` (s) that end at the instants `jumps` (s), if any.
-
-    The first stage of a very stiff step, computed anew from the state, would be its round-off enlarged: without jumps
-    no trajectory of a batch needs it.
-    """
-    control = diffrax.PIDController(rtol=rtol, atol=atol, dtmax=longest)
-    return control if is_very_stiff and jumps is None else _class()(control, jump_ts=jumps)
-
-
-@cache
-def _class() -> Any:
-    """The class of the control, made when diffrax is first needed."""
-    clipped: Any = diffrax.ClipStepSizeController
-
-    class EveryStageControl(clipped):
-        """A control after whose steps the solver computes the first stage of the next one anew.
-
-        By itself it takes that stage from the step before, unless there was a jump in between, in any trajectory of the
-        batch: the two differ in the last digits of implicit solvers, and each sample would depend on its neighbours.
-        """
-
-        def adapt_step_size(self, *args: Any) -> Any:
-            keeps, t0, t1, _, state, result = super().adapt_step_size(*args)
-            return keeps, t0, t1, True, state, result
-
-    return EveryStageControl
-
 
 # Steps that end where static friction takes hold of the mass or lets it go.
 #
@@ -158,21 +126,24 @@ class PathStep(NamedTuple):
 def nothing_seen(numbers: State, contacts: int | None) -> tuple[StickRecord, PathStep]:
     """The records of an idle step, for a trajectory with `numbers` of its state like these and so many contacts."""
     none = tuple(jnp.zeros_like(value) for value in numbers)
-    return no_stick(none[0].dtype, ALL, () if contacts is None else (contacts + 1,)), PathStep(
-        none[0], none, none, none
-    )
+    stick = no_stick(none[0].dtype, ALL, () if contacts is None else (contacts + 1,))
+    return stick, PathStep(none[0], none, none, none)
 
 
 def start_fixed(
     field: Field | ContactsField,
     segment_laws: SegmentLaws,
     criterion: Criterion,
-    segment_states: tuple[SegmentState, ...],
+    key_data: Any,
     y0: tuple,
     dtype,
     quantities: tuple[str, ...],
 ) -> FixedLane:
-    """The lane at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
+    """The lane at the beginning of a trajectory, whose segments `key_data` choose.
+
+    `quantities` of each stick: those that are asked for.
+    """
+    segment_states = tuple(first_segment(law, key_data, dtype) for law in segment_laws.all)
     zero, y = jnp.zeros((), dtype), field.model.start(y0, dtype)
     forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
     limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
@@ -198,9 +169,7 @@ def advance_fixed(
     """
     forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
     live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps) & ~any_of(jnp.isnan(lane.y[0]))
-    stop = t1
-    for segment_state in lane.segment_states:
-        stop = jnp.minimum(stop, segment_state.segment.end)
+    stop = reduce(jnp.minimum, (state.segment.end for state in lane.segment_states), t1)
     left = jnp.where(live, stop - lane.t, 0)
     longest = step if lane.limit is None else jnp.minimum(step, lane.limit)
     # A little more than one step, so that no last step of a few units in the last place remains.
@@ -220,7 +189,10 @@ def advance_fixed(
     moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
     accepted = live
     if lane.limit is not None:
-        inaccurate, change = (jnp.zeros((), bool), _GROWTH) if error is None else _judged(error)
+        inaccurate, change = jnp.zeros((), bool), _GROWTH
+        if error is not None:
+            inaccurate = error > 1
+            change = jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)
         again, length = inaccurate, lax.stop_gradient(h * change)
         if band is not None:
             passes, until = shortened(seen, band)
@@ -232,13 +204,6 @@ def advance_fixed(
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
     record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
     return moved, record, PathStep(lane.t, *map(field.model.numbers, (lane.y, rates, end_rates)))
-
-
-def _judged(error: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Whether a step of this `error`, over the allowed one, is too inaccurate, and how many times as long the next one
-    may be.
-    """
-    return error > 1, jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)
 
 
 # Regularised motion of one trajectory in adaptive steps, by diffrax.
@@ -261,8 +226,7 @@ class Tables(eqx.Module):
         """The segments that `key_data` choose; `sizes`: how many of each part (`table_sizes`)."""
         segment_laws, own = SegmentLaws.of(system, excitation), excitation.segment_key_data(key_data)
         tables = [SegmentTable.of(law, own, size, dtype) for law, size in zip(segment_laws.all, sizes, strict=True)]
-        ends = np.cumsum([len(segment_laws.base), len(segment_laws.ground), len(segment_laws.force)])
-        return cls(*(tuple(tables[begin:end]) for begin, end in zip([0, *ends], [*ends, None], strict=True)))
+        return cls(*segment_laws.parted(tables))
 
     @property
     def all(self) -> tuple[SegmentTable, ...]:
@@ -285,10 +249,7 @@ class Tables(eqx.Module):
     @property
     def end(self) -> FloatArray | float:
         """Earliest end of a part, s."""
-        earliest = jnp.inf
-        for table in self.all:
-            earliest = jnp.minimum(earliest, table.end)
-        return earliest
+        return reduce(jnp.minimum, (table.end for table in self.all), jnp.inf)
 
     @property
     def are_invalid(self) -> BoolArray:
@@ -308,21 +269,6 @@ class Tables(eqx.Module):
 def table_sizes(system: System, excitation: Excitation, t1: Any) -> tuple[int, ...]:
     """Number of segments of each part that suffices for nearly every realisation until `t1` (not traced)."""
     return tuple(law.segments(t1) for law in SegmentLaws.of(system, excitation).all)
-
-
-class Solver(NamedTuple):
-    """Options of diffrax: solver, adjoint, tolerances (absolute: one for each state), and the longest step (s)."""
-
-    solver: Any
-    adjoint: Any
-    rtol: Any
-    atol: Any
-    longest_step: Any
-
-    @classmethod
-    def of(cls, method: Regularized, longest_step: Scalar) -> "Solver":
-        """The options of `method`, which has every option filled in."""
-        return cls(method.solver, method.adjoint, method.rtol, method.atol, longest_step)
 
 
 class Solution(NamedTuple):
@@ -347,25 +293,48 @@ class Solution(NamedTuple):
         return jnp.maximum(self.steps, 1) + 1
 
 
+@cache
+def _every_stage_control() -> Any:
+    """The class of the control of steps, made when diffrax is first needed."""
+    clipped: Any = diffrax.ClipStepSizeController
+
+    class EveryStageControl(clipped):
+        """A control after whose steps the solver computes the first stage of the next one anew.
+
+        By itself it takes that stage from the step before, unless there was a jump in between, in any trajectory of the
+        batch: the two differ in the last digits of implicit solvers, and each sample would depend on its neighbours.
+        """
+
+        def adapt_step_size(self, *args: Any) -> Any:
+            keeps, t0, t1, _, state, result = super().adapt_step_size(*args)
+            return keeps, t0, t1, True, state, result
+
+    return EveryStageControl
+
+
 def solve_adaptive(
     field: AnyField,
     tables: Tables,
     t1: FloatArray,
     y0: tuple[Number, ...],
-    how: Solver,
+    method: Regularized,
+    longest_step: Scalar,
     max_steps: int,
 ) -> Solution:
-    """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, accepted or not."""
+    """Solve one trajectory up to `t1` or the end of the base motion, in at most `max_steps` steps, accepted or not.
+
+    `method`: with every option filled in. `longest_step`: s.
+    """
     dtype = t1.dtype
     zero = jnp.zeros((), dtype)
 
-    atol = jnp.broadcast_to(jnp.asarray(how.atol, dtype), (len(y0),))
+    atol = jnp.broadcast_to(jnp.asarray(method.atol, dtype), (len(y0),))
     start = jnp.stack([jnp.asarray(v, dtype) for v in y0])
     in_logarithms = None
     if isinstance(field, InnerField) and field.model.spans_decades and not tables.base_jumps:
         in_logarithms = field.model
         start = jnp.stack(in_logarithms.with_logarithm(in_logarithms.forcing(zero, tables.at(zero)), tuple(start)))
-        atol = atol.at[in_logarithms.speed].set(how.rtol)
+        atol = atol.at[in_logarithms.speed].set(method.rtol)
 
     def rates(t, y, _):
         forcing = field.model.forcing(t, tables.at(t))
@@ -373,13 +342,17 @@ def solve_adaptive(
             return jnp.stack(in_logarithms.rates_with_logarithm(forcing, tuple(y)))
         return jnp.stack(field.model.numbers(field.rates(forcing, zero, field.model.start(tuple(y), dtype))))
 
-    longest = jnp.asarray(how.longest_step, dtype)
-    control = step_control(how.rtol, atol, longest, tables.times, is_very_stiff=in_logarithms is not None)
+    jumps = tables.times
+    control = diffrax.PIDController(rtol=method.rtol, atol=atol, dtmax=jnp.asarray(longest_step, dtype))
+    # The first stage of a very stiff step, computed anew from the state, would be its round-off enlarged: without jumps
+    # no trajectory of a batch needs it.
+    if in_logarithms is None or jumps is not None:
+        control = _every_stage_control()(control, jump_ts=jumps)
     end = jnp.minimum(t1, tables.end)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rates), how.solver, zero, end, None, start,
+        diffrax.ODETerm(rates), method.solver, zero, end, None, start,
         saveat=diffrax.SaveAt(t0=True, steps=True), stepsize_controller=control, max_steps=max_steps,
-        adjoint=how.adjoint, throw=False,
+        adjoint=method.adjoint, throw=False,
     )  # fmt: skip
     t, y = jnp.asarray(solution.ts), jnp.asarray(solution.ys)
     if in_logarithms is not None:
@@ -474,15 +447,23 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             f"{checks.show(method)} was given: smoothed friction has no stick whose age is known."
         )
     inner = bool(system.memory.laws)
-    _check_width(method, inner)
+    if inner and (method.width is not None or method.step is not None):
+        raise ValueError(
+            "Argument method must be Regularized() without a width and a step for friction laws with an inner state, "
+            f"which are smooth by themselves and stiff, but {checks.show(method)} was given."
+        )
+    if not inner and method.width is None:
+        raise ValueError(
+            "Argument width must be positive (in m/s), but None was given; only friction laws with an inner state, "
+            "such as LuGre, need none."
+        )
     check_contacts(system, method)
     width = None if method.width is None else jnp.asarray(method.width, dtype)
     speed, deceleration, state_sizes = system.sizes(excitation)
     # Static friction above kinetic friction holds a mass up to one width.
-    known = width if system.static_exceeds_kinetic and not inner else speed
-    scales = {"threshold": known, "minimum_duration": deceleration}
-    for name, known in scales.items():
-        if getattr(method, name) is None and known is None:
+    slow = width if system.static_exceeds_kinetic and not inner else speed
+    for name, scale in (("threshold", slow), ("minimum_duration", deceleration)):
+        if getattr(method, name) is None and scale is None:
             own = "; or give it the properties speed_scale and shortest_time" if hasattr(system, "speed_scale") else ""
             raise ValueError(
                 f"Argument method must give the {name}, Regularized(..., {name}=...), because the velocities of a "
@@ -526,20 +507,6 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
     )
 
 
-def _check_width(method: Regularized, inner: bool) -> None:
-    """Check the width, and the step of laws with an inner state. Raises ValueError for what does not fit."""
-    if inner and (method.width is not None or method.step is not None):
-        raise ValueError(
-            "Argument method must be Regularized() without a width and a step for friction laws with an inner state, "
-            f"which are smooth by themselves and stiff, but {checks.show(method)} was given."
-        )
-    if not inner and method.width is None:
-        raise ValueError(
-            "Argument width must be positive (in m/s), but None was given; only friction laws with an inner state, "
-            "such as LuGre, need none."
-        )
-
-
 def check_contacts(system: System, method: Regularized) -> None:
     """Check what several contacts cannot have. Raises ValueError for it."""
     contacts = system.tracks.contacts
@@ -570,12 +537,11 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
     except NotKnown:
         shortest = smallest(method.step)
     found = system.time_scales(excitation, None)
-    if found.are_all and all(of.time is not None for of in found.scales.values()):
-        steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
-        return _TRIES * steps + _FEW if system.static_exceeds_kinetic else steps
-    shortest = accurate_step(system, excitation, shortest)
+    suits = found.are_all and all(of.time is not None for of in found.scales.values())
+    if not suits:
+        shortest = accurate_step(system, excitation, shortest)
     steps = math.ceil(horizon / shortest) + sum(table_sizes(system, excitation, horizon)) + 1
-    return _TRIES * steps + _FEW
+    return steps if suits and not system.static_exceeds_kinetic else _TRIES * steps + _FEW
 
 
 def numbers_as_arrays(tree: Any, dtype) -> Any:

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal
-from ..._excitation.segments import SegmentLaw, first_segment, segment_at
+from ..._excitation.segments import first_segment, segment_at
 from ..._foundation.types import AnyInteger, BoolArray, DType, FloatArray, Number, Scalar
 from ..._numerics.derivatives import NotKnown, largest, smallest, with_slopes
 from ..._systems.switched_model import Segments, State, SwitchedModel
@@ -29,7 +29,6 @@ from ..common.path import (
     of_track,
     padded_length,
     status_of_lane,
-    sticks_and_totals,
     stopping_scan,
 )
 from ..sticks import ALL, StickRecord, count_slips, no_stick
@@ -156,9 +155,20 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, 
     """
     laws = SegmentLaws.of(system, excitation).all
     try:
-        horizon, shortest = largest(t1), _shortest(system, excitation, step)
+        horizon, shortest = largest(t1), smallest(step)
     except NotKnown:
-        return _steps_by_length(laws, t1)
+        # By the number of segments alone, where there is a record.
+        if not any(law.is_record for law in laws):
+            raise
+        try:
+            segments = sum(law.segments(t1) for law in laws)
+        except ConcretizationTypeError:  # of a law whose segments are not a record's
+            raise NotKnown from None
+        return padded_length((_PER_SEGMENT + 2) * segments + _ROOM)
+    try:
+        shortest = min(shortest, smallest(system.time_scales(excitation, None).usual_step))
+    except NotKnown:
+        shortest /= _SPARE
     segments = sum(law.segments(horizon) for law in laws)
     steps = 1.5 * (horizon / shortest) + 2 * segments + _ROOM
     if steps > MOST_STEPS:
@@ -167,26 +177,6 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, 
             "segments of the motion."
         )
     return padded_length(math.ceil(steps))
-
-
-def _steps_by_length(laws: tuple[SegmentLaw, ...], t1: Scalar) -> int:
-    """The number of loop steps by the number of segments alone, where there is a record. Else raises NotKnown."""
-    if not any(law.is_record for law in laws):
-        raise NotKnown
-    try:
-        segments = sum(law.segments(t1) for law in laws)
-    except ConcretizationTypeError:  # of a law whose segments are not a record's
-        raise NotKnown from None
-    return padded_length((_PER_SEGMENT + 2) * segments + _ROOM)
-
-
-def _shortest(system: System, excitation: Excitation, step: Scalar) -> float:
-    """The length of most time steps, s."""
-    shortest = smallest(step)
-    try:
-        return min(shortest, smallest(system.time_scales(excitation, None).usual_step))
-    except NotKnown:
-        return shortest / _SPARE
 
 
 # Lanes of the switched engine: a step is a time step, accepted or rejected.
@@ -343,5 +333,4 @@ def run_of(system: System, excitation: Excitation, solver: Any, done: Trajectory
     lane = done.lane
     path = StepPath(system, excitation, solver, done.beginnings)
     state = system.switched_model(excitation.signal, solver).numbers(lane.y)
-    sticks, totals, of_all = sticks_and_totals(done.records, lane.totals, system)
-    return Run(sticks, totals, done.status, lane.t, state, lane.near_grazing_count, path, of_all)
+    return Run.of(system, done.records, lane.totals, done.status, lane.t, state, lane.near_grazing_count, path)

@@ -1,7 +1,7 @@
 """Exact switched motion of any system: time steps in which every event is located to machine precision."""
 
 import math
-from collections.abc import Iterable
+from functools import reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -114,8 +114,7 @@ def carried(
     """The length `tau` (s) of a step from `y` and the state `reached` in it, with their derivatives of every order.
 
     `left`: time from the beginning of the step to the end of the segment or the horizon, s. `before`: None for friction
-    without kinks. `tau` and `reached` are
-    taken as they are; their derivatives are those of what they were found to be.
+    without kinks. `tau` and `reached` are taken as they are; their derivatives are those of what they were found to be.
     """
     return tau, *reached
 
@@ -170,64 +169,33 @@ class Stop(NamedTuple):
     start_error: FloatScalar
 
 
-class _Mode(NamedTuple):
-    """The state with its mode, `sign` (0 in a stick). `at_rest`: whether an event found the contact at rest.
-
-    `margin`: the size of the stick guard (0 where friction just holds) where it was decided whether the mass sticks,
-    infinity elsewhere.
-    """
-
-    y: State
-    sign: FloatArray
-    at_rest: BoolArray
-    margin: FloatArray
-
-
 def switched(
     model: SwitchedModel, segment_laws: SegmentLaws, lane: Lane, stop: Stop, t1: FloatArray
 ) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
     """The lane after an event or at the end of a segment, in its mode, and the record of the stick that ended, if any.
 
-    Also returned: the margin by which friction held or did not (see `_Mode`), and whether a jump of the base or the
-    horizon ended the mode.
+    Also returned: of each contact the margin, the size of the stick guard (0 where friction just holds) where it was
+    decided whether the mass sticks, infinity elsewhere; and whether a jump of the base or the horizon ended the mode.
     """
     ended = stop.at_stop & (lane.t < t1)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, lane.t, ended)
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
-    may_jump = any(law.jumps for law in segment_laws.all)
-    mode = _mode_after(model, forcing, lane, stop, ended, jumped, may_jump=may_jump)
-    at_horizon = stop.at_stop & ~(lane.t < t1)
-    following, record = _with_mode(model, lane, mode, ended & jumped, at_horizon, stop.start_error)
-    return following._replace(segment_states=segment_states), record, mode.margin, at_horizon | jumped
-
-
-def _mode_after(
-    model: SwitchedModel,
-    forcing: object,
-    lane: Lane,
-    stop: Stop,
-    ended: BoolArray,
-    jumped: BoolArray,
-    *,
-    may_jump: bool,
-) -> _Mode:
-    """The mode from here on. `ended`: whether a segment ended here; `jumped`: whether the base velocity jumped."""
-    was_stick = lane.sign == 0
+    was_held = lane.sign == 0
     resting = model.at_rest(forcing, lane.y)
     sign, landed, changed = model.after(forcing, lane.y, lane.sign, stop.landed, ended)
     # The end of a segment. A slip goes on unless the base jumps; everything else is decided as at a start.
-    resolve = (ended & (was_stick | jumped)) | changed
+    resolve = (ended & (was_held | jumped)) | changed
     # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
-    goes_on = was_stick & ~jumped
-    asked, stays = landed | (resolve & (resting | goes_on)), jnp.zeros_like(was_stick)
+    goes_on = was_held & ~jumped
+    asked, stays = landed | (resolve & (resting | goes_on)), jnp.zeros_like(was_held)
     slips = model.slip_sign(forcing, lane.y)
     if model.coupled:
         # What slips from here on acts on the others at once.
         sign = jnp.where(resolve & ~(resting | goes_on), slips, sign)
         # Where one mode changes, the friction that other sticks need changes too.
-        stays = was_stick & any_of(landed | changed) & ~landed
+        stays = was_held & any_of(landed | changed) & ~landed
         asked, goes_on = asked | stays, goes_on | stays
-    released = landed & was_stick
+    released = landed & was_held
     holds, release_sign, guard, guard_rate = model.decided(
         forcing, lane.y, Question(sign, asked, released, goes_on & ~released)
     )
@@ -237,62 +205,48 @@ def _mode_after(
     holds = holds | (resting & not_below & is_not_below(-guard, guard_rate, lane.t) & (guard_rate >= 0))
     # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
     # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
-    turned = jnp.where(was_stick | (resting & ~stop.brief), release_sign, -sign)
-    sign = jnp.where(landed, jnp.where(~was_stick & holds, 0, turned), sign)
+    turned = jnp.where(was_held | (resting & ~stop.brief), release_sign, -sign)
+    sign = jnp.where(landed, jnp.where(~was_held & holds, 0, turned), sign)
     held_or_released = jnp.where(holds | (not_below & goes_on), 0, release_sign)
     resolved = jnp.where(resting | goes_on, held_or_released, slips)
     sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
     y = _snapped(model, forcing, lane.y, (resolve & (resting | goes_on)) | (landed & (sign == 0)), sign == 0)
     at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
-    decided = (landed & ~was_stick) | (ended & ((jumped & resting) | goes_on)) | stays
+    decided = (landed & ~was_held) | (ended & ((jumped & resting) | goes_on)) | stays
     margin = jnp.where(decided, jnp.abs(guard), jnp.inf)
-    if may_jump:
+    if any(law.jumps for law in segment_laws.all):
         # Right after a jump, a velocity that is zero but for round-off may be on either side of it, or at rest.
         nearly = NEAR_GRAZING[lane.t.dtype.itemsize] / (NOISE_ULPS * float(jnp.finfo(lane.t.dtype).eps))
-        near_rest = ended & jumped & ~was_stick & holds & model.at_rest(forcing, lane.y, nearly)
+        near_rest = ended & jumped & ~was_held & holds & model.at_rest(forcing, lane.y, nearly)
         margin = jnp.where(near_rest, 0, margin)
-    return _Mode(y, sign, at_rest, margin)
 
-
-def _with_mode(
-    model: SwitchedModel, lane: Lane, mode: _Mode, jumped: BoolArray, at_horizon: BoolArray, start_error: FloatScalar
-) -> tuple[Lane, StickRecord]:
-    """The lane in its `mode`, its sticks counted, and the record of the stick that ended, if any."""
-    was_stick, sticks, position = model.stuck(lane.sign), model.stuck(mode.sign), model.stick_position(mode.y)
+    # The lane in this mode: its sticks counted, and the record of the stick that ended, if any.
+    at_horizon = stop.at_stop & ~(lane.t < t1)
+    was_stick, sticks, position = model.stuck(lane.sign), model.stuck(sign), model.stick_position(y)
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + lane.start_error)
     now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
     stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)
     quantities, remembered = measured(lane.remembered, over, stick)
-    ending = ending_of(over, ~at_horizon & ~jumped, at_horizon)
+    ending = ending_of(over, ~at_horizon & ~(ended & jumped), at_horizon)
     record = StickRecord(stick.start, stick.end, stick.position, quantities, ending)
     begins = ~was_stick & sticks
     # A stick that starts on the edge of the band, or on the end of a segment, ends at once: of no length, it is none.
     no_stick = was_stick & ~sticks & ~over
     undecided = any_of(no_stick & (lane.t > lane.stick_start))
     following = lane._replace(
-        y=mode.y,
-        sign=mode.sign,
+        y=y,
+        sign=sign,
         totals=with_stick(lane.totals, over, at_horizon, lane.t - lane.stick_start),
-        event=jnp.where(mode.at_rest, lax.stop_gradient(lane.t), lane.event),
+        event=jnp.where(at_rest, lax.stop_gradient(lane.t), lane.event),
         at_start=lane.at_start & ~no_stick,
         near_grazing_count=lane.near_grazing_count + undecided,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
-        start_error=jnp.where(begins, lax.stop_gradient(start_error), lane.start_error),
+        start_error=jnp.where(begins, lax.stop_gradient(stop.start_error), lane.start_error),
         stick_position=jnp.where(begins, position, lane.stick_position),
         remembered=remembered,
+        segment_states=segment_states,
     )
-    return following, record
-
-
-def mode_at_start(model: SwitchedModel, forcing: object, y: State) -> tuple[State, FloatArray, FloatArray]:
-    """The state, the sign of the mode and the margin (see `_Mode`) of a trajectory that begins in the state `y`."""
-    resting = model.at_rest(forcing, y)
-    slips = model.slip_sign(forcing, y)
-    never = jnp.zeros_like(resting)
-    holds, release_sign, guard, _ = model.decided(forcing, y, Question(slips, resting, never, never))
-    sign = jnp.where(resting, jnp.where(holds, 0, release_sign), slips)
-    margin = jnp.where(resting, jnp.abs(guard), jnp.inf)
-    return _snapped(model, forcing, y, resting, resting & holds), sign, margin
+    return following, record, margin, at_horizon | jumped
 
 
 def _snapped(model: SwitchedModel, forcing: object, y: State, resting: BoolArray, sticks: BoolArray) -> State:
@@ -362,7 +316,12 @@ def start_lane(
     forcing = model.forcing(t0, segment_laws.segments(segment_states))
     y = model.start(y0, dtype)
     y = y if resting is None else model.at_base_velocity(forcing, y, resting)
-    y, sign, margin = mode_at_start(model, forcing, y)
+    at_rest, slips = model.at_rest(forcing, y), model.slip_sign(forcing, y)
+    never = jnp.zeros_like(at_rest)
+    holds, release_sign, guard, _ = model.decided(forcing, y, Question(slips, at_rest, never, never))
+    sign = jnp.where(at_rest, jnp.where(holds, 0, release_sign), slips)
+    margin = jnp.where(at_rest, jnp.abs(guard), jnp.inf)
+    y = _snapped(model, forcing, y, at_rest, at_rest & holds)
     sticks, position = model.stuck(sign), model.stick_position(y)
     return Lane(
         t0,
@@ -390,53 +349,88 @@ def advance(
 ) -> tuple[Lane, StickRecord]:
     """One loop step; returns the lane after it and the record of the stick that ended in it, if any."""
     before, given = lane, (model, model.forcing(lane.t, segment_laws.segments(lane.segment_states)), lane.y)
-    stop = jnp.minimum(t1, _first(segment_state.segment.end for segment_state in lane.segment_states))
+    stop = jnp.minimum(t1, reduce(jnp.minimum, (state.segment.end for state in lane.segment_states), jnp.inf))
     left = time_left = stop - lane.t
     # No derivative passes through the search for the end of the step: `carried` knows what it depends on.
     (model, forcing, _), left, step, lane = without_derivatives((given, left, step, lane))
     to_stop = lane.t + lane.target >= stop  # not target >= left: the sum may be rounded up to stop
     target = jnp.where(lane.tries == 0, to_digits(lane.t, lane.target), lane.target)  # not in a search
-    trial = _tried(model, forcing, lane, jnp.where(to_stop, left, target))
-    verdict = _judged(trial, lane, left, step)
-    at_event, at_stop = verdict.landed & ~verdict.at_once, verdict.taken & to_stop
-    tie, tie_if_abrupt = _close_calls(trial, verdict, lane, step, verdict.ends & at_event, at_stop)
+    trial = _tried(model, forcing, lane, jnp.where(to_stop, left, target), left, step)
+    h, again, scale, itemsize = trial.h, trial.again, trial.scale, step.dtype.itemsize
+    at_event, at_stop = trial.landed & ~trial.at_once, trial.taken & to_stop
+    ends = trial.ends & at_event
+    tie, tie_if_abrupt = _close_calls(trial, lane, step, ends, at_stop)
 
     # The step ends where it began, on the event (one Newton step from its end), or at its end.
-    stays, delta = verdict.again | verdict.at_once, jnp.where(at_event, verdict.to_event, 0)
-    tau = jnp.where(stays, 0, trial.h + delta)
-    rates = model.rates(forcing, trial.h, trial.reached, lane.sign)
+    stays, delta = again | trial.at_once, jnp.where(at_event, trial.to_event, 0)
+    tau = jnp.where(stays, 0, h + delta)
+    rates = model.rates(forcing, h, trial.reached, lane.sign)
     y = chosen_state(
         stays, lane.y, tuple(value + delta * rate for value, rate in zip(trial.reached, rates, strict=True))
     )
     model, lane = given[0], before
     idle = (lane.sign != 0) & (trial.s0 == 0) & (trial.d0 == 0) & (trial.s1 == 0) & (trial.d1 == 0)
-    ends_by = HowItEnds(~stays, _only_first(verdict.ends & at_event), at_stop, idle)
-    just_before = _just_before(trial, verdict.ends & at_event, step, rates) if model.has_kinks else None
-    tau, *y = carried(*given, time_left, lane.sign, ends_by, just_before, tau, y)
+    # Events that coincide end a step at the same time: its derivatives are those of the first.
+    first = ends if ends.ndim == 0 else ends & (jnp.cumsum(ends) == 1)
+    just_before = None
+    if model.has_kinks:
+        # So long before the event its guard is above its round-off; at a grazing event, which ensembles count, not
+        # longer than the event is exact to. The rates of a step that is tried again may be infinite.
+        falls = ends & (trial.d1 < 0)
+        time = jnp.where(falls, trial.noise, 0) / jnp.where(falls, -trial.d1, 1)
+        time = jnp.minimum(largest_of(time), _LANDED[itemsize] * step)
+        just_before = Before(time, tuple(jnp.where(any_of(ends), time * rate, 0) for rate in rates))
+    tau, *y = carried(*given, time_left, lane.sign, HowItEnds(~stays, first, at_stop, idle), just_before, tau, y)
     # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
     t = jnp.where(at_stop, stop, lane.t + tau)
 
+    # By how much round-off may have moved the instant at which slips ended, s: a stick that is shorter has no length.
+    # That of the velocity over the deceleration. Where the velocity is tangent to that of the base it is the square
+    # root: 32 steps are about a period, 5 the time in which a motion changes by its own size.
+    few = NOISE_ULPS * float(jnp.finfo(step.dtype).eps)
+    slope = jnp.abs(jnp.where(trial.at_once, trial.d0, trial.d1))
+    tangent = math.sqrt(few) / (5 * step) * scale  # the slope of a tangent where round-off ends it
+    error = few * scale / (slope + tangent + float(jnp.finfo(step.dtype).tiny))
+    start_error = trial.clock + largest_of(jnp.where(trial.ends, error, 0))
+
     live = ~(lane.t >= t1) & ~is_spent(lane) & ~any_of(jnp.isnan(lane.y[0]))
-    moved = lane._replace(
-        t=t,
-        y=_known(tuple(y), trial.s1 + trial.noise, verdict.again),
-        tries=jnp.where(verdict.again, lane.tries + 1, 0),
-        steps=lane.steps + 1,
-    )
+    # NaN (`NOT_FINITE`) after a step whose guard is NaN: it would never fall, whatever happens.
+    y[0] = jnp.where(any_of(jnp.isnan(trial.s1 + trial.noise)) & ~again, jnp.nan, y[0])
+    moved = lane._replace(t=t, y=tuple(y), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1)
     # A slip that only round-off makes: it would end where it began, and neither reverses friction nor counts.
-    brief = (verdict.ends & verdict.at_once) | (t - lane.event <= _LANDED[t.dtype.itemsize] * step + trial.clock)
-    ends = Stop(verdict.ends, brief, live & at_stop, _start_error(trial, verdict, step))
-    following, record, margin, abrupt = switched(model, segment_laws, moved, ends, t1)
+    brief = (trial.ends & trial.at_once) | (t - lane.event <= _LANDED[itemsize] * step + trial.clock)
+    ended = Stop(trial.ends, brief, live & at_stop, start_error)
+    following, record, margin, abrupt = switched(model, segment_laws, moved, ended, t1)
     vanished = brief & (lane.sign != 0) & (following.sign == 0)
     near_grazing = tie | (tie_if_abrupt & abrupt) | is_tie(margin) | vanished
-    following = following._replace(near_grazing_count=following.near_grazing_count + sum_of(near_grazing))
-    following = _with_target(following, model, trial, verdict, lane, step)
+
+    # The longest step that the errors so far allow (order of the solvers: 8 or less), and the next one to try.
+    by_error = lane.accurate_step
+    if trial.error is not None:
+        allowed = _ERROR[itemsize] / jnp.maximum(trial.error, _LEAST_ERROR)
+        change = jnp.clip(0.9 * jnp.sqrt(jnp.sqrt(jnp.sqrt(allowed))), 0.1, 5)
+        # Only a step as long as allowed, but for digits, says that a longer one would do: others ended at events.
+        longer = jnp.where(trial.taken & (h + trial.clock >= 0.999 * by_error), by_error * change, by_error)
+        by_error = jnp.where(trial.inaccurate, h * jnp.minimum(change, 0.8), longer)
+    longest = model.step_limit(following.t - following.event, step, following.y, following.sign)
+    target = jnp.where(again & ~trial.inaccurate, trial.guess * h, jnp.minimum(longest, by_error))
+    following = following._replace(
+        near_grazing_count=following.near_grazing_count + sum_of(near_grazing),
+        target=lax.stop_gradient(target),
+        accurate_step=lax.stop_gradient(by_error),
+    )
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), following, lane)
     return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
 
 
 class _Trial(NamedTuple):
-    """A step of length `h` (s) as it was tried: the state it `reached`, and how the guard behaved in it."""
+    """A step of length `h` (s) as it was tried: the state it `reached`, how the guard behaved in it, and what becomes
+    of it: it is `taken`, or ends in an event (`landed`), or is tried `again`.
+
+    - `ends`: of each contact, whether its mode ends there. `at_once`: the event was at the beginning of the step.
+    - `to_event`: from the end of the step to the event, s; negative if it lies before.
+    - `inaccurate`: again, for its error. `guess`: else the length to try, as a fraction of the step.
+    """
 
     h: FloatArray
     reached: State
@@ -445,32 +439,10 @@ class _Trial(NamedTuple):
     d0: FloatArray
     s1: FloatArray  # and after it
     d1: FloatArray
+    lowest: FloatArray  # the minimum inside of each contact's guard; infinity: none
     scale: FloatArray  # of the guard
     clock: FloatArray  # round-off of the time, s
     noise: FloatArray  # round-off of the guard
-
-
-def _tried(model: SwitchedModel, forcing: object, lane: Lane, h: FloatArray) -> _Trial:
-    y1, error = model.flow_and_error(forcing, lane.y, h, lane.sign)
-    s0, d0 = model.guard(forcing, jnp.zeros_like(h), lane.y, lane.sign)
-    s1, d1 = model.guard(forcing, h, y1, lane.sign)
-    scale = model.guard_scale(forcing, y1, lane.sign)
-    # Round-off of the guard itself, and of the time at which it is evaluated.
-    eps = jnp.finfo(h.dtype).eps
-    clock = CLOCK_ULPS * eps * (lane.t + h)
-    noise = NOISE_ULPS * eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
-    return _Trial(h, y1, error, s0, d0, s1, d1, scale, clock, noise)
-
-
-class _Verdict(NamedTuple):
-    """What becomes of a step that was tried: it is `taken`, or ends in an event (`landed`), or is tried `again`.
-
-    - `ends`: of each contact, whether its mode ends there. `at_once`: the event was at the beginning of the step.
-    - `to_event`: from the end of the step to the event, s; negative if it lies before.
-    - `inaccurate`: again, for its error. `guess`: else the length to try, as a fraction of the step.
-    - `lowest`: the minimum inside of each contact's guard (infinity: none).
-    """
-
     taken: BoolScalar
     landed: BoolScalar
     again: BoolScalar
@@ -479,12 +451,19 @@ class _Verdict(NamedTuple):
     inaccurate: BoolScalar
     to_event: FloatScalar
     guess: FloatScalar
-    lowest: FloatArray
 
 
-def _judged(trial: _Trial, lane: Lane, left: FloatArray, step: FloatArray) -> _Verdict:
-    h, _, error, s0, d0, s1, d1, _, clock, noise = trial
-    itemsize = h.dtype.itemsize
+def _tried(
+    model: SwitchedModel, forcing: object, lane: Lane, h: FloatArray, left: FloatArray, step: FloatArray
+) -> _Trial:
+    reached, error = model.flow_and_error(forcing, lane.y, h, lane.sign)
+    s0, d0 = model.guard(forcing, jnp.zeros_like(h), lane.y, lane.sign)
+    s1, d1 = model.guard(forcing, h, reached, lane.sign)
+    scale = model.guard_scale(forcing, reached, lane.sign)
+    # Round-off of the guard itself, and of the time at which it is evaluated.
+    eps, itemsize = jnp.finfo(h.dtype).eps, h.dtype.itemsize
+    clock = CLOCK_ULPS * eps * (lane.t + h)
+    noise = NOISE_ULPS * eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
     look = look_ahead(s0, d0 * h, s1, d1 * h, noise)
     # One Newton step from the end. It is exact enough if the end is as near to the event as this.
     to_event = jnp.where(d1 < 0, -s1 / jnp.where(d1 < 0, d1, -1), jnp.inf)
@@ -507,48 +486,24 @@ def _judged(trial: _Trial, lane: Lane, left: FloatArray, step: FloatArray) -> _V
     # Up to the event that is expected; by halves where the expectations failed, down to round-off.
     guess = jnp.where(lane.tries > _MANY_TRIES, 0.5, jnp.where(hidden, _SHORTER, look.where))
     if ends.ndim:
-        ends, again, to_event, guess = _earliest(ends, again, at_once, to_event, guess, clock)
-        at_once = any_of(at_once)
+        # The earliest event of several contacts ends the step; the other modes go on. What was over when the step began
+        # comes first, then what falls inside, then what ends near the end of the step.
+        now, inside = jnp.any(at_once), jnp.any(again)
+        ends = jnp.where(now, at_once, ends & ~inside)
+        first = jnp.min(jnp.where(ends, to_event, jnp.inf))
+        ends = jnp.where(now, ends, ends & (to_event <= first + clock))
+        guess = jnp.min(jnp.where(again, guess, jnp.inf))
+        again, to_event, at_once = inside & ~now, first, any_of(at_once)
     landed = any_of(ends)
     # The error counts only if the step is not tried again anyway: it may be large because the step passes the event.
     inaccurate = jnp.zeros((), bool) if error is None else ~again & (error > _ERROR[itemsize])
     landed, again = landed & ~inaccurate, again | inaccurate
-    return _Verdict(~landed & ~again, landed, again, ends & landed, at_once, inaccurate, to_event, guess, look.lowest)
-
-
-def _earliest(
-    ends: BoolArray, again: BoolArray, at_once: BoolArray, to_event: FloatArray, guess: FloatArray, clock: FloatArray
-) -> tuple[BoolArray, BoolScalar, FloatScalar, FloatScalar]:
-    """Of several contacts: which modes end in the step, whether it is tried again, the time from its end to the event,
-    and the length to try, as a fraction of it. The earliest event ends the step; the other modes go on.
-    """
-    # What was over when the step began comes first, then what falls inside, then what ends near the end of the step.
-    now, inside = jnp.any(at_once), jnp.any(again)
-    ends = jnp.where(now, at_once, ends & ~inside)
-    first = jnp.min(jnp.where(ends, to_event, jnp.inf))
-    ends = jnp.where(now, ends, ends & (to_event <= first + clock))
-    return ends, inside & ~now, first, jnp.min(jnp.where(again, guess, jnp.inf))
-
-
-def _just_before(trial: _Trial, at_event: BoolArray, step: FloatArray, rates: State) -> Before:
-    """How long before an event its guard is above its round-off, and how the state changes at these rates in that time.
-
-    At a grazing event, which ensembles count, not longer than the event is exact to.
-    """
-    falls = at_event & (trial.d1 < 0)
-    time = jnp.where(falls, trial.noise, 0) / jnp.where(falls, -trial.d1, 1)
-    time = jnp.minimum(largest_of(time), _LANDED[step.dtype.itemsize] * step)
-    # The rates of a step that is tried again may be infinite.
-    return Before(time, tuple(jnp.where(any_of(at_event), time * rate, 0) for rate in rates))
-
-
-def _known(y: State, guard: FloatArray, again: BoolArray) -> State:
-    """The state `y`, NaN (`NOT_FINITE`) after a step whose `guard` is NaN: it would never fall, whatever happens."""
-    return jnp.where(any_of(jnp.isnan(guard)) & ~again, jnp.nan, y[0]), *y[1:]
+    behaved = h, reached, error, s0, d0, s1, d1, look.lowest, scale, clock, noise
+    return _Trial(*behaved, ~landed & ~again, landed, again, ends & landed, at_once, inaccurate, to_event, guess)
 
 
 def _close_calls(
-    trial: _Trial, verdict: _Verdict, lane: Lane, step: FloatArray, at_event: BoolArray, at_stop: BoolArray
+    trial: _Trial, lane: Lane, step: FloatArray, at_event: BoolArray, at_stop: BoolArray
 ) -> tuple[BoolArray, BoolArray]:
     """Whether round-off decided if there was an event, and whether it did if the mode ended abruptly at the stop."""
     few = NEAR_GRAZING[step.dtype.itemsize]
@@ -557,58 +512,9 @@ def _close_calls(
     # no event, or one. (In a slip that has just begun at rest the guard is still small, and this says nothing.)
     flat = jnp.abs(trial.d1) * step < math.sqrt(2 * few) * trial.scale
     flat = flat & ((lane.sign == 0) | (age > step))
-    inside = verdict.lowest < few * trial.scale
-    inside = inside & (verdict.lowest > -trial.noise) & (trial.s0 > trial.noise)
-    tie = (verdict.taken & (inside | (flat & (trial.s1 < few * trial.scale)))) | (at_event & flat)
+    inside = trial.lowest < few * trial.scale
+    inside = inside & (trial.lowest > -trial.noise) & (trial.s0 > trial.noise)
+    tie = (trial.taken & (inside | (flat & (trial.s1 < few * trial.scale)))) | (at_event & flat)
     # An event that was imminent, or had only just happened.
     due = (trial.d1 < 0) & (trial.s1 < -few * step * trial.d1)
     return tie, at_stop & (due | (age < few * step))
-
-
-def _start_error(trial: _Trial, verdict: _Verdict, step: FloatArray) -> FloatScalar:
-    """By how much round-off may have moved the instant at which slips ended, s; a stick that is shorter has no length.
-
-    That of the velocity over the deceleration. Where the velocity is tangent to that of the base it is the square root:
-    32 steps are about a period, 5 the time in which a motion changes by its own size.
-    """
-    few = NOISE_ULPS * float(jnp.finfo(step.dtype).eps)
-    slope = jnp.abs(jnp.where(verdict.at_once, trial.d0, trial.d1))
-    tangent = math.sqrt(few) / (5 * step) * trial.scale  # the slope of a tangent where round-off ends it
-    error = few * trial.scale / (slope + tangent + float(jnp.finfo(step.dtype).tiny))
-    return trial.clock + largest_of(jnp.where(verdict.ends, error, 0))
-
-
-def _with_target(
-    following: Lane, model: SwitchedModel, trial: _Trial, verdict: _Verdict, lane: Lane, step: FloatArray
-) -> Lane:
-    """The `following` lane with the length of the next step to try; `lane`: as it was before this one."""
-    by_error = lane.accurate_step
-    if trial.error is not None:
-        by_error = _accurate_step(by_error, trial, verdict)
-    longest = model.step_limit(following.t - following.event, step, following.y, following.sign)
-    longest = jnp.minimum(longest, by_error)
-    target = jnp.where(verdict.again & ~verdict.inaccurate, verdict.guess * trial.h, longest)
-    return following._replace(target=lax.stop_gradient(target), accurate_step=lax.stop_gradient(by_error))
-
-
-def _accurate_step(longest: FloatArray, trial: _Trial, verdict: _Verdict) -> FloatArray:
-    """The longest step allowed from here on, by the error of the step tried (order of the solvers: 8 or less)."""
-    h, error = trial.h, trial.error
-    assert error is not None
-    allowed = _ERROR[h.dtype.itemsize] / jnp.maximum(error, _LEAST_ERROR)
-    change = jnp.clip(0.9 * jnp.sqrt(jnp.sqrt(jnp.sqrt(allowed))), 0.1, 5)
-    # Only a step as long as allowed, but for digits, says that a longer one would do: others ended at events.
-    longer = jnp.where(verdict.taken & (h + trial.clock >= 0.999 * longest), longest * change, longest)
-    return jnp.where(verdict.inaccurate, h * jnp.minimum(change, 0.8), longer)
-
-
-def _first(times: Iterable[FloatArray]) -> FloatArray | float:
-    earliest = jnp.inf
-    for time in times:
-        earliest = jnp.minimum(earliest, time)
-    return earliest
-
-
-def _only_first(of_each: BoolArray) -> BoolArray:
-    """The first of the contacts of which it is true: events that coincide end a step at the same time."""
-    return of_each if of_each.ndim == 0 else of_each & (jnp.cumsum(of_each) == 1)
