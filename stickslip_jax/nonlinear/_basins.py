@@ -1,10 +1,10 @@
 """Basins of attraction: which starts end on which attractor."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.stats import binomtest
@@ -16,8 +16,8 @@ from .._foundation import checks
 from .._foundation.extras import Entries, flags, variable
 from .._foundation.types import Scalar, Status
 from .._systems.system import System, checked_system
-from ._cases import Cases, cases_of
-from ._following import START, Folder, dataset_of, follow, kept_in, names_of, warn_of_none, warn_of_unfinished
+from ._cases import Cases, Turns, cases_of
+from ._following import START, Folder, dataset_of, follow, kept_in, warn_of_unfinished, within_turn
 from ._settling import RECURS, checked_periods, settled
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def matched(
     recurrences: np.ndarray,
     stuck: np.ndarray,
     points_of: Callable[[int], np.ndarray],
-    periods: tuple[float | None, ...],
+    periods: Turns,
     tolerance: float,
     most: int,
 ) -> tuple[np.ndarray, list[Attractor]]:
@@ -86,10 +86,13 @@ def matched(
         labels[open_[same]] = len(attractors)
         attractors.append(Attractor(points, int(recurrences[first]), False))
         open_ = open_[~same]
-    return _by_size(labels, attractors)
+    # The attractors that most cases end on first.
+    order = np.argsort(-np.bincount(labels[labels >= 0], minlength=len(attractors)), kind="stable")
+    new = np.append(np.argsort(order), -1)
+    return new[labels], [attractors[number] for number in order]
 
 
-def _turned(states: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
+def _turned(states: np.ndarray, periods: Turns) -> np.ndarray:
     """The states with a sine and a cosine in place of each coordinate that turns: what is near is near there."""
     columns = []
     for number, period in enumerate(periods):
@@ -101,7 +104,7 @@ def _turned(states: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray
     return np.stack(columns, axis=-1)
 
 
-def _scale(turned: np.ndarray, sizes: np.ndarray, periods: tuple[float | None, ...]) -> np.ndarray:
+def _scale(turned: np.ndarray, sizes: np.ndarray, periods: Turns) -> np.ndarray:
     """The range of each column of states (cases, returns, columns), or a thousandth of its median size, `sizes` (cases,
     coordinates), where that is larger: differences of round-off do not count; 1 for sines, cosines, and zeros.
 
@@ -116,14 +119,6 @@ def _scale(turned: np.ndarray, sizes: np.ndarray, periods: tuple[float | None, .
     ranges = np.where(inner > least, inner, np.maximum(whole, least))
     turns = np.repeat([period is not None for period in periods], number_of_columns)
     return np.where((ranges > 0) & ~turns, ranges, 1)
-
-
-def _by_size(labels: np.ndarray, attractors: list[Attractor]) -> tuple[np.ndarray, list[Attractor]]:
-    """The same, the attractors that most cases end on first."""
-    counts = np.bincount(labels[labels >= 0], minlength=len(attractors))
-    order = np.argsort(-counts, kind="stable")
-    new = np.append(np.argsort(order), -1)
-    return new[labels], [attractors[number] for number in order]
 
 
 def dense(curve: np.ndarray, tolerance: float) -> np.ndarray:
@@ -210,23 +205,67 @@ def basins(
     cases = cases_of(system, base, starts, None, period, method)
     with kept_in(folder, cases, {"function": "basins", "transient": transient, "kept": kept}) as stored:
         seen = follow(cases, transient, kept, progress, stored)
-        seen, found, _ = settled(cases, seen, lasted, RECURS, progress, stored, stacklevel=3)
-    warn_of_unfinished(seen.status, stacklevel=3)
-    states = np.asarray(seen.states)
-    periods = tuple(coordinate.period for coordinate in cases.system.coordinates)
-    times = np.asarray(seen.sticks.time).reshape(len(states), kept, -1)
+        seen, found, _ = settled(cases, seen, lasted, RECURS, progress, stored)
+    warn_of_unfinished(seen)
+    states, finished = np.asarray(seen.states), seen.status == int(Status.FINISHED)
+    times = seen.stick_time.reshape(len(states), kept, -1)
     lasting = np.asarray(cases.cycle.duration)[:, None, None]
     stuck = np.all(times >= lasting * (1 - 1e-9), axis=(1, 2))
 
     def points_of(case: int) -> np.ndarray:
         if not cases.driven:
             return _curve(cases, states[case, 0], kept, tolerance)
-        return states[case] if found[case] else _region(cases, case, states[case, -1])
+        if found[case]:
+            return states[case]
+        # Many returns of an irregular motion: the region in which it stays.
+        own = cases.of(np.array([case]), states[case, None, -1])
+        return np.asarray(follow(own, 0, _IRREGULAR, progress=False).states)[0]
 
-    labels, attractors = matched(states, np.asarray(seen.sizes), found, stuck, points_of, periods, tolerance, most)
-    none = int(np.sum((labels < 0) & (seen.status == int(Status.FINISHED))))
-    warn_of_none(none, len(labels), most, stacklevel=3)
-    return _labeled(cases, grid, labels, attractors, np.asarray(seen.status), level)
+    sizes = np.asarray(seen.sizes)
+    labels, attractors = matched(states, sizes, found, stuck, points_of, cases.turns, tolerance, most)
+    none = np.sum((labels < 0) & finished)
+    if none:
+        warnings.warn(
+            f"{none} of {len(labels)} starts belong to none of the {most} attractors that were looked for: basin is 0 "
+            "there. Their motions may need a longer transient, or a larger tolerance or most.",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+    dims = (START,) if grid is None else tuple(name.replace(" ", "_") for name in grid)
+    shape = (len(labels),) if grid is None else tuple(map(len, grid.values()))
+    status = seen.status.astype(np.int8).reshape(shape)
+    number = int(np.sum(finished))
+    counts = np.bincount(labels[labels >= 0], minlength=len(attractors))
+    intervals = [binomtest(int(count), number).proportion_ci(level, "wilson") for count in counts]
+    low, high = ([float(getattr(one, name)) for one in intervals] for name in ("low", "high"))
+    recurrences, at_rest = ([getattr(one, name) for one in attractors] for name in ("recurrence", "is_stuck"))
+    variables: Entries = {
+        "basin": variable(dims, (labels + 1).reshape(shape), "number of the attractor", "1"),
+        "status": variable(dims, status, "whether the start was followed to the end", **flags(Status)),
+        "share": variable(ATTRACTOR, counts / max(number, 1), "share of the starts that end on the attractor"),
+        "share_low": variable(ATTRACTOR, low, f"lower end of the interval of confidence {level:g} of the share"),
+        "share_high": variable(ATTRACTOR, high, f"upper end of the interval of confidence {level:g} of the share"),
+        "recurrence": variable(ATTRACTOR, recurrences, "number of periods after which it repeats itself"),
+        "is_stuck": variable(ATTRACTOR, at_rest, "whether its motions stick all the time"),
+    }
+    longest = min(max((len(one.points) for one in attractors), default=0), _SHOWN)
+    for place, coordinate in enumerate(cases.system.coordinates):
+        shown = np.full((len(attractors), longest), np.nan)
+        for row, one in zip(shown, attractors, strict=True):
+            points = one.points[:: max(1, -(-len(one.points) // longest)), place]
+            row[: len(points)] = within_turn(points, coordinate.period)
+        label = f"{coordinate.name} of the attractor"
+        variables[f"attractor_{coordinate.variable}"] = variable((ATTRACTOR, POINT), shown, label, coordinate.unit)
+    coordinates: Entries = {
+        ATTRACTOR: (ATTRACTOR, np.arange(1, len(attractors) + 1), {"long_name": "number of the attractor"})
+    }
+    units = {coordinate.name: coordinate.unit for coordinate in cases.system.coordinates}
+    for name, values in (grid or {}).items():
+        column = name.replace(" ", "_")
+        coordinates[column] = variable(column, values, f"initial {name}", units[name])
+    # A grid has its own dimensions in place of that of the starts.
+    return dataset_of(cases if grid is None else cases._replace(shape=()), variables, coordinates)
 
 
 def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.ndarray]:
@@ -252,68 +291,12 @@ def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.n
     return grid, np.stack([mesh.get(name, zeros).reshape(-1) for name in names], axis=1)
 
 
-def _region(cases: Cases, case: int, state: np.ndarray) -> np.ndarray:
-    """Many returns of an irregular motion from one `state` on: the region in which it stays."""
-    own = jax.tree.map(lambda leaf: leaf[case : case + 1] if eqx.is_array(leaf) else leaf, cases.cycle)
-    seen = follow(cases._replace(cycle=own, starts=state[None], shape=()), 0, _IRREGULAR, progress=False)
-    return np.asarray(seen.states)[0]
-
-
 def _curve(cases: Cases, state: np.ndarray, kept: int, tolerance: float) -> np.ndarray:
     """The motion from one `state` on, over as long as was kept, with neighbours nearer than the tolerance."""
-    cycle = cases.cycle
-    t1 = kept * float(np.asarray(cycle.duration)[0])
-    setting = cases.setter.setting
+    t1, setting = kept * float(np.asarray(cases.cycle.duration)[0]), cases.setter.setting
     one = simulate(cases.system, setting.law, t1=t1, y0=tuple(map(float, state)), method=setting.method)
     times = np.unique(np.concatenate([np.linspace(0, t1, _SEEN), np.asarray(one.step_starts)]))
     # Compiled, since a batch of instants is evaluated for each attractor.
     columns = eqx.filter_jit(lambda one, times: one.evaluate(times))(one, np.resize(times, max(len(times), _SEEN)))
     curve = np.stack([np.asarray(column)[: len(times)] for column in columns], axis=1)
     return dense(curve, tolerance)
-
-
-def _labeled(
-    cases: Cases,
-    grid: dict[str, np.ndarray] | None,
-    labels: np.ndarray,
-    attractors: list[Attractor],
-    status: np.ndarray,
-    level: float,
-) -> "xarray.Dataset":
-    dims = (START,) if grid is None else tuple(name.replace(" ", "_") for name in grid)
-    shape = (len(labels),) if grid is None else tuple(map(len, grid.values()))
-    finished = int(np.sum(status == int(Status.FINISHED)))
-    counts = np.bincount(labels[labels >= 0], minlength=len(attractors))
-    intervals = [binomtest(int(count), finished).proportion_ci(level, "wilson") for count in counts]
-    low, high = ([float(getattr(one, name)) for one in intervals] for name in ("low", "high"))
-    variables: Entries = {
-        "basin": variable(dims, (labels + 1).reshape(shape), "number of the attractor", "1"),
-        "status": variable(
-            dims, status.astype(np.int8).reshape(shape), "whether the start was followed to the end", **flags(Status)
-        ),
-        "share": variable(ATTRACTOR, counts / max(finished, 1), "share of the starts that end on the attractor"),
-        "share_low": variable(ATTRACTOR, low, f"lower end of the interval of confidence {level:g} of the share"),
-        "share_high": variable(ATTRACTOR, high, f"upper end of the interval of confidence {level:g} of the share"),
-        "recurrence": variable(
-            ATTRACTOR, [one.recurrence for one in attractors], "number of periods after which it repeats itself"
-        ),
-        "is_stuck": variable(ATTRACTOR, [one.is_stuck for one in attractors], "whether its motions stick all the time"),
-    }
-    longest = min(max((len(one.points) for one in attractors), default=0), _SHOWN)
-    for number, (name, coordinate) in enumerate(zip(names_of(cases), cases.system.coordinates, strict=True)):
-        shown = np.full((len(attractors), longest), np.nan)
-        for row, one in zip(shown, attractors, strict=True):
-            every = max(1, -(-len(one.points) // longest))
-            points = one.points[::every, number]
-            row[: len(points)] = points if coordinate.period is None else np.mod(points, coordinate.period)
-        label = f"{coordinate.name} of the attractor"
-        variables[f"attractor_{name}"] = variable((ATTRACTOR, POINT), shown, label, coordinate.unit)
-    coordinates: Entries = {
-        ATTRACTOR: (ATTRACTOR, np.arange(1, len(attractors) + 1), {"long_name": "number of the attractor"})
-    }
-    units = {coordinate.name: coordinate.unit for coordinate in cases.system.coordinates}
-    for name, values in (grid or {}).items():
-        column = name.replace(" ", "_")
-        coordinates[column] = variable(column, values, f"initial {name}", units[name])
-    # A grid has its own dimensions in place of that of the starts.
-    return dataset_of(cases if grid is None else cases._replace(shape=()), variables, coordinates)

@@ -15,14 +15,23 @@ from scipy.optimize import newton
 
 from .._dynamics.common.method import Exact
 from .._dynamics.switched.engine import StepPath
-from .._ensemble.points import SweepSetting
+from .._ensemble.points import Setter, SweepSetting
 from .._excitation.excitation import motion_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
-from .._foundation.types import AnyArray, FloatArray, Status
+from .._foundation.types import FloatArray, Status
 from .._numerics.derivatives import as_arrays
 from .._uncertainty.numbers import NumberPath, with_numbers
-from ._cases import Cycle, changes_by_itself, drive_period, has_known_period, steps_in, without_turns
-from ._orbits import Mode, modes_between, multipliers_of, sequence, slip_count, stick_count, without_trivial
+from ._cases import Cycle, changes_by_itself, drive_period, steps_in, without_turns
+from ._orbits import (
+    Mode,
+    PeriodicOrbit,
+    modes_between,
+    multipliers_of,
+    sequence,
+    slip_count,
+    stick_count,
+    without_trivial,
+)
 
 # The equations of a periodic orbit as a function of its state, its period and a parameter, for continuation.
 
@@ -41,6 +50,12 @@ class Evaluated(NamedTuple):
     modes: tuple[Mode, ...]
     coordinates: int
 
+    @property
+    def multipliers(self) -> np.ndarray:
+        """The Floquet multipliers, the largest first."""
+        size = self.coordinates
+        return multipliers_of(self.matrix[:size, :size] + np.eye(size))
+
 
 class Plane(NamedTuple):
     """Where an orbit that nothing drives begins: on the plane through `point` across `normal`."""
@@ -54,33 +69,28 @@ class Equations:
     back, and without a drive it begins on a `Plane`.
     """
 
-    def __init__(
-        self,
-        setting: SweepSetting,
-        path: NumberPath,
-        driven: bool,
-        duration: float,
-        dtype: Any,
-        is_allowed: Callable[[float], bool],
-    ):
-        """`duration`: of the orbit where the branch begins, s: so many periods of the drive, or one that was given.
-        `is_allowed`: whether the parameter may have a value.
+    def __init__(self, orbit: PeriodicOrbit, setter: Setter, parameter: str, dtype: np.dtype):
+        """`orbit`: where the branch begins; its period is so many periods of the drive, or one that was given.
+        `setter`: of the `parameter`.
         """
-        assert isinstance(setting.method, Exact)
-        self._is_allowed, self._first = is_allowed, duration
-        self._path, self.driven, self._dtype, self.itemsize = path, driven, dtype, np.dtype(dtype).itemsize
+        setting, driven, duration = setter.setting, orbit.is_driven, float(orbit.period)
+        self._setter, self._first, self._path = setter, duration, setter.paths[parameter]
+        self.driven, self._dtype, self.itemsize = driven, dtype, dtype.itemsize
         self._setting = as_arrays(setting, dtype)
-        self.names = tuple(coordinate.name for coordinate in setting.system.coordinates)
+        self.coordinates = len(setting.system.coordinates)
         motion = motion_of(setting.law)
         self._by_itself = driven and changes_by_itself(setting.system, setting.law, setting.y0, duration)
-        known = has_known_period(setting.system, motion, self._by_itself)
-        self._drive = None if known or not driven else duration
-        drive = drive_period(setting.system, motion, self._drive, self._by_itself)
-        self.periods = 1 if drive is None or not driven else round(duration / float(drive))
+        self._drive = None
+        try:
+            drive = drive_period(setting.system, motion, None, self._by_itself)
+        except ValueError:  # it is not known without being given
+            self._drive = duration
+            drive = drive_period(setting.system, motion, duration, self._by_itself)
+        self.periods = 1 if drive is None else round(duration / float(drive))
         realized = motion.realized_until(duration)
-        self.steps = steps_in(setting.system, realized, setting.method, duration, by_steps=True)
+        self.steps = steps_in(setting.system, realized, orbit.method, duration, by_steps=True)
         if self.steps is None:
-            self.steps = setting.method.max_steps
+            self.steps = orbit.method.max_steps
         self._most_each = _MOST_STEPS * (self.steps or 0)
         self._capacity = None
         if driven and isinstance(motion, PiecewiseConstantLaw):
@@ -89,26 +99,19 @@ class Equations:
     @property
     def size(self) -> int:
         """The number of equations."""
-        return len(self.names) + (not self.driven)
+        return self.coordinates + (not self.driven)
 
     def at(self, unknowns: np.ndarray, plane: Plane | None, periods: int | None = None) -> Evaluated | None:
         """The equations at a point; None where the motion cannot be followed there, or the parameter may not be.
 
         `periods`: of the drive; by default those of the orbit.
         """
-        found = self._evaluated(unknowns, plane, self.periods if periods is None else periods)
-        if found is None or int(found.status) != int(Status.FINISHED):
+        size, periods = self.coordinates, self.periods if periods is None else periods
+        if not self.driven and not unknowns[size] > 0:
             return None
-        value, matrix = np.asarray(found.value), np.asarray(found.matrix)
-        if not (np.all(np.isfinite(value)) and np.all(np.isfinite(matrix))):
-            return None
-        duration = float(found.duration)
-        modes = modes_between(np.asarray(found.times), np.asarray(found.signs), duration)
-        return Evaluated(value, matrix, duration, modes, len(self.names))
-
-    def _evaluated(self, unknowns: np.ndarray, plane: Plane | None, periods: int) -> "_Raw | None":
-        size = len(self.names)
-        if not self._is_allowed(float(unknowns[-1])) or not (self.driven or unknowns[size] > 0):
+        try:
+            self._setter((float(unknowns[-1]),))
+        except ValueError:  # the parameter may not have this value
             return None
         while True:
             found = _evaluate(
@@ -116,24 +119,32 @@ class Equations:
                 driven=self.driven, by_itself=self._by_itself, periods=periods, drive=self._drive, steps=self.steps,
                 capacity=self._capacity,
             )  # fmt: skip
-            found = jax.tree.map(np.asarray, found)
-            most = self._most_each * max(float(found.duration) / self._first, 1)
-            if int(found.status) != int(Status.OUT_OF_STEPS) or not self.steps or self.steps >= most:
-                return found
+            value, matrix, times, signs, status, duration = map(np.asarray, found)
+            most = self._most_each * max(float(duration) / self._first, 1)
+            if int(status) != int(Status.OUT_OF_STEPS) or not self.steps or self.steps >= most:
+                break
             self.steps *= 2
+        if int(status) != int(Status.FINISHED) or not (np.all(np.isfinite(value)) and np.all(np.isfinite(matrix))):
+            return None
+        return Evaluated(value, matrix, float(duration), modes_between(times, signs, float(duration)), size)
 
     def half_way(self, unknowns: np.ndarray, plane: Plane | None) -> np.ndarray | None:
         """What the state moves in half of the period, (coordinates,); None where the drive does not repeat itself in
         it, or the motion cannot be followed.
         """
-        size = len(self.names)
         if self.driven and self.periods % 2:
             return None
-        moved = np.array(unknowns, float)
-        if not self.driven:
-            moved[size] /= 2
-        found = self.at(moved, plane, self.periods // 2 if self.driven else None)
-        return None if found is None else found.value[:size]
+        half, periods = self.halved(unknowns)
+        found = self.at(half, plane, periods)
+        return None if found is None else found.value[: self.coordinates]
+
+    def halved(self, unknowns: np.ndarray) -> tuple[np.ndarray, int | None]:
+        """The unknowns with half of the period, and half of the periods of the drive, None without one."""
+        half = np.array(unknowns, float)
+        if self.driven:
+            return half, self.periods // 2
+        half[self.coordinates] /= 2
+        return half, None
 
     def plane(self, point: np.ndarray, normal: np.ndarray) -> Plane:
         """The plane through `point` across `normal`."""
@@ -141,31 +152,22 @@ class Equations:
 
     def state_after(self, unknowns: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
         """The state of an orbit that nothing drives at a `time` (s) after its begin, and its rates there."""
-        moved, size = np.array(unknowns, float), len(self.names)
+        moved, size = np.array(unknowns, float), self.coordinates
         moved[size] = time
         found = self.at(moved, self.plane(unknowns[:size], np.ones(size)))
         assert found is not None
         return unknowns[:size] + found.value[:size], found.matrix[:size, size]
 
 
-class _Raw(NamedTuple):
-    """The equations as they are computed, with the time and the signs at the begin of each loop step."""
-
-    value: AnyArray
-    matrix: AnyArray
-    times: AnyArray
-    signs: AnyArray
-    status: AnyArray
-    duration: AnyArray
-
-
 @eqx.filter_jit
 def _evaluate(
     setting: SweepSetting, unknowns: FloatArray, plane: Plane | None, *, path: NumberPath, driven: bool,
     by_itself: bool, periods: int, drive: float | None, steps: int | None, capacity: int | None,
-) -> _Raw:  # fmt: skip
-    coordinates = len(setting.system.coordinates)
-    dtype = unknowns.dtype
+) -> tuple[Array, ...]:  # fmt: skip
+    """The equations, their derivatives, the time and the signs at the begin of each loop step, the `Status`, and the
+    duration (s).
+    """
+    coordinates, dtype = len(setting.system.coordinates), unknowns.dtype
 
     def function(unknowns: FloatArray):
         y, parameter = unknowns[:coordinates], unknowns[-1]
@@ -182,8 +184,7 @@ def _evaluate(
         else:
             base = motion.realized_until(duration)
         method = Exact(setting.method.step, steps, setting.method.solver)
-        cycle = Cycle(changed.system, base, duration, method)
-        run = cycle.by_steps(y)
+        run = Cycle(changed.system, base, duration, method).by_steps(y)
         assert isinstance(run.path, StepPath)
         value = without_turns(setting.system, jnp.stack(run.final_state) - y)
         if plane is not None:
@@ -194,8 +195,8 @@ def _evaluate(
         return jax.jvp(function, (unknowns,), (direction,), has_aux=True)
 
     unit = jnp.eye(len(unknowns), dtype=dtype)
-    value, matrix, (times, signs, status, duration) = jax.vmap(along, out_axes=(None, 1, None))(unit)
-    return _Raw(value, matrix, times, signs, status, duration)
+    value, matrix, more = jax.vmap(along, out_axes=(None, 1, None))(unit)
+    return value, matrix, *more
 
 
 # The points of a branch of periodic orbits, and what changes between two of them.
@@ -233,8 +234,7 @@ class OrbitPoint:
     @cached_property
     def multipliers(self) -> np.ndarray:
         """The Floquet multipliers, the largest first."""
-        size = self.found.coordinates
-        return multipliers_of(self.found.matrix[:size, :size] + np.eye(size))
+        return self.found.multipliers
 
     def is_stable(self, driven: bool) -> bool:
         """Whether all multipliers but the one that is 1 without a drive are inside the unit circle."""
@@ -300,11 +300,8 @@ def changes(last: OrbitPoint, found: OrbitPoint, driven: bool) -> Iterator[Chang
 
 
 def _flip(multipliers: np.ndarray) -> float:
+    """Changes its sign where a multiplier passes -1."""
     return float(np.prod(multipliers + 1).real)
-
-
-def _unit(multipliers: np.ndarray) -> float:
-    return float(np.prod(multipliers - 1).real)
 
 
 def _rotation(multipliers: np.ndarray) -> float:
@@ -316,7 +313,7 @@ def _rotation(multipliers: np.ndarray) -> float:
 _TESTS = (
     ("flip", "a multiplier passes -1: an orbit of twice the period branches off", _flip),
     ("Neimark-Sacker", "a pair of multipliers passes the unit circle: motion on a torus branches off", _rotation),
-    ("branch point", "a multiplier passes 1: another branch crosses", _unit),
+    ("branch point", "a multiplier passes 1: another branch crosses", lambda found: float(np.prod(found - 1).real)),
 )
 
 
@@ -356,12 +353,10 @@ def end_of(before: tuple[Mode, ...], beyond: tuple[Mode, ...]) -> tuple[str, str
     shown = (" ".join(text_of(mode.signs) for mode in modes) for modes in (before, beyond))
     kind = kind_of(before, beyond)
     for number, mode in enumerate(before):
-        there = beyond[number].signs if number < len(beyond) else beyond[-1].signs
+        there = beyond[min(number, len(beyond) - 1)].signs
         if there == mode.signs:
             continue
-        contact = next(
-            contact for contact, pair in enumerate(zip(mode.signs, there, strict=True)) if pair[0] != pair[1]
-        )
+        contact = int(np.argmax(np.not_equal(mode.signs, there)))  # the first that differs
         until = before[number - 1].signs[contact] if number else 0
         if mode.signs[contact] and not there[contact]:
             kind = "slip vanishes" if until == 0 else "stick appears"
@@ -369,13 +364,6 @@ def end_of(before: tuple[Mode, ...], beyond: tuple[Mode, ...]) -> tuple[str, str
             kind = "slip appears" if until == 0 and number else "stick vanishes"
         break
     return kind, "a motion with the modes {} becomes one with {}".format(*shown)
-
-
-def description(modes: tuple[Mode, ...]) -> str:
-    """The shortest mode of an orbit, in words."""
-    shortest = min(modes, key=lambda mode: mode.end - mode.start)
-    kind = "slip" if all(shortest.signs) else "stick"
-    return f"the shortest {kind} lasts {shortest.end - shortest.start:.3g} s"
 
 
 # Where branches of periodic orbits end: they would go back over the same orbits half a period later, or the release of
@@ -401,7 +389,7 @@ def turning_back(
     """
     if last.tangent[-1] * found.tangent[-1] >= 0:
         return None
-    size = len(equations.names)
+    size = equations.coordinates
     one, two = (equations.half_way(point.unknowns, plane) for point in (last, found))
     if one is None or two is None:
         return None
@@ -417,9 +405,8 @@ def turning_back(
         between[size] /= 4
 
         def growth(at: Evaluated) -> float:
-            multipliers = multipliers_of(at.matrix[:size, :size] + np.eye(size))
-            critical = np.argmin(np.abs(multipliers - 1j))
-            return math.log(abs(multipliers[critical]))
+            critical = np.argmin(np.abs(at.multipliers - 1j))
+            return math.log(abs(at.multipliers[critical]))
 
         value = _root(equations, plane, between, last.unknowns[-1], size, None, growth)
         return "Hopf", value, "the cycle shrinks into an equilibrium"
@@ -429,17 +416,12 @@ def turning_back(
 
 def halved(equations: Equations, plane: Plane | None, between: np.ndarray, other: float) -> float:
     """The parameter near that of the unknowns `between` where the orbit of half the period has the multiplier -1."""
-    size, free = len(equations.names), 0 if equations.driven else 1
-    guess = between.copy()
-    if free:
-        guess[size] /= 2
+    guess, periods = equations.halved(between)
 
     def doubles(at: Evaluated) -> float:
-        multipliers = multipliers_of(at.matrix[:size, :size] + np.eye(size))
-        return float(np.prod((without_trivial(multipliers) if free else multipliers) + 1).real)
+        return _flip(at.multipliers if equations.driven else without_trivial(at.multipliers))
 
-    periods = equations.periods // 2 if equations.driven else None
-    return _root(equations, plane, guess, other, size + free, periods, doubles)
+    return _root(equations, plane, guess, other, equations.size, periods, doubles)
 
 
 def _root(

@@ -2,7 +2,7 @@
 itself.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -41,26 +41,21 @@ _MOST_INSTANTS = 4_000_000  # of all cases
 
 
 def repetitions(system: object, base: object, by_itself: bool = False) -> list[tuple[str, Any]]:
-    """The class name of each motion that drives the system, and its `Motion.repeats_after`: numbers (s), or arrays
-    (cases,) where numbers of the motion are. `by_itself`: the system changes with time in a way of its own.
+    """The class name of each motion that drives the system, and its `Motion.repeats_after`, of each of its parts:
+    numbers (s), or arrays (cases,) where numbers of the motion are. `by_itself`: the system changes with time in a way
+    of its own.
     """
-    found = [*_outermost(base), *_outermost(system)]
-    own: list[tuple[str, Any]] = [(type(system).__name__, None)] if by_itself else []
-    return [(type(motion).__name__, motion.repeats_after) for motion in found] + own
+    found: list[tuple[str, Any]] = []
+    for motion in [*_outermost(base), *_outermost(system)]:
+        after = motion.repeats_after
+        found += [(type(motion).__name__, part) for part in (after if isinstance(after, tuple) else (after,))]
+    return found + ([(type(system).__name__, None)] if by_itself else [])
 
 
-def _outermost(tree: object) -> Iterator[Motion]:
+def _outermost(tree: object) -> list[Motion]:
     """The motions in `tree` that hold no other motion."""
     motions = [module for module in modules_in(tree) if isinstance(module, Motion)]
-    for motion in motions:
-        inside = sum(isinstance(part, Motion) for part in modules_in(motion))
-        if inside == 1:
-            yield motion
-
-
-def drives(periods: list[tuple[str, Any]]) -> bool:
-    """Whether anything of what `repetitions` found changes with time."""
-    return any(period is None for _, period in periods) or common_period(periods) is not None
+    return [motion for motion in motions if sum(isinstance(part, Motion) for part in modules_in(motion)) == 1]
 
 
 def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any, bool]:
@@ -70,8 +65,8 @@ def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any
     Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
     """
     unknown = [name for name, period in periods if period is None]
+    common = None if unknown else common_period(periods)
     if given is not None:
-        common = None if unknown else common_period(periods)
         cycles = np.ones(()) if common is None else np.asarray(given / common)
         if common is not None and not np.all(np.abs(cycles - np.round(cycles)) <= _EQUAL * cycles):
             raise ValueError(
@@ -84,7 +79,6 @@ def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any
             f"Argument period must be given (s), because none is known of the {unknown[0]} that drives the system; of "
             "a record, the duration after which it begins anew."
         )
-    common = common_period(periods)
     if common is None:
         raise ValueError(
             "Argument period must be given (s), because nothing that changes with time drives the system; it is then "
@@ -95,8 +89,7 @@ def period_of(periods: list[tuple[str, Any]], given: Scalar | None) -> tuple[Any
 
 def common_period(periods: list[tuple[str, Any]]) -> np.ndarray | None:
     """The common period; None if nothing changes with time. Raises ValueError where there is none."""
-    parts = [part for _, period in periods for part in (period if isinstance(period, tuple) else (period,))]
-    columns = np.broadcast_arrays(*(np.asarray(part, float) for part in parts)) if parts else []
+    columns = np.broadcast_arrays(*(np.asarray(period, float) for _, period in periods))
     changing = [column for column in columns if np.any(column > 0)]
     if not changing:
         return None
@@ -115,15 +108,6 @@ def common_period(periods: list[tuple[str, Any]]) -> np.ndarray | None:
         f"Argument period must be given (s), because motions with the periods {shown} s drive the system, of which no "
         f"{_MOST_CYCLES} of the slowest are a common period."
     )
-
-
-def has_known_period(system: object, base: object, by_itself: bool) -> bool:
-    """Whether what drives the system has a period that is known without being given."""
-    try:
-        period_of(repetitions(system, base, by_itself), None)
-    except ValueError:
-        return False
-    return True
 
 
 def check_signals(tree: object, period: Array) -> None:
@@ -169,7 +153,7 @@ def drive_period(system: object, base: object, given: Scalar | None, by_itself: 
     Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
     """
     found = repetitions(system, base, by_itself)
-    parts = [part for _, period in found for part in (period if isinstance(period, tuple) else (period,))]
+    parts = [part for _, part in found]
     if any(part is None for part in parts):
         return given if given is not None else period_of(found, None)[0]
     changing = [part for part in parts if checks.is_traced(part) or float(part) > 0]
@@ -219,13 +203,17 @@ def changes_by_itself(system: System, base: BaseMotion, y0: InitialState, given:
     found = repetitions(system, motion_of(base))
     if any(period is None for _, period in found):
         return False  # a period is asked for because of these
+
+    def differs_after(period: Any) -> bool:
+        return system.differs_between(y0, float(period) * _PARTS, float(period) * (1 + _PARTS))
+
     common = common_period(found)
     if common is None:
         times = slowest_time(system, base) * np.outer(_FAR, _PARTS).ravel()
         changes = system.differs_between(y0, times, np.zeros_like(times))
     else:
-        changes = system.differs_between(y0, float(common) * _PARTS, float(common) * (1 + _PARTS))
-    if changes and given is not None and system.differs_between(y0, float(given) * _PARTS, float(given) * (1 + _PARTS)):
+        changes = differs_after(common)
+    if changes and given is not None and differs_after(given):
         raise ValueError(
             f"Argument period must be a time after which the rates of {type(system).__name__} begin anew, but they "
             f"differ from those {checks.show(given)} s later."
@@ -269,6 +257,10 @@ class Cycle(eqx.Module):
         """The same with another duration (s)."""
         return Cycle(self.system, self.base, duration, self.method)
 
+    def of(self, which: int | slice | np.ndarray) -> "Cycle":
+        """Those of many cases alone."""
+        return jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, self)
+
     def rates(self, y: FloatArray) -> FloatArray:
         """The rates of the state at the begin of the period, per second."""
         step = Arguments(self.system, self.base, self.method, self.duration).checked_step()[1]
@@ -311,6 +303,8 @@ def steps_in(
 
 
 Over = Mapping[str, Any]
+Turns = tuple[float | None, ...]
+"""The period of each coordinate that turns, None for the others."""
 
 MOST_PERIODS = 2**31 - 1
 """In all, as many as 32 bits count."""
@@ -327,7 +321,7 @@ class Cases(NamedTuple):
     cycle: Cycle
     starts: np.ndarray
     shape: tuple[int, ...]
-    points: Points | None
+    points: Points
     setter: Setter
     driven: bool
 
@@ -337,10 +331,9 @@ class Cases(NamedTuple):
         return self.setter.setting.system
 
     @property
-    def may_take_more(self) -> bool:
-        """Whether steps are taken, and their number was not given."""
-        given = self.setter.setting.method
-        return self.cycle.method.max_steps is not None and given.max_steps is None
+    def turns(self) -> Turns:
+        """The period of each coordinate that turns."""
+        return tuple(coordinate.period for coordinate in self.system.coordinates)
 
     @property
     def dtype(self) -> DType:
@@ -354,17 +347,7 @@ class Cases(NamedTuple):
 
     def of(self, which: np.ndarray, starts: np.ndarray) -> "Cases":
         """Those cases alone, from other `starts` (cases, coordinates)."""
-        cycle = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, self.cycle)
-        return self._replace(cycle=cycle, starts=starts, shape=(len(which),))
-
-    def with_steps(self, factor: int) -> "Cases":
-        """The same with room for so many times the steps in a period."""
-        method = self.cycle.method
-        if not self.may_take_more:
-            return self
-        assert method.max_steps is not None
-        more = Exact(method.step, factor * method.max_steps, method.solver)
-        return self._replace(cycle=Cycle(self.cycle.system, self.cycle.base, self.cycle.duration, more))
+        return self._replace(cycle=self.cycle.of(which), starts=starts, shape=(len(which),))
 
 
 def checked_numbers(transient: object, kept: object, most: int = MOST_PERIODS) -> tuple[int, int]:
@@ -393,43 +376,63 @@ def cases_of(
     require_labels()
     if not isinstance(method, Exact):
         raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
-    _check_known(system, base, y0, period)
-    setting = setting_of(system, base, None, method)
-    check_fixed(system=system, base=base)
-    check_repeats(base)
-    several = y0 is not None and checks.dimensions(y0) == 2
-    starts = _starts(system, y0) if several else np.asarray([state_of(system, y0)], float)
-    setting = setting._replace(y0=tuple(map(float, starts[0])))
-    points = None if over is None else points_of(over)
-    setter = setter_of(setting, () if points is None else points.parameters)
-    rows = np.zeros((1, 0))
-    if points is not None:
-        check_points(setter, points, lambda point: setter(points.values(point)))
-        rows = np.array([points.values(point) for point in range(points.number)], float)
-    cycle, begins, driven = _cycles(setter, np.repeat(rows, len(starts), axis=0), checked_period(period), for_events)
-    if several:
-        begins = np.tile(starts, (len(rows), 1))
-    shape = (() if points is None else points.shape) + ((len(starts),) if several else ())
-    return Cases(cycle, begins, shape, points, setter, driven)
-
-
-def _check_known(*arguments: object) -> None:
-    """Raise ValueError where JAX traces a number of the arguments."""
-    if checks.holds_traced(*arguments):
+    if checks.holds_traced(system, base, y0, period):
         raise ValueError(
             "Sections, diagrams, basins and exponents need numbers, but JAX is tracing an argument: call them outside "
             "jit, vmap and grad, with many starts in y0 and values of parameters in over. periodic_orbit can be "
             "transformed."
         )
+    setting = setting_of(system, base, None, method)
+    check_fixed(system=system, base=base)
+    check_repeats(base)
+    several = y0 is not None and checks.dimensions(y0) == 2
+    if several:
+        starts = checks.numbers("y0", y0, ndim=2)
+        if not len(starts) or not np.all(np.isfinite(starts)):
+            raise checks.refused("y0", "hold at least one start, and finite numbers", y0)
+        left_out = np.asarray(state_of(system, tuple(starts[0]))[starts.shape[1] :], float)  # ages of sticks
+        ages = np.broadcast_to(left_out, (len(starts), len(left_out)))
+        starts = np.concatenate([starts, ages], axis=1, dtype=float)
+    else:
+        starts = np.asarray([state_of(system, y0)], float)
+    setting = setting._replace(y0=tuple(map(float, starts[0])))
+    points = Points(()) if over is None else points_of(over)
+    setter, rows = setter_of(setting, points.parameters), np.zeros((1, 0))
+    if over is not None:
+        check_points(setter, points, lambda point: setter(points.values(point)))
+        rows = np.array([points.values(point) for point in range(points.number)], float)
+    period, dtype = checked_period(period), working_dtype(stacklevel=5)
 
+    # The period of each case, of its parameters alone.
+    setting, grid = setter.setting, np.repeat(rows, len(starts), axis=0)
+    columns, of_all = setter.columns(grid)
+    by_itself = changes_by_itself(setting.system, setting.law, setting.y0, period)
+    found = repetitions(of_all.system, motion_of(of_all.law), by_itself)
+    if for_events and period is None and not any(after is None for _, after in found) and common_period(found) is None:
+        period = slowest_time(setting.system, setting.law)
+    duration, driven = period_of(found, period)
+    Arguments(setting.system, setting.law, method, float(np.max(duration))).check_length()
 
-def _starts(system: System, y0: Any) -> np.ndarray:
-    """Several starts, (starts, coordinates), checked."""
-    rows = checks.numbers("y0", y0, ndim=2)
-    if not len(rows) or not np.all(np.isfinite(rows)):
-        raise checks.refused("y0", "hold at least one start, and finite numbers", y0)
-    left_out = np.asarray(state_of(system, tuple(rows[0]))[rows.shape[1] :], float)  # ages of sticks
-    return np.concatenate([rows, np.broadcast_to(left_out, (len(rows), len(left_out)))], axis=1, dtype=float)
+    # All cases at once, as arrays. Under vmap outside jit, what sizes of arrays depend on is known (`known.values_of`).
+    paths, as_given = tuple(columns), as_arrays(setting, dtype)
+    numbers = np.stack([columns[path] for path in paths], axis=1) if paths else np.zeros((len(grid), 0))
+    most: list[int | None] = []
+
+    def one(row, duration):
+        changed = with_numbers(as_given, paths, row)
+        base = motion_of(changed.law).realized_until(duration)
+        most.append(steps_in(changed.system, base, changed.method, duration, by_steps=for_events))
+        return changed.system, base, duration, jnp.stack([jnp.asarray(number, dtype) for number in changed.y0])
+
+    durations = jnp.broadcast_to(jnp.asarray(duration, dtype), (len(grid),))
+    every, bases, durations, begins = eqx.filter_vmap(one)(jnp.asarray(numbers, dtype), durations)
+    if driven:
+        check_signals((every, bases), durations)
+    if most[-1] is not None:
+        method = Exact(method.step, most[-1], method.solver)
+    shape = points.shape + ((len(starts),) if several else ())
+    begins = np.tile(starts, (len(rows), 1)) if several else np.asarray(begins)
+    return Cases(Cycle(every, bases, durations, method), begins, shape, points, setter, driven)
 
 
 def check_repeats(base: BaseMotion) -> None:
@@ -440,38 +443,3 @@ def check_repeats(base: BaseMotion) -> None:
             "gives its statistics, and base.sample(key, period), a realisation, repeats itself after the period that "
             "you give."
         )
-
-
-def _cycles(
-    setter: Setter, rows: np.ndarray, period: Scalar | None, for_events: bool
-) -> tuple[Cycle, np.ndarray, bool]:
-    """The cycle of each row of values, (cases, parameters), its start, and whether anything drives the system."""
-    dtype, method = working_dtype(stacklevel=6), setter.setting.method
-    assert isinstance(method, Exact)
-    columns, of_all = setter.columns(rows)
-    paths = tuple(columns)
-    numbers = np.stack([columns[path] for path in paths], axis=1) if paths else np.zeros((len(rows), 0))
-    given = setter.setting
-    by_itself = changes_by_itself(given.system, given.law, given.y0, period)
-    found = repetitions(of_all.system, motion_of(of_all.law), by_itself)
-    if for_events and period is None and not drives(found):
-        period = slowest_time(given.system, given.law)
-    duration, driven = period_of(found, period)
-    Arguments(setter.setting.system, setter.setting.law, method, float(np.max(duration))).check_length()
-    durations = jnp.broadcast_to(jnp.asarray(duration, dtype), (len(rows),))
-    setting = as_arrays(setter.setting, dtype)
-    most: list[int | None] = []
-
-    # Under vmap outside jit, what sizes of arrays depend on is known (`known.values_of`).
-    def one(row, duration):
-        changed = with_numbers(setting, paths, row)
-        base = motion_of(changed.law).realized_until(duration)
-        most.append(steps_in(changed.system, base, changed.method, duration, by_steps=for_events))
-        return changed.system, base, duration, jnp.stack([jnp.asarray(number, dtype) for number in changed.y0])
-
-    every, base, durations, begins = eqx.filter_vmap(one)(jnp.asarray(numbers, dtype), durations)
-    if driven:
-        check_signals((every, base), durations)
-    if most[-1] is not None:
-        method = Exact(method.step, most[-1], method.solver)
-    return Cycle(every, base, durations, method), np.asarray(begins), driven

@@ -20,7 +20,6 @@ from ._branches import (
     OrbitPoint,
     change_of_modes,
     changes,
-    description,
     end_of,
     halved,
     tangent_release,
@@ -95,17 +94,6 @@ def continue_orbit(
     """
     require_threads_of_jax()
     require_labels()
-    setting, equations, scale, begun = _problem(orbit, parameter, until, step)
-    most = checks.whole_number("most", most)
-    branch = _Branch(equations, scale, parameter, begun, float(until), step)
-    branch.follow(most)
-    return OrbitBranch(_labeled(branch, setting), tuple(branch.events), branch.ending)
-
-
-def _problem(
-    orbit: PeriodicOrbit, parameter: str, until: float, step: float
-) -> tuple[SweepSetting, Equations, np.ndarray, np.ndarray]:
-    """The checked arguments: the setting, its equations, the scales of the unknowns, and where the branch begins."""
     if not isinstance(orbit, PeriodicOrbit) or not bool(np.all(np.asarray(orbit.converged))):
         shown = "one that has not" if isinstance(orbit, PeriodicOrbit) else checks.show(orbit)
         raise ValueError(f"Argument orbit must be a periodic_orbit that has converged, but {shown} was given.")
@@ -124,21 +112,44 @@ def _problem(
     if float(until) == value:
         raise ValueError(f"Argument until must differ from the {parameter} of the orbit, but both are {value:g}.")
     setter((float(until),))
-
-    def is_allowed(value: float) -> bool:
-        try:
-            setter((value,))
-        except ValueError:
-            return False
-        return True
-
-    dtype = np.dtype(working_dtype(stacklevel=5))
-    one, names = orbit.simulation, [coordinate.name for coordinate in orbit.system.coordinates]
-    sizes = np.array([float(one.maximum(name) - one.minimum(name)) for name in names])
+    dtype = np.dtype(working_dtype(stacklevel=4))
+    one, coordinates = orbit.simulation, orbit.system.coordinates
+    sizes = np.array([float(one.maximum(each.name) - one.minimum(each.name)) for each in coordinates])
     free = [] if orbit.is_driven else [float(orbit.period)]
     scale = np.array([*np.maximum(sizes, max(1e-3 * np.max(sizes), 1e-12)), *free, abs(until - value)])
-    equations = Equations(setting, path, orbit.is_driven, float(orbit.period), dtype, is_allowed)
-    return setting, equations, scale, np.array([*state, *free, value])
+    equations = Equations(orbit, setter, parameter, dtype)
+    most = checks.whole_number("most", most)
+    branch = _Branch(equations, scale, parameter, np.array([*state, *free, value]), float(until), step)
+    branch.follow(most)
+
+    points = branch.points
+    values = np.array([point.unknowns for point in points]).reshape(len(points), -1)
+    multipliers = np.array([point.multipliers for point in points]).reshape(len(points), len(coordinates))
+    many = ("point", "multiplier")
+
+    def of_each(of: Callable[[OrbitPoint], object], label: str, unit: str = "1"):
+        return variable("point", [of(point) for point in points], label, unit)
+
+    variables: Entries = {
+        "period": of_each(lambda point: point.found.duration, "period of the orbit", "s"),
+        "multiplier_real": variable(many, np.real(multipliers), "Floquet multiplier, real part"),
+        "multiplier_imag": variable(many, np.imag(multipliers), "Floquet multiplier, imaginary part"),
+        "is_stable": of_each(lambda point: point.is_stable(orbit.is_driven), "whether the orbit is stable"),
+        "stick_count": of_each(lambda point: stick_count(point.found.modes), "number of sticks in one period"),
+        "stick_fraction": of_each(
+            lambda point: point.stick_fraction, "share of the period in sticks, mean over contacts"
+        ),
+        "modes": of_each(lambda point: point.sequence_text, "signs of the relative velocities, mode after mode"),
+    }
+    for number, coordinate in enumerate(coordinates):
+        label = f"{coordinate.name} where the orbit begins"
+        variables[coordinate.variable] = variable("point", values[:, number], label, coordinate.unit)
+    label, unit = label_and_unit(setting, parameter)
+    found = labeled_dataset(
+        apart(variables, [parameter]), {parameter: variable("point", values[:, -1], label, unit)},
+        {**source(), **provenance(setting.system, setting.law, setting.method)},
+    )  # fmt: skip
+    return OrbitBranch(found, tuple(branch.events), branch.ending)
 
 
 class _Branch:
@@ -154,13 +165,12 @@ class _Branch:
         self.parameter, self._scale, self._step = parameter, scale, step
         self._range = (begun[-1], until)
         self._tolerance = TOLERANCE[equations.itemsize]
-        self._eps = np.finfo(np.float64 if equations.itemsize == 8 else np.float32).eps
+        self._eps = np.finfo(f"f{equations.itemsize}").eps
         self._begun = begun
 
     def follow(self, most: int) -> None:
         """Grow until the parameter leaves its range, the branch ends, or there are `most` points."""
-        toward = np.zeros(len(self._begun))
-        toward[-1] = np.sign(self._range[1] - self._range[0])
+        toward = np.eye(len(self._begun))[-1] * np.sign(self._range[1] - self._range[0])
         first = self._moved(self._begun)
         last = None if first is None else self._corrected(first, toward, toward)
         if last is None:
@@ -175,7 +185,12 @@ class _Branch:
             noted = None
             for guess in self._guesses(last, length):
                 found = self._corrected(guess, last.tangent, last.tangent)
-                if found is None or not self._is_next(last, found, length):
+                if found is None:
+                    continue
+                # The next point of the same branch, and not one of another that is near.
+                moved = np.linalg.norm(found.unknowns / self._scale - last.unknowns / self._scale)
+                goes_on = abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE or length < _CORNER * self._step
+                if moved > 4 * length or not goes_on:
                     continue
                 if self._turns_back(last, found):
                     return
@@ -210,7 +225,7 @@ class _Branch:
 
     def _end(self, kind: str, value: float, why: str) -> None:
         self.ending = why
-        self.events.append(BranchEvent(kind, float(value), max(len(self.points) - 1, 0), why))
+        self.events.append(BranchEvent(kind, float(value), len(self.points) - 1, why))
 
     def _end_here(self, last: OrbitPoint, length: float) -> None:
         """End where no orbit continues `last`: what vanishes is told by the motion that is followed from just beyond,
@@ -227,7 +242,10 @@ class _Branch:
             ahead = 2 * value - last.unknowns
             self._end(kind, value, f"{text}; no orbit continues the branch{self._width(last.unknowns, ahead)}")
             return
-        self._end("end", last.unknowns[-1], f"no orbit was found beyond: {description(last.found.modes)}")
+        shortest = min(last.found.modes, key=lambda mode: mode.end - mode.start)
+        kind, duration = "slip" if all(shortest.signs) else "stick", shortest.end - shortest.start
+        why = f"no orbit was found beyond: the shortest {kind} lasts {duration:.3g} s"
+        self._end("end", last.unknowns[-1], why)
 
     def _width(self, one: np.ndarray, other: np.ndarray) -> str:
         """The bracket of an event between two points in words, where it is wider than events are located."""
@@ -259,9 +277,7 @@ class _Branch:
         share = (end - last.unknowns[-1]) / (found.unknowns[-1] - last.unknowns[-1])
         guess = (last.unknowns + share * (found.unknowns - last.unknowns)) / self._scale
         guess[-1] = end / self._scale[-1]
-        fixed = np.zeros(len(guess))
-        fixed[-1] = 1.0
-        landed = self._corrected(guess, fixed, last.tangent)
+        landed = self._corrected(guess, np.eye(len(guess))[-1], last.tangent)
         noted = None if landed is None else self._noted(last, landed)
         if noted is None:
             return False
@@ -269,32 +285,19 @@ class _Branch:
         self.ending = f"{self.parameter} reached {end:g}"
         return True
 
-    def _is_next(self, last: OrbitPoint, found: OrbitPoint, length: float) -> bool:
-        """Whether `found` is the next point of the same branch, and not one of another that is near."""
-        moved = np.linalg.norm(found.unknowns / self._scale - last.unknowns / self._scale)
-        goes_on = abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE or length < _CORNER * self._step
-        return bool(moved <= 4 * length and goes_on)
-
-    def _cosine(self, point: OrbitPoint) -> float:
-        """Of the angle at which an orbit that nothing drives crosses the plane where it begins; 1 with a drive."""
-        if self.equations.driven:
-            return 1.0
-        size = len(self.equations.names)
-        rates = point.found.matrix[:size, size] / self._scale[:size]
-        normal = point.found.matrix[size, :size] * self._scale[:size]
-        return float(np.dot(rates, normal) / (np.linalg.norm(rates) * np.linalg.norm(normal)))
-
     def _corrected(self, guess: np.ndarray, along: np.ndarray, before: np.ndarray) -> OrbitPoint | None:
         """The point of the branch in the plane through `guess` (scaled) across `along`; None where Newton's method
         finds none. Its tangent points as the one `before`.
         """
+        size = self.equations.coordinates
+        scales = np.append(self._scale[:size], [1.0] * (self.equations.size - size))  # of the equations
         scaled, best, smallest = guess.copy(), None, self._tolerance
         for iteration in range(_ITERATIONS):
             found = self.equations.at(scaled * self._scale, self._plane)
             if found is None:
                 return best
-            rows = found.matrix * self._scale / self._rows[:, None]
-            sides = np.append(found.value / self._rows, np.dot(along, scaled - guess))
+            rows = found.matrix * self._scale / scales[:, None]
+            sides = np.append(found.value / scales, np.dot(along, scaled - guess))
             error = np.max(np.abs(sides))
             # Round-off of the unknowns: near the end of a branch its multiplier may be a million.
             noise = _ROUND_OFF * self._eps * np.max(np.abs(rows) @ np.abs(scaled))
@@ -315,18 +318,12 @@ class _Branch:
                 return best
         return best
 
-    @property
-    def _rows(self) -> np.ndarray:
-        """The scales of the equations."""
-        size = len(self.equations.names)
-        return np.append(self._scale[:size], [1.0] * (self.equations.size - size))
-
     def _moved(self, unknowns: np.ndarray) -> np.ndarray | None:
         """The unknowns (scaled) of the same orbit, where nothing drives it from the middle of its longest slip on."""
         self._plane = None
         if self.equations.driven:
             return unknowns / self._scale
-        size = len(self.equations.names)
+        size = self.equations.coordinates
         self._plane = self.equations.plane(unknowns[:size], np.ones(size))
         found = self.equations.at(unknowns, self._plane)
         if found is None:
@@ -342,13 +339,18 @@ class _Branch:
         """The same point from the middle of its longest slip on, where its begin has come near an event, or the motion
         there along the plane.
         """
-        if self._cosine(point) >= _CROSSES and (self.equations.driven or point.is_far_from_events):
+        if self.equations.driven:
+            return point
+        size = self.equations.coordinates
+        rates = point.found.matrix[:size, size] / self._scale[:size]
+        normal = point.found.matrix[size, :size] * self._scale[:size]
+        cosine = np.dot(rates, normal) / (np.linalg.norm(rates) * np.linalg.norm(normal))
+        if cosine >= _CROSSES and point.is_far_from_events:
             return point
         plane = self._plane
         guess = self._moved(point.unknowns)
         if guess is not None:
-            parameter = np.zeros(len(guess))
-            parameter[-1] = 1.0
+            parameter = np.eye(len(guess))[-1]
             found = self._corrected(guess, parameter, parameter * np.sign(point.tangent[-1] or 1.0))
             if found is not None:
                 return found
@@ -418,56 +420,21 @@ class _Branch:
         is, where Newton's method does not come nearer.
         """
         way = self._way(last, found)
+        length = np.linalg.norm(way)
+        if length == 0:
+            return found, self._width(last.unknowns, found.unknowns)
         low, high, before, after = 0.0, 1.0, last, found
         while high - low > _LOCATED:
-            tried = (low + part * (high - low) for part in _MIDDLES)
-            middle, point = next(
-                ((middle, point) for middle in tried if (point := self._between(last, way, middle)) is not None),
-                (0.0, None),
-            )
-            if point is None:
+            for part in _MIDDLES:
+                middle = low + part * (high - low)
+                guess = last.unknowns / self._scale + middle * way
+                point = self._corrected(guess, way / length, last.tangent)
+                if point is not None:
+                    break
+            else:
                 return after, self._width(before.unknowns, after.unknowns)
             if is_before(point):
                 low, before = middle, point
             else:
                 high, after = middle, point
         return after, ""
-
-    def _between(self, last: OrbitPoint, way: np.ndarray, part: float) -> OrbitPoint | None:
-        """The point of the branch in the plane across `part` of the `way` from one point to the next."""
-        length = np.linalg.norm(way)
-        if length == 0:
-            return None
-        return self._corrected(last.unknowns / self._scale + part * way, way / length, last.tangent)
-
-
-def _labeled(branch: _Branch, setting: SweepSetting) -> "xarray.Dataset":
-    points, driven, size = branch.points, branch.equations.driven, len(setting.system.coordinates)
-    label, unit = label_and_unit(setting, branch.parameter)
-    values = np.array([point.unknowns for point in points]).reshape(len(points), -1)
-    multipliers = np.array([point.multipliers for point in points]).reshape(len(points), size)
-    many = ("point", "multiplier")
-    variables: Entries = {
-        "period": variable("point", [point.found.duration for point in points], "period of the orbit", "s"),
-        "multiplier_real": variable(many, np.real(multipliers), "Floquet multiplier, real part"),
-        "multiplier_imag": variable(many, np.imag(multipliers), "Floquet multiplier, imaginary part"),
-        "is_stable": variable("point", [point.is_stable(driven) for point in points], "whether the orbit is stable"),
-        "stick_count": variable(
-            "point", [stick_count(point.found.modes) for point in points], "number of sticks in one period"
-        ),
-        "stick_fraction": variable(
-            "point", [point.stick_fraction for point in points], "share of the period in sticks, mean over contacts"
-        ),
-        "modes": variable(
-            "point", [point.sequence_text for point in points], "signs of the relative velocities, mode after mode"
-        ),
-    }
-    for number, coordinate in enumerate(setting.system.coordinates):
-        name = coordinate.variable
-        variables[name] = variable(
-            "point", values[:, number], f"{coordinate.name} where the orbit begins", coordinate.unit
-        )
-    return labeled_dataset(
-        apart(variables, [branch.parameter]), {branch.parameter: variable("point", values[:, -1], label, unit)},
-        {**source(), **provenance(setting.system, setting.law, setting.method)},
-    )  # fmt: skip

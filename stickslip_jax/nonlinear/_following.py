@@ -10,6 +10,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
@@ -21,7 +22,7 @@ from jax import lax
 from jaxtyping import Array
 
 from .._dynamics.simulate import code_of
-from .._dynamics.simulation import Simulation, provenance, source
+from .._dynamics.simulation import provenance, source
 from .._dynamics.sticks import Sticks
 from .._ensemble.encoding import (
     Encoder,
@@ -54,6 +55,7 @@ T = TypeVar("T")
 Folder = str | os.PathLike[str]
 _DESCRIPTION, _LOCK, _ENDING = "call.json", "lock", ".block"
 _NUMBERS = "numbers"
+_LIBRARIES = ("stickslip_jax", "equinox", "builtins", "abc", "typing")
 _FEW = 32
 _FORMAT = "stickslip_jax nonlinear 1"
 
@@ -69,36 +71,32 @@ class Kept:
         """Whether blocks are kept."""
         return self._folder is not None
 
-    def block(self, name: str, like: T, run: Callable[[], T]) -> T:
-        """The results of a block, arrays of NumPy in a tree like `like`: those that are kept, or what `run` returns."""
+    def block(self, name: str, kind: Callable[..., T], run: Callable[[], T]) -> T:
+        """The results of a block, arrays of NumPy in a `kind` of tuple: those that are kept, or what `run` returns."""
         if self._folder is None:
             return run()
-        found = self._read(self._folder, name + _ENDING, like)
-        if found is None:
-            found = run()
-            self._write(self._folder, name + _ENDING, found)
+        path = self._folder / (name + _ENDING)
+        try:
+            whole = read_regular(path)
+            # They are not compressed.
+            arrays = unpacked_arrays(without_header(self._identity, path.name, whole), 2 * len(whole))
+        except (FileNotFoundError, ValueError, zipfile.BadZipFile):
+            arrays = None  # what is damaged is done again, and replaced
+        except (ForeignFileError, OSError) as error:
+            raise SweepError(f"{path} cannot be read, or is of another call; move it elsewhere.") from error
+        if arrays is not None:
+            return kind(*(arrays[f"arr_{number}"] for number in range(len(arrays))))
+        found = run()
+        self._write(path, found)
         return found
 
-    def _read(self, folder: Path, name: str, like: T) -> T | None:
-        """The results that are kept under a name; None where they are not there or damaged."""
-        try:
-            whole = read_regular(folder / name)
-            # They are not compressed.
-            arrays = unpacked_arrays(without_header(self._identity, name, whole), 2 * len(whole))
-        except (FileNotFoundError, ValueError, zipfile.BadZipFile):  # what is damaged is done again, and replaced
-            return None
-        except (ForeignFileError, OSError) as error:
-            raise SweepError(f"{folder / name} cannot be read, or is of another call; move it elsewhere.") from error
-        structure = jax.tree.structure(like)
-        return jax.tree.unflatten(structure, [arrays[f"arr_{number}"] for number in range(structure.num_leaves)])
-
-    def _write(self, folder: Path, name: str, results: Any) -> None:
+    def _write(self, path: Path, results: Any) -> None:
         data = io.BytesIO()
-        np.savez(data, *jax.tree.leaves(results))
+        np.savez(data, *results)
         try:
-            write_whole(folder / name, with_header(self._identity, name, data.getvalue()))
+            write_whole(path, with_header(self._identity, path.name, data.getvalue()))
         except OSError as error:
-            raise _cannot_write(folder, error) from error
+            raise _cannot_write(path.parent, error) from error
 
 
 @contextlib.contextmanager
@@ -134,23 +132,27 @@ def _cannot_write(folder: Path, error: OSError) -> SweepError:
 
 def _description(cases: Cases, what: Mapping[str, int | str]) -> dict[str, Any]:
     """What decides the numbers of a call, each under the name of the argument."""
-    setting, encoder = cases.setter.setting, Encoder()
+    setting, points, encoder = cases.setter.setting, cases.points, Encoder()
     named = {"system": setting.system, "base": setting.law, "method": setting.method}
     encoded = {name: encoder.encoded(value) for name, value in named.items()}
-    arrays = [
-        encoder.floats,
-        encoder.integers,
-        *(leaf for leaf in jax.tree.leaves(cases.cycle) if hasattr(leaf, "shape")),
-    ]
+    leaves = [leaf for leaf in jax.tree.leaves(cases.cycle) if hasattr(leaf, "shape")]
+
+    # The code of all classes that are not the package's own.
+    kinds = {type(module) for module in modules_in(tuple(named.values())) if not is_of_package(module)}
+    own = {one for kind in kinds for one in kind.__mro__ if one.__module__.split(".")[0] not in _LIBRARIES}
+    members = [getattr(kind, name, None) for kind in sorted(own, key=repr) for name in vars(kind)]
+    functions = [one.fget if isinstance(one, property) else one for one in members]
+    lines = [line for one in functions if isinstance(one, types.FunctionType) for line in code_of(one)]
+
     return {
         "format": _FORMAT,
         **what,
         **encoded,
-        "over": {} if cases.points is None else {one.name: _values(one.values) for one in cases.points.dimensions},
-        "y0": _values(cases.starts[: cases.number // (1 if cases.points is None else cases.points.number)]),
+        "over": {one.name: _values(one.values) for one in points.dimensions},
+        "y0": _values(cases.starts[: cases.number // points.number]),
         "period": _values(np.unique(np.asarray(cases.cycle.duration))),
-        _NUMBERS: _sum(*arrays),
-        "code of your classes": _code(*named.values()),
+        _NUMBERS: _sum(encoder.floats, encoder.integers, *leaves),
+        "code of your classes": hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16] if lines else "",
         "precision": str(np.dtype(cases.dtype)),
         "versions": versions(),
     }
@@ -166,25 +168,6 @@ def _sum(*arrays: Any) -> str:
     for array in map(np.ascontiguousarray, arrays):
         found.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
     return found.hexdigest()[:16]
-
-
-def _code(*parts: object) -> str:
-    """A check sum of the code of all classes in `parts` that are not the package's own; "" if there is none."""
-    kinds = {type(module) for module in modules_in(parts) if not is_of_package(module)}
-    own = sorted(
-        {one for kind in kinds for one in kind.__mro__ if one.__module__.split(".")[0] not in _LIBRARIES}, key=repr
-    )
-    lines = [line for kind in own for name in vars(kind) for line in _lines(getattr(kind, name, None))]
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16] if lines else ""
-
-
-_LIBRARIES = ("stickslip_jax", "equinox", "builtins", "abc", "typing")
-
-
-def _lines(value: object) -> Iterator[str]:
-    function = value.fget if isinstance(value, property) else value
-    if isinstance(function, types.FunctionType):
-        yield from code_of(function)
 
 
 def _check_holds(folder: Path, body: Mapping[str, Any]) -> None:
@@ -206,11 +189,10 @@ def _check_holds(folder: Path, body: Mapping[str, Any]) -> None:
     different = [name for name in {**there, **here} if there.get(name) != here.get(name)]
     if different:
         different = [name for name in different if name != _NUMBERS] or different
-        shown = "; ".join(
-            f"{name}: {_brief(there.get(name))} there, {_brief(here.get(name))} here" for name in different
-        )
+        shown = [f"{name}: {_brief(there.get(name))} there, {_brief(here.get(name))} here" for name in different]
         raise SweepError(
-            f"{folder} holds results of another call ({shown}); choose another folder, or change the call back."
+            f"{folder} holds results of another call ({'; '.join(shown)}); choose another folder, or change the call "
+            "back."
         )
 
 
@@ -232,71 +214,56 @@ _PARTS = 20  # in which values are followed one after another, so that progress 
 _MOST_DOUBLINGS = 6  # of the number of steps in a period, before a case is given up
 
 
-class SticksOfPeriod(NamedTuple):
-    """Of one period, and of each contact of a list: the number of sticks that begin in it, the time in sticks (s), and
-    the longest stick that ends in it or lasts beyond it, from its beginning (s).
-    """
-
-    begun: IntArray
-    time: FloatArray
-    longest: FloatArray
-
-
 class SeenCases(NamedTuple):
     """What is seen of each case at the ends of the periods kept: states (cases, periods, coordinates), sticks (cases,
     periods) or (cases, periods, contacts), and of each case (cases,) the `Status` and how often round-off decided.
 
-    `sizes`: the largest size of each number of the state within the periods kept, at a few instants, or a thousandth of
-    that at the ends of the periods before, where that is larger, (cases, coordinates).
+    - `sizes`: the largest size of each number of the state within the periods kept, at a few instants, or a thousandth
+      of that at the ends of the periods before, where that is larger, (cases, coordinates).
+    - `stick_count`, `stick_time`, `longest_stick`: the number of sticks that begin in the period, the time in sticks
+      (s), and the longest stick that ends in it or lasts beyond it, from its beginning (s).
     """
 
     states: Array
     sizes: Array
-    sticks: SticksOfPeriod
+    stick_count: Array
+    stick_time: Array
+    longest_stick: Array
     status: Array
     near_grazing_count: Array
 
 
-SEEN = SeenCases(0, 0, SticksOfPeriod(0, 0, 0), 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
-
-
 @runtime_checkable
 class Followed(Protocol):
-    """Results of cases with their `Status`."""
+    """Results of cases, (cases,): the `Status`, and how often round-off decided."""
 
     @property
     def status(self) -> Array: ...
+
+    @property
+    def near_grazing_count(self) -> Array: ...
 
 
 FollowedT = TypeVar("FollowedT", bound=Followed)
 
 
-def start_age(cycle: Cycle, dtype) -> FloatArray:
-    """How long each contact has been stuck before the first period: 0."""
-    contacts = cycle.system.tracks.contacts if cycle.system.tracks.number is not None else None
-    return jnp.zeros(() if contacts is None else (contacts,), dtype)
+def sticks_of_period(sticks: Sticks, age: FloatArray) -> tuple[FloatArray, tuple[IntArray, FloatArray, FloatArray]]:
+    """How long each contact has been stuck at the end of a period (s); `age`: at its beginning. And the number of
+    sticks, their time, and the longest one, as in `SeenCases`.
+    """
 
-
-def sticks_of_period(one: Simulation, age: FloatArray) -> tuple[SticksOfPeriod, FloatArray]:
-    """The sticks of one period, and how long each contact has been stuck at its end; `age`: at its beginning (s)."""
-    sticks = one.sticks
-
-    def of(held: AnyArray, age: FloatArray) -> tuple[SticksOfPeriod, FloatArray]:
-        return _of_contact(sticks, held, age)
+    def of(held: AnyArray, age: FloatArray):
+        goes_on = held & (sticks.start == 0) & (age > 0)
+        duration = jnp.where(held, sticks.end - sticks.start, 0)
+        whole = duration + jnp.where(goes_on, age, 0)
+        lasts = held & (sticks.ending == int(Ending.HORIZON))
+        begun = jnp.sum(held) - jnp.sum(goes_on)
+        return jnp.max(jnp.where(lasts, whole, 0)), (begun, jnp.sum(duration), jnp.max(whole))
 
     if sticks.contact is None or not age.ndim:
         return of(sticks.mask, age)
     numbers = jnp.arange(age.shape[0])
     return jax.vmap(lambda number, age: of(sticks.mask & (sticks.contact == number), age))(numbers, age)
-
-
-def _of_contact(sticks: Sticks, held: AnyArray, age: FloatArray) -> tuple[SticksOfPeriod, FloatArray]:
-    goes_on = held & (sticks.start == 0) & (age > 0)
-    duration = jnp.where(held, sticks.end - sticks.start, 0)
-    whole = duration + jnp.where(goes_on, age, 0)
-    lasts = held & (sticks.ending == int(Ending.HORIZON))
-    begun = jnp.sum(held) - jnp.sum(goes_on)
-    return SticksOfPeriod(begun, jnp.sum(duration), jnp.max(whole)), jnp.max(jnp.where(lasts, whole, 0))
 
 
 def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) -> SeenCases:
@@ -305,7 +272,7 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
     def period(carry):
         def one(cycle, y, age, status, close, size):
             after = cycle.after(y)
-            sticks, age = sticks_of_period(after, age)
+            age, sticks = sticks_of_period(after.sticks, age)
             status = jnp.where(status == int(Status.FINISHED), after.status, status)
             size = jnp.fmax(size, jnp.abs(y))
             y = jnp.where(status == int(Status.FINISHED), jnp.stack(after.final_state), jnp.nan)
@@ -315,9 +282,10 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
 
         return eqx.filter_vmap(one)(cycle, *carry)
 
-    ages = start_age(cycle, starts.dtype)
+    contacts = cycle.system.tracks.contacts if cycle.system.tracks.number is not None else None
+    ages = jnp.zeros((len(starts),) if contacts is None else (len(starts), contacts), starts.dtype)
     none = jnp.zeros(len(starts), jnp.int32)
-    begun = (starts, jnp.zeros((len(starts), *ages.shape), starts.dtype), none, none, jnp.abs(starts))
+    begun = (starts, ages, none, none, jnp.abs(starts))
     begun = lax.fori_loop(0, transient, lambda _, carry: period(carry)[0], begun)
 
     def keep(carry, _):
@@ -325,8 +293,9 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
         return carry, (carry[0], sticks, sizes)
 
     (_, _, status, close, _), (states, sticks, sizes) = lax.scan(keep, begun, length=kept)
-    states, sticks = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), (states, sticks))
-    return SeenCases(states, jnp.fmax(jnp.max(sizes, axis=0), _AT_REST * begun[4]), sticks, status, close)
+    states, number, time, longest = (jnp.moveaxis(leaf, 0, 1) for leaf in (states, *sticks))
+    largest = jnp.fmax(jnp.max(sizes, axis=0), _AT_REST * begun[4])
+    return SeenCases(states, largest, number, time, longest, status, close)
 
 
 _follow = eqx.filter_jit(_followed)
@@ -359,7 +328,7 @@ def follow_along(
     `descending`: from the last value to the first.
     """
     values = cases.shape[0]
-    order = np.arange(values)[::-1] if descending else np.arange(values)
+    order = np.arange(values)[:: -1 if descending else 1]
     by_value = np.arange(cases.number).reshape(values, -1)[order]
     size = -(-values // _PARTS)
     # The last part repeats its last value, so that all are of one size, and compiled once.
@@ -370,16 +339,15 @@ def follow_along(
         for number, part in enumerate(parts):
 
             def run(cycle: Cycle, part: np.ndarray = part, begin: Array = begin) -> SeenCases:
-                own = jax.tree.map(lambda leaf: leaf[part] if eqx.is_array(leaf) else leaf, cycle)
-                return _follow_along(own, begin, starts, jnp.asarray(transient, jnp.int32), kept=kept)
+                return _follow_along(cycle.of(part), begin, starts, jnp.asarray(transient, jnp.int32), kept=kept)
 
             name = f"{'down' if descending else 'up'}-{number:04}"
-            found.append(stored.block(name, SEEN, lambda run=run: _with_enough_steps(cases, run)))
+            found.append(stored.block(name, SeenCases, lambda run=run: _with_enough_steps(cases, run)))
             begin = _next_start(jnp.asarray(found[-1].states[-1, :, -1]), starts)
             bar.advance(min(part.size, cases.number - (len(found) - 1) * part.size))
     whole = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:values], *found)
-    back = np.argsort(order)
-    return jax.tree.map(lambda leaf: leaf[back].reshape(cases.number, *leaf.shape[2:]), whole)
+    # The order is its own inverse.
+    return jax.tree.map(lambda leaf: leaf[order].reshape(cases.number, *leaf.shape[2:]), whole)
 
 
 def follow(
@@ -388,7 +356,7 @@ def follow(
     """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy."""
     numbers = cases.starts.shape[1] + 3 * (cases.system.tracks.contacts or 1)
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the states at the ends of so many periods")
-    return in_blocks(cases, periods_of(transient, kept), SEEN, progress, Kept() if stored is None else stored)
+    return in_blocks(cases, periods_of(transient, kept), SeenCases, progress, stored or Kept())
 
 
 def periods_of(transient: int, kept: int) -> Callable[[Cycle, Array], SeenCases]:
@@ -407,15 +375,14 @@ def block_size(number: int, stored: Kept) -> int:
 
 
 def in_blocks(
-    cases: Cases, run: Callable[[Cycle, Array], FollowedT], like: FollowedT, progress: bool | None, stored: Kept,
-    size: int | None = None, name: str = "block",
+    cases: Cases, run: Callable[[Cycle, Array], FollowedT], kind: Callable[..., FollowedT], progress: bool | None,
+    stored: Kept, size: int | None = None, name: str = "block",
 ) -> FollowedT:  # fmt: skip
     """`run` over all cases, in blocks over threads; its results joined, arrays of NumPy with a first axis (cases,).
 
     A block in which steps ran out, as the ``status`` of its results says, is followed again with twice as many. Blocks
-    that are `stored` are taken from there, by `name` and number; `like`: the tree of the results. `size`: of a block.
+    that are `stored` are taken from there, by `name` and number; `kind`: of tuple of the results. `size`: of a block.
     """
-    threads = cores()
     size = block_size(cases.number, stored) if size is None else size
     blocks = -(-cases.number // size)
     # The last block repeats its last case, so that all are of one size, and compiled once.
@@ -426,12 +393,11 @@ def in_blocks(
         starts = jnp.asarray(cases.starts[which], cases.dtype)
 
         def run_block(cycle: Cycle) -> FollowedT:
-            own = jax.tree.map(lambda leaf: leaf[which] if eqx.is_array(leaf) else leaf, cycle)
-            return run(own, starts)
+            return run(cycle.of(which), starts)
 
-        return stored.block(f"{name}-{block:06}", like, lambda: _with_enough_steps(cases, run_block))
+        return stored.block(f"{name}-{block:06}", kind, lambda: _with_enough_steps(cases, run_block))
 
-    with progress_bar(progress, cases.number) as bar, ThreadPoolExecutor(threads) as pool:
+    with progress_bar(progress, cases.number) as bar, ThreadPoolExecutor(cores()) as pool:
         found = []
         for part in pool.map(one, range(blocks)):
             found.append(part)
@@ -443,64 +409,41 @@ def _with_enough_steps(cases: Cases, run: Callable[[Cycle], FollowedT]) -> Follo
     """What `run` returns, as arrays of NumPy; run again with twice the steps while these run out, unless their number
     was given.
     """
-    found = jax.tree.map(np.asarray, run(cases.cycle))
-    for doublings in range(1, _MOST_DOUBLINGS + 1 if cases.may_take_more else 0):
-        if not np.any(found.status == int(Status.OUT_OF_STEPS)):
+    cycle, is_given = cases.cycle, cases.setter.setting.method.max_steps is not None
+    found = jax.tree.map(np.asarray, run(cycle))
+    for _ in range(_MOST_DOUBLINGS):
+        steps = cycle.method.max_steps
+        if is_given or steps is None or not np.any(found.status == int(Status.OUT_OF_STEPS)):
             break
-        found = jax.tree.map(np.asarray, run(cases.with_steps(2**doublings).cycle))
+        cycle = replace(cycle, method=replace(cycle.method, max_steps=2 * steps))
+        found = jax.tree.map(np.asarray, run(cycle))
     return found
 
 
 # Warnings of cases that were not followed to the end.
 
 
-def warn_of_unfinished(status: object, stacklevel: int) -> None:
-    """Warn (RuntimeWarning) if any `Status` code (cases,) is not FINISHED, and say why."""
-    codes, counts = np.unique(np.asarray(status), return_counts=True)
-    bad = [
-        (Status(int(code)), int(count)) for code, count in zip(codes, counts, strict=True) if code != Status.FINISHED
-    ]
-    if bad:
-        number = sum(count for _, count in bad)
-        why = "; ".join(f"{count} because {code.meaning}" for code, count in bad)
+def warn_of_unfinished(found: Followed) -> None:
+    """Warn (RuntimeWarning) the caller's caller of cases that were not followed to the end, and say why."""
+    bad = found.status[found.status != int(Status.FINISHED)]
+    if len(bad):
+        codes, counts = np.unique(bad, return_counts=True)
+        why = [f"{count} because {Status(int(code)).meaning}" for code, count in zip(codes, counts, strict=True)]
         warnings.warn(
-            f"{number} of {np.size(np.asarray(status))} cases were not followed to the end: {why}. They hold NaN from "
-            "there on, and the variable status says which they are.",
+            f"{len(bad)} of {len(found.status)} cases were not followed to the end: {'; '.join(why)}. They hold NaN "
+            "from there on, and the variable status says which they are.",
             RuntimeWarning,
-            stacklevel=stacklevel,
+            stacklevel=3,
         )
 
 
-def warn_of_unsettled(unsettled: np.ndarray, so_far: int, more: str, stacklevel: int, *, what: str = "periods") -> None:
-    """Warn (RuntimeWarning) of the cases that are `unsettled`; `more` begins the sentence on what lets them go on."""
+def warn_of_unsettled(unsettled: np.ndarray, so_far: str, argument: str, stacklevel: int) -> None:
+    """Warn (RuntimeWarning) of the cases that are `unsettled`, which a larger `argument` lets go on."""
     if np.any(unsettled):
         warnings.warn(
-            f"{np.sum(unsettled)} of {np.size(unsettled)} motions have not settled within {so_far} {what}: differences "
-            f"between their returns still fall or grow, which the result says of each. {more} them go on; near a "
-            "bifurcation that may take very long.",
-            RuntimeWarning,
-            stacklevel=stacklevel,
-        )
-
-
-def warn_of_missing(missing: int, cases: int, periods: int, stacklevel: int) -> None:
-    """Warn (RuntimeWarning) if in some cases fewer events were found than are asked for."""
-    if missing:
-        warnings.warn(
-            f"In {missing} of {cases} cases fewer events were found in {periods} periods than are asked for: the "
-            "variable event_count says how many. Their places hold NaN; the motion may have come to rest, or never "
-            "pass there.",
-            RuntimeWarning,
-            stacklevel=stacklevel,
-        )
-
-
-def warn_of_none(number: int, starts: int, most: int, stacklevel: int) -> None:
-    """Warn (RuntimeWarning) of starts on no attractor."""
-    if number:
-        warnings.warn(
-            f"{number} of {starts} starts belong to none of the {most} attractors that were looked for: basin is 0 "
-            "there. Their motions may need a longer transient, or a larger tolerance or most.",
+            f"{np.sum(unsettled)} of {np.size(unsettled)} motions have not settled within {so_far}: differences "
+            f"between their returns still fall or grow, which the result says of each. A larger {argument} lets them "
+            "go on; near a bifurcation that may take very long.",
             RuntimeWarning,
             stacklevel=stacklevel,
         )
@@ -514,24 +457,22 @@ START, CYCLE = "start", "cycle"
 
 def dimensions_of(cases: Cases) -> tuple[str, ...]:
     """Names of the dimensions of the cases."""
-    own = () if cases.points is None else tuple(one.name for one in cases.points.dimensions)
+    own = tuple(one.name for one in cases.points.dimensions)
     return own + ((START,) if len(cases.shape) > len(own) else ())
-
-
-def names_of(cases: Cases) -> tuple[str, ...]:
-    """Names of variables for the numbers of the state."""
-    return tuple(coordinate.variable for coordinate in cases.system.coordinates)
 
 
 def states_of(cases: Cases, states: np.ndarray, more: tuple[str, ...], where: str) -> Entries:
     """A variable for each number of the `states`, (cases, ..., coordinates), with the dimensions `more`."""
     found = {}
-    for number, (name, coordinate) in enumerate(zip(names_of(cases), cases.system.coordinates, strict=True)):
-        column = states[..., number]
-        if coordinate.period is not None:
-            column = np.mod(column, coordinate.period)
-        found[name] = on_grid(cases, column, f"{coordinate.name} {where}", coordinate.unit, more)
+    for number, coordinate in enumerate(cases.system.coordinates):
+        column = within_turn(states[..., number], coordinate.period)
+        found[coordinate.variable] = on_grid(cases, column, f"{coordinate.name} {where}", coordinate.unit, more)
     return found
+
+
+def within_turn(column: np.ndarray, period: float | None) -> np.ndarray:
+    """Numbers of a coordinate, between 0 and its `period` if it turns."""
+    return column if period is None else np.mod(column, period)
 
 
 def on_grid(
@@ -543,11 +484,12 @@ def on_grid(
     return variable((*dimensions_of(cases), *more), grid, long_name, unit, **attributes)
 
 
-def outcome_of(cases: Cases, status: np.ndarray, near_grazing_count: np.ndarray) -> Entries:
+def outcome_of(cases: Cases, found: Followed) -> Entries:
     """Whether each case was followed to the end, and how often round-off decided about an event."""
+    status = found.status.astype(np.int8)
     return {
-        "status": on_grid(cases, status.astype(np.int8), "whether the case was followed to the end", **flags(Status)),
-        "near_grazing_count": on_grid(cases, near_grazing_count, "number of events decided by round-off"),
+        "status": on_grid(cases, status, "whether the case was followed to the end", **flags(Status)),
+        "near_grazing_count": on_grid(cases, found.near_grazing_count, "number of events decided by round-off"),
     }
 
 
@@ -559,14 +501,15 @@ def dataset_of(cases: Cases, variables: Entries, coordinates: Entries | None = N
     """
     setting = cases.setter.setting
     found: Entries = {}
-    for one in () if cases.points is None else cases.points.dimensions:
+    for one in cases.points.dimensions:
         for number, name in enumerate(one.parameters):
             label, unit = label_and_unit(setting, name)
             found[name] = variable(one.name, one.values[:, number], label, unit)
     if dimensions_of(cases)[-1:] == (START,):
         starts = cases.starts[: cases.shape[-1]]
-        for number, (name, coordinate) in enumerate(zip(names_of(cases), cases.system.coordinates, strict=True)):
-            found[f"initial_{name}"] = variable(START, starts[:, number], f"initial {coordinate.name}", coordinate.unit)
+        for column, coordinate in zip(starts.T, cases.system.coordinates, strict=True):
+            name = f"initial_{coordinate.variable}"
+            found[name] = variable(START, column, f"initial {coordinate.name}", coordinate.unit)
     about = {**source(), **provenance(cases.system, setting.law, setting.method)}
     return labeled_dataset(apart(variables, found), {**found, **(coordinates or {})}, about)
 

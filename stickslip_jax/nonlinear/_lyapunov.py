@@ -1,6 +1,7 @@
 """Lyapunov exponents from the exact derivatives of the motion over each period, through its events."""
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from .._foundation.extras import Entries, variable
 from .._foundation.types import BoolScalar, FloatArray, IntArray, Scalar, Status
 from .._numerics.matrices import orthogonal_factors
 from .._systems.system import System
-from ._cases import Cases, Cycle, Over, cases_of, checked_numbers
+from ._cases import Cycle, Over, cases_of, checked_numbers
 from ._following import (
     CYCLE,
     START,
@@ -50,9 +51,6 @@ class Stretched(NamedTuple):
     states: Array
     status: Array
     near_grazing_count: Array
-
-
-_STRETCHED = Stretched(0, 0, 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
 
 
 class _Carry(NamedTuple):
@@ -124,11 +122,34 @@ def lyapunov_exponents(
 
     what = {"function": "lyapunov_exponents with states", "exponents": number, "transient": transient, "kept": kept}
     with kept_in(folder, cases, what) as stored:
-        found = in_blocks(cases, run, _STRETCHED, progress, stored)
-    warn_of_unfinished(found.status, stacklevel=3)
-    states, turns = np.asarray(found.states), tuple(coordinate.period for coordinate in cases.system.coordinates)
-    settled = recurrence(states, np.max(np.abs(states), axis=1), RECURS, turns) != UNSETTLED
-    return _labeled(cases, found, settled, transient + every * np.arange(1, checkpoints + 1))
+        found = in_blocks(cases, run, Stretched, progress, stored)
+    warn_of_unfinished(found)
+
+    means, states = np.asarray(found.means), np.asarray(found.states)
+    settled = recurrence(states, np.max(np.abs(states), axis=1), RECURS, cases.turns) != UNSETTLED
+    # The stretches of the first directions are the largest only in the long run: equal ones may come in any order.
+    last = -np.sort(-means[:, -1], axis=-1)
+    variables: Entries = {
+        "lyapunov_exponent": on_grid(cases, last, "Lyapunov exponent", "1/s", (EXPONENT,)),
+        "running_exponent": on_grid(cases, means, "Lyapunov exponent up to the period", "1/s", (CYCLE, EXPONENT)),
+        "settled": on_grid(cases, settled, "whether the motion has settled"),
+        "period": on_grid(cases, cases.cycle.duration, "period", "s"),
+        **outcome_of(cases, found),
+    }
+    if dimensions_of(cases)[-1:] == (START,):
+        grid = last.reshape((*cases.shape, -1))
+        own = (*dimensions_of(cases)[:-1], EXPONENT)
+        with np.errstate(invalid="ignore"):
+            mean, starts = np.mean(grid, axis=-2), grid.shape[-2]
+            error = np.std(grid, axis=-2, ddof=1) / np.sqrt(starts) if starts > 1 else np.full(mean.shape, np.nan)
+        variables["mean_exponent"] = variable(own, mean, "mean of the Lyapunov exponent over the starts", "1/s")
+        variables["mean_exponent_error"] = variable(own, error, "standard error of mean_exponent", "1/s")
+    numbers = transient + every * np.arange(1, checkpoints + 1)
+    coordinates: Entries = {
+        CYCLE: (CYCLE, numbers, {"long_name": "number of the period"}),
+        EXPONENT: (EXPONENT, np.arange(1, number + 1), {"long_name": "number of the exponent"}),
+    }
+    return dataset_of(cases, variables, coordinates)
 
 
 @eqx.filter_jit
@@ -140,15 +161,16 @@ def _stretch(
     unit = jnp.broadcast_to(jnp.eye(size, number, dtype=starts.dtype), (cases, size, number))
     carry = _Carry(starts, unit, jnp.zeros((cases, number), starts.dtype), none, none)
 
-    def over_periods(one: Any, carry: _Carry, number: IntArray) -> _Carry:
-        return lax.fori_loop(0, number, lambda _, carry: eqx.filter_vmap(one)(cycle, carry), carry)
+    def over_periods(carry: _Carry, number: IntArray, *, stretched: bool) -> _Carry:
+        one = eqx.filter_vmap(partial(_over_period, stretched=stretched))
+        return lax.fori_loop(0, number, lambda _, carry: one(cycle, carry), carry)
 
-    carry = over_periods(_moved, carry, before)
-    carry = over_periods(_stretched, carry, aligned)
+    carry = over_periods(carry, before, stretched=False)
+    carry = over_periods(carry, aligned, stretched=True)
     carry = carry._replace(sums=jnp.zeros_like(carry.sums))
 
     def until_checkpoint(carry: _Carry, _: None) -> tuple[_Carry, tuple[Array, Array]]:
-        carry = over_periods(_stretched, carry, every)
+        carry = over_periods(carry, every, stretched=True)
         return carry, (carry.sums, carry.y)
 
     carry, (sums, states) = lax.scan(until_checkpoint, carry, length=checkpoints)
@@ -157,21 +179,9 @@ def _stretch(
     return Stretched(means, jnp.moveaxis(states, 0, 1), carry.status, carry.near_grazing_count)
 
 
-def _outcome(carry: _Carry, y: FloatArray, status: IntArray, near_grazing_count: IntArray) -> _Carry:
-    finished = int(Status.FINISHED)
-    return carry._replace(
-        y=jnp.where(carry.status == finished, y, jnp.nan),
-        status=jnp.where(carry.status == finished, status, carry.status),
-        near_grazing_count=carry.near_grazing_count + near_grazing_count.astype(jnp.int32),
-    )
+def _over_period(cycle: Cycle, carry: _Carry, *, stretched: bool) -> _Carry:
+    """One case over one period; `stretched`: its directions too, else these stay as they are."""
 
-
-def _moved(cycle: Cycle, carry: _Carry) -> _Carry:
-    after = cycle.after(carry.y)
-    return _outcome(carry, jnp.stack(after.final_state), after.status, after.near_grazing_count)
-
-
-def _stretched(cycle: Cycle, carry: _Carry) -> _Carry:
     def end(y: FloatArray):
         after = cycle.after(y)
         sticks = jnp.any(after.totals.stick_time > 0)
@@ -180,11 +190,16 @@ def _stretched(cycle: Cycle, carry: _Carry) -> _Carry:
     def along(direction: FloatArray):
         return jax.jvp(end, (carry.y,), (direction,), has_aux=True)
 
-    y, moved, (sticks, status, close) = jax.vmap(along, in_axes=1, out_axes=(None, 1, None))(carry.directions)
-    directions, logarithms = stretches(moved, sticks)
-    carry = _outcome(carry, y, status, close)
-    bad = jnp.where(carry.status == int(Status.FINISHED), 0, jnp.nan)
-    return carry._replace(directions=directions, sums=carry.sums + logarithms + bad)
+    directions, sums, is_finished = carry.directions, carry.sums, carry.status == int(Status.FINISHED)
+    if stretched:
+        y, moved, (sticks, status, close) = jax.vmap(along, in_axes=1, out_axes=(None, 1, None))(directions)
+        directions, logarithms = stretches(moved, sticks)
+        sums = sums + logarithms
+    else:
+        y, (_, status, close) = end(carry.y)
+    y, status = jnp.where(is_finished, y, jnp.nan), jnp.where(is_finished, status, carry.status)
+    bad = jnp.where(status == int(Status.FINISHED), 0, jnp.nan)
+    return _Carry(y, directions, sums + bad, status, carry.near_grazing_count + close.astype(jnp.int32))
 
 
 def stretches(moved: FloatArray, sticks: BoolScalar) -> tuple[FloatArray, FloatArray]:
@@ -196,29 +211,3 @@ def stretches(moved: FloatArray, sticks: BoolScalar) -> tuple[FloatArray, FloatA
     lengths, whole = jnp.diagonal(factors), jnp.sqrt(jnp.sum(factors * factors, axis=0))
     gone = sticks & (lengths <= _ROUND_OFF * jnp.finfo(moved.dtype).eps * whole)
     return directions, jnp.where(gone, -jnp.inf, jnp.log(lengths))
-
-
-def _labeled(cases: Cases, found: Stretched, settled: np.ndarray, numbers: np.ndarray) -> "xarray.Dataset":
-    means = np.asarray(found.means)
-    # The stretches of the first directions are the largest only in the long run: equal ones may come in any order.
-    last = -np.sort(-means[:, -1], axis=-1)
-    variables: Entries = {
-        "lyapunov_exponent": on_grid(cases, last, "Lyapunov exponent", "1/s", (EXPONENT,)),
-        "running_exponent": on_grid(cases, means, "Lyapunov exponent up to the period", "1/s", (CYCLE, EXPONENT)),
-        "settled": on_grid(cases, settled, "whether the motion has settled"),
-        "period": on_grid(cases, cases.cycle.duration, "period", "s"),
-        **outcome_of(cases, np.asarray(found.status), np.asarray(found.near_grazing_count)),
-    }
-    if dimensions_of(cases)[-1:] == (START,):
-        grid = last.reshape((*cases.shape, -1))
-        own = (*dimensions_of(cases)[:-1], EXPONENT)
-        with np.errstate(invalid="ignore"):
-            mean, starts = np.mean(grid, axis=-2), grid.shape[-2]
-            error = np.std(grid, axis=-2, ddof=1) / np.sqrt(starts) if starts > 1 else np.full(mean.shape, np.nan)
-        variables["mean_exponent"] = variable(own, mean, "mean of the Lyapunov exponent over the starts", "1/s")
-        variables["mean_exponent_error"] = variable(own, error, "standard error of mean_exponent", "1/s")
-    coordinates: Entries = {
-        CYCLE: (CYCLE, numbers, {"long_name": "number of the period"}),
-        EXPONENT: (EXPONENT, np.arange(1, means.shape[-1] + 1), {"long_name": "number of the exponent"}),
-    }
-    return dataset_of(cases, variables, coordinates)

@@ -38,17 +38,6 @@ class Mode(NamedTuple):
     end: float
 
 
-def modes_of(system: System, base: Any, method: Exact, duration: Any, state: Any) -> tuple[Mode, ...]:
-    """The modes of one trajectory in order of time."""
-    y0 = tuple(float(value) for value in np.asarray(state))
-    t1 = float(duration)
-    motion = motion_of(base).realized_until(t1)
-    run = follow_steps(system, motion, method, t1, y0, working_dtype(stacklevel=5))
-    assert isinstance(run.path, StepPath)
-    begun = run.path.beginnings
-    return modes_between(np.asarray(begun.t), np.asarray(begun.sign), t1)
-
-
 def modes_between(times: np.ndarray, signs: np.ndarray, t1: float) -> tuple[Mode, ...]:
     """The modes up to `t1` (s), by the signs that hold from the beginnings of loop steps on, (steps,) or (steps,
     contacts).
@@ -76,17 +65,16 @@ def sequence(modes: tuple[Mode, ...]) -> tuple[tuple[int, ...], ...]:
 
 def stick_count(modes: tuple[Mode, ...]) -> int:
     """The number of sticks of all contacts on a closed orbit; one that lasts for all of it counts."""
-    return _count(modes, lambda sign: sign == 0)
+    return _count(modes, 0)
 
 
 def slip_count(modes: tuple[Mode, ...]) -> int:
     """The number of slips in one direction of all contacts on a closed orbit; one that lasts for all of it counts."""
-    return _count(modes, lambda sign: sign > 0) + _count(modes, lambda sign: sign < 0)
+    return _count(modes, 1) + _count(modes, -1)
 
 
-def _count(modes: tuple[Mode, ...], is_one: Callable[[int], bool]) -> int:
-    order = sequence(modes)
-    found = np.array([[is_one(sign) for sign in signs] for signs in order])
+def _count(modes: tuple[Mode, ...], sign: int) -> int:
+    found = np.array(sequence(modes)) == sign
     begun = found & ~np.roll(found, 1, axis=0)
     return int(np.sum(begun) + np.sum(np.all(found, axis=0)))
 
@@ -301,7 +289,12 @@ class PeriodicOrbit(WithMethods):
     @property
     def modes(self) -> tuple[Mode, ...]:
         """The parts of the orbit between which a contact begins or ends to stick, or its slip changes direction."""
-        return modes_of(self.system, self.base, self.method, self.period, self.state)
+        y0, t1 = tuple(float(value) for value in np.asarray(self.state)), float(self.period)
+        motion = motion_of(self.base).realized_until(t1)
+        run = follow_steps(self.system, motion, self.method, t1, y0, working_dtype(stacklevel=4))
+        assert isinstance(run.path, StepPath)
+        begun = run.path.beginnings
+        return modes_between(np.asarray(begun.t), np.asarray(begun.sign), t1)
 
 
 def periodic_orbit(
@@ -369,7 +362,6 @@ def periodic_orbit(
         duration = period if period is not None else guessed_period(system, base, start, method)
     else:
         duration = periods * duration
-    if driven:
         check_signals((system, motion), jnp.asarray(duration, dtype))
         Arguments(system, motion, method, duration).check_length()
     steps = steps_in(system, motion, method, duration)

@@ -1,5 +1,6 @@
 """Sections of motions: states once a period, bifurcation diagrams that show them, and states at events."""
 
+import warnings
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
@@ -33,7 +34,6 @@ from ._following import (
     on_grid,
     outcome_of,
     states_of,
-    warn_of_missing,
     warn_of_unfinished,
     warn_of_unsettled,
 )
@@ -115,38 +115,26 @@ def stroboscopic_section(
     what = {"function": "stroboscopic_section", "transient": transient, "kept": kept}
     with kept_in(folder, cases, what) as stored:
         seen = follow(cases, transient, kept, progress, stored)
-        found = settled(cases, seen, lasted, float(tolerance), progress, stored, stacklevel=3)
-    warn_of_unfinished(found[0].status, stacklevel=3)
+        found = settled(cases, seen, lasted, float(tolerance), progress, stored)
+    warn_of_unfinished(found[0])
     return section_of(cases, *found, transient)
 
 
 def section_of(cases: Cases, seen: SeenCases, found: np.ndarray, more: np.ndarray, transient: int) -> "xarray.Dataset":
     """The data set of what was seen, of the recurrences `found` and the periods `more` of each case, (cases,)."""
-    numbers = np.arange(transient + 1, transient + np.shape(seen.states)[1] + 1)
-    coordinates: Entries = {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})}
-    states = np.asarray(seen.states)
-    return dataset_of(
-        cases,
-        {
-            **states_of(cases, states, (CYCLE,), "at the end of the period"),
-            **sticks_in(cases, seen),
-            "recurrence": on_grid(cases, found, "number of periods after which the motion repeats itself"),
-            "more_periods": on_grid(cases, more, "number of periods for which it went on until it had settled"),
-            "period": on_grid(cases, cases.cycle.duration, "period", "s"),
-            **outcome_of(cases, np.asarray(seen.status), np.asarray(seen.near_grazing_count)),
-        },
-        coordinates,
-    )
-
-
-def sticks_in(cases: Cases, seen: SeenCases) -> Entries:
-    """Variables of the sticks in each period."""
-    more = (CYCLE,) if np.ndim(seen.sticks.time) == 2 else (CYCLE, CONTACT)
-    return {
-        "stick_time": on_grid(cases, seen.sticks.time, "time in sticks in the period", "s", more),
-        "stick_count": on_grid(cases, seen.sticks.begun, "number of sticks that begin in the period", "1", more),
-        "longest_stick": on_grid(cases, seen.sticks.longest, "longest stick of the period", "s", more),
+    each = (CYCLE,) if np.ndim(seen.stick_time) == 2 else (CYCLE, CONTACT)
+    variables: Entries = {
+        **states_of(cases, np.asarray(seen.states), (CYCLE,), "at the end of the period"),
+        "stick_time": on_grid(cases, seen.stick_time, "time in sticks in the period", "s", each),
+        "stick_count": on_grid(cases, seen.stick_count, "number of sticks that begin in the period", "1", each),
+        "longest_stick": on_grid(cases, seen.longest_stick, "longest stick of the period", "s", each),
+        "recurrence": on_grid(cases, found, "number of periods after which the motion repeats itself"),
+        "more_periods": on_grid(cases, more, "number of periods for which it went on until it had settled"),
+        "period": on_grid(cases, cases.cycle.duration, "period", "s"),
+        **outcome_of(cases, seen),
     }
+    numbers = np.arange(transient + 1, transient + np.shape(seen.states)[1] + 1)
+    return dataset_of(cases, variables, {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})})
 
 
 # Bifurcation diagrams: what motions settle on, over the values of parameters.
@@ -215,9 +203,9 @@ def bifurcation_diagram(
                 one: follow_along(cases, transient, kept, progress, stored, descending=one == "down")
                 for one in directions
             }
-        every = [settled(cases, one, lasted, float(tolerance), progress, stored, stacklevel=3) for one in seen.values()]
+        every = [settled(cases, one, lasted, float(tolerance), progress, stored) for one in seen.values()]
     for one in every:
-        warn_of_unfinished(one[0].status, stacklevel=3)
+        warn_of_unfinished(one[0])
     found = [section_of(cases, *one, transient) for one in every]
     if len(found) == 1:
         return found[0]
@@ -232,6 +220,7 @@ def bifurcation_diagram(
 
 EVENT = "event"
 ModeEvent = Literal["stick_start", "stick_end", "slip_forward", "slip_backward"]
+_BEGINS = {"stick_start": 0, "slip_forward": 1, "slip_backward": -1}  # the sign from there on
 _SLOTS = 16  # for passages of a coordinate in one period; more are made where there are more
 _NEWTON = 24
 _NEAR = 1e-4  # of a step: Newton's steps then square it
@@ -260,31 +249,32 @@ class Crossing(Checked):
             raise checks.refused("direction", "be 1, -1 or 0", self.direction)
 
 
-class _Buffer(NamedTuple):
+class _Found(NamedTuple):
     """Events of one case: the `number` of all, and the times and states (events, ...) of those kept."""
 
-    number: IntArray
-    times: FloatArray
-    states: FloatArray
+    number: Array
+    times: Array
+    states: Array
+    status: Array
+    near_grazing_count: Array
+    most_passages: Array  # in one period, of a coordinate through the value
 
 
 class _Carry(NamedTuple):
     y: FloatArray
     sign: FloatArray  # at the end of the last period; NaN before the first
-    status: IntArray
-    near_grazing_count: IntArray
-    most_passages: IntArray  # in one period, of a coordinate through the value
-    buffer: _Buffer
+    found: _Found
 
 
-class _Found(NamedTuple):
-    buffer: _Buffer
-    status: Array
-    near_grazing_count: Array
-    most_passages: Array
+class _Event(NamedTuple):
+    """What is looked for: a mode of a contact that begins or ends, or a coordinate, by number, that passes a value."""
 
-
-_FOUND = _Found(_Buffer(0, 0, 0), 0, 0, 0)  # pyright: ignore[reportArgumentType] - only its tree counts
+    mode: str | None = None
+    contact: int = 0
+    coordinate: int = 0
+    value: float = 0.0
+    direction: int = 0
+    turn: float | None = None  # the coordinate's period
 
 
 def event_section(
@@ -337,7 +327,21 @@ def event_section(
     cases = cases_of(system, base, y0, over, period, method, for_events=True)
     numbers = cases.starts.shape[1] + 1
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the times and states of so many events")
-    event = _checked_event(cases.system, of, contact)
+    options, names = get_args(ModeEvent), [coordinate.name for coordinate in cases.system.coordinates]
+    if isinstance(of, Crossing):
+        checks.chosen("of.coordinate", of.coordinate, names)
+        place = names.index(of.coordinate)
+        event = _Event(
+            coordinate=place, value=float(of.value), direction=of.direction, turn=cases.system.coordinates[place].period
+        )
+    elif isinstance(of, str) and of in options:
+        last = (cases.system.tracks.contacts or 1) - 1
+        event = _Event(of, checks.whole_number("contact", contact, minimum=0, maximum=last))
+    else:
+        raise ValueError(
+            f"Argument of must be {checks.one_of(map(repr, options))}, or a Crossing(coordinate, value), but "
+            f"{checks.show(of)} was given."
+        )
     most = _MOST_PERIODS * (transient + kept)
 
     def run(cycle: Cycle, starts: Array) -> _Found:
@@ -350,43 +354,39 @@ def event_section(
 
     what = {"function": "event_section", "of": str(of), "contact": contact, "transient": transient, "kept": kept}
     with kept_in(folder, cases, what) as stored:
-        found = in_blocks(cases, run, _FOUND, progress, stored)
-    warn_of_unfinished(found.status, stacklevel=3)
-    missing = (found.buffer.number < transient + kept) & (found.status == int(Status.FINISHED))
-    warn_of_missing(int(np.sum(missing)), len(missing), most, stacklevel=3)
-    # A case goes on while others of its block do: what it then finds does not count.
-    number = np.minimum(found.buffer.number, transient + kept)
-    recurs = _recurrence(cases, np.asarray(found.buffer.times), np.asarray(found.buffer.states))
-    if transient:
-        warn_of_unsettled(recurs == UNSETTLED, transient + kept, "A larger transient lets", stacklevel=3, what="events")
-    return _labeled(cases, found._replace(buffer=found.buffer._replace(number=number)), recurs, transient)
-
-
-class _Event(NamedTuple):
-    """What is looked for: a mode of a contact that begins or ends, or a coordinate, by number, that passes a value."""
-
-    mode: ModeEvent | None
-    contact: int
-    coordinate: int
-    value: float
-    direction: int
-    turn: float | None  # the coordinate's period
-
-
-def _checked_event(system: System, of: object, contact: object) -> _Event:
-    names = [coordinate.name for coordinate in system.coordinates]
-    if isinstance(of, Crossing):
-        checks.chosen("of.coordinate", of.coordinate, names)
-        number = names.index(of.coordinate)
-        return _Event(None, 0, number, float(of.value), of.direction, system.coordinates[number].period)
-    options = get_args(ModeEvent)
-    if not isinstance(of, str) or of not in options:
-        raise ValueError(
-            f"Argument of must be {checks.one_of(map(repr, options))}, or a Crossing(coordinate, value), but "
-            f"{checks.show(of)} was given."
+        found = in_blocks(cases, run, _Found, progress, stored)
+    warn_of_unfinished(found)
+    missing = np.sum((found.number < transient + kept) & (found.status == int(Status.FINISHED)))
+    if missing:
+        warnings.warn(
+            f"In {missing} of {cases.number} cases fewer events were found in {most} periods than are asked for: the "
+            "variable event_count says how many. Their places hold NaN; the motion may have come to rest, or never "
+            "pass there.",
+            RuntimeWarning,
+            stacklevel=2,
         )
-    number = checks.whole_number("contact", contact, minimum=0, maximum=(system.tracks.contacts or 1) - 1)
-    return _Event(of, number, 0, 0.0, 0, None)  # pyright: ignore[reportArgumentType] - one of the options
+
+    # After how many events the state recurs, and where motions drive the system its phase.
+    times, states, turns = np.asarray(found.times), np.asarray(found.states), cases.turns
+    numbered = states
+    if cases.driven:
+        phase = times / np.reshape(np.asarray(cases.cycle.duration), (-1, 1))
+        numbered, turns = np.concatenate([states, phase[..., None]], axis=-1), (*turns, 1.0)
+    recurs = recurrence(numbered, np.max(np.abs(numbered), axis=1), RECURS, turns)
+    if transient:
+        warn_of_unsettled(recurs == UNSETTLED, f"{transient + kept} events", "transient", stacklevel=3)
+
+    # A case goes on while others of its block do: what it then finds does not count.
+    number = np.minimum(found.number, transient + kept)
+    variables: Entries = {
+        "time": on_grid(cases, times, "time of the event", "s", (EVENT,)),
+        **states_of(cases, states, (EVENT,), "at the event"),
+        "recurrence": on_grid(cases, recurs, "number of events after which the motion repeats itself"),
+        "event_count": on_grid(cases, number, "number of events found"),
+        **outcome_of(cases, found),
+    }
+    numbers = np.arange(transient + 1, transient + kept + 1)
+    return dataset_of(cases, variables, {EVENT: (EVENT, numbers, {"long_name": "number of the event"})})
 
 
 @eqx.filter_jit
@@ -395,81 +395,61 @@ def _find(
 ) -> _Found:
     cases, size = starts.shape
     none = jnp.zeros(cases, jnp.int32)
-    times = jnp.full((cases, kept), jnp.nan, starts.dtype)
-    buffer = _Buffer(none, times, jnp.full((cases, kept, size), jnp.nan, starts.dtype))
-    begun = _Carry(starts, jnp.full(cases, jnp.nan, starts.dtype), none, none, none, buffer)
+
+    def unknown(*shape: int) -> Array:
+        return jnp.full(shape, jnp.nan, starts.dtype)
+
+    nothing = _Found(none, unknown(cases, kept), unknown(cases, kept, size), none, none, none)
+    first = _Carry(starts, unknown(cases), nothing)
+
+    def over_period(own: Cycle, carry: _Carry, number: IntArray) -> _Carry:
+        run, found = own.by_steps(carry.y), carry.found
+        path = run.path
+        assert isinstance(path, StepPath)
+        model, begun = path.system.switched_model(path.excitation.signal, path.solver), path.beginnings
+        sign = begun.sign if begun.sign.ndim == 1 else begun.sign[:, event.contact]
+        passages = jnp.zeros((), jnp.int32)
+        if event.mode is None:
+            happens, times, states, passages = _passages(model, begun, run, event, slots)
+        else:
+            # At the begin of which steps the event is, by the sign of the relative velocity before and from there on.
+            before = jnp.append(jnp.where(jnp.isnan(carry.sign), sign[0], carry.sign), sign[:-1])
+            begins = _BEGINS.get(event.mode)
+            happens = (before == 0) & (sign != 0) if begins is None else (before != begins) & (sign == begins)
+            times, states = begun.t, jnp.stack(jax.vmap(lambda y: jnp.stack(model.numbers(y)))(begun.y))
+        started = number * own.duration
+        rank = found.number + jnp.cumsum(happens, dtype=jnp.int32) - 1 - transient
+        place = jnp.where(happens & (rank >= 0), rank, found.times.shape[0])
+        finished = found.status == int(Status.FINISHED)
+        y = jnp.where(finished, jnp.stack(run.final_state), jnp.nan)
+        found = _Found(
+            found.number + jnp.where(finished, jnp.sum(happens, dtype=jnp.int32), 0),
+            found.times.at[place].set(started + times, mode="drop"),
+            found.states.at[place].set(states, mode="drop"),
+            jnp.where(finished, run.status, found.status),
+            found.near_grazing_count + run.near_grazing_count.astype(jnp.int32),
+            jnp.maximum(found.most_passages, passages),
+        )
+        return _Carry(y, sign[-1], found)
 
     def goes_on(state: tuple[IntArray, _Carry]) -> BoolArray:
-        number, carry = state
-        enough = (carry.buffer.number >= transient + kept) | (carry.status != int(Status.FINISHED))
+        number, (_, _, found) = state
+        enough = (found.number >= transient + kept) | (found.status != int(Status.FINISHED))
         return (number < most) & ~jnp.all(enough)
 
     def one_period(state: tuple[IntArray, _Carry]) -> tuple[IntArray, _Carry]:
         number, carry = state
+        of_all = eqx.filter_vmap(over_period, in_axes=(eqx.if_array(0), eqx.if_array(0), None))
+        return number + 1, of_all(cycle, carry, number)
 
-        def one(cycle: Cycle, carry: _Carry) -> _Carry:
-            return _over_period(cycle, carry, number, transient, event, slots)
-
-        return number + 1, eqx.filter_vmap(one)(cycle, carry)
-
-    _, carry = lax.while_loop(goes_on, one_period, (jnp.zeros((), jnp.int32), begun))
-    return _Found(carry.buffer, carry.status, carry.near_grazing_count, carry.most_passages)
-
-
-def _over_period(
-    cycle: Cycle, carry: _Carry, number: IntArray, transient: IntArray, event: _Event, slots: int
-) -> _Carry:
-    run = cycle.by_steps(carry.y)
-    path = run.path
-    assert isinstance(path, StepPath)
-    begun = path.beginnings
-    sign = begun.sign if begun.sign.ndim == 1 else begun.sign[:, event.contact]
-    passages = jnp.zeros((), jnp.int32)
-    if event.mode is not None:
-        before = jnp.append(jnp.where(jnp.isnan(carry.sign), sign[0], carry.sign), sign[:-1])
-        happens, times = _begins(event.mode, before, sign), begun.t
-        states = jnp.stack(jax.vmap(lambda y: jnp.stack(path_model(path).numbers(y)))(begun.y))
-    else:
-        happens, times, states, passages = _passages(path, run, event, slots)
-    started = number * cycle.duration
-    rank = carry.buffer.number + jnp.cumsum(happens, dtype=jnp.int32) - 1 - transient
-    place = jnp.where(happens & (rank >= 0), rank, carry.buffer.times.shape[0])
-    finished = carry.status == int(Status.FINISHED)
-    buffer = _Buffer(
-        carry.buffer.number + jnp.where(finished, jnp.sum(happens, dtype=jnp.int32), 0),
-        carry.buffer.times.at[place].set(started + times, mode="drop"),
-        carry.buffer.states.at[place].set(states, mode="drop"),
-    )
-    return _Carry(
-        jnp.where(finished, jnp.stack(run.final_state), jnp.nan),
-        sign[-1],
-        jnp.where(finished, run.status, carry.status),
-        carry.near_grazing_count + run.near_grazing_count.astype(jnp.int32),
-        jnp.maximum(carry.most_passages, passages),
-        buffer,
-    )
-
-
-def path_model(path: StepPath) -> SwitchedModel:
-    """The model of a path."""
-    return path.system.switched_model(path.excitation.signal, path.solver)
-
-
-def _begins(mode: ModeEvent, before: FloatArray, sign: FloatArray) -> BoolArray:
-    """At the begin of which steps the event is, by the sign of the relative velocity before and from there on."""
-    if mode == "stick_start":
-        return (before != 0) & (sign == 0)
-    if mode == "stick_end":
-        return (before == 0) & (sign != 0)
-    wanted = 1 if mode == "slip_forward" else -1
-    return (before != wanted) & (sign == wanted)
+    _, carry = lax.while_loop(goes_on, one_period, (jnp.zeros((), jnp.int32), first))
+    return carry.found
 
 
 def _passages(
-    path: StepPath, run: Run, event: _Event, slots: int
+    model: SwitchedModel, begun: StepBeginnings, run: Run, event: _Event, slots: int
 ) -> tuple[BoolArray, FloatArray, FloatArray, IntArray]:
     """Whether, when and in what state a coordinate passes the value, in slots, and how often it does."""
-    model, begun = path_model(path), path.beginnings
     values = _beyond(jax.vmap(lambda y: model.numbers(y)[event.coordinate])(begun.y), event)
     after = jnp.append(values[1:], _beyond(run.final_state[event.coordinate], event))
     up, down = (values < 0) & (after >= 0), (values > 0) & (after <= 0)
@@ -509,26 +489,3 @@ def _beyond(numbers: FloatArray, event: _Event) -> FloatArray:
     """How far a coordinate is beyond the value; of an angle, by at most half a turn."""
     beyond = numbers - event.value
     return beyond if event.turn is None else beyond - event.turn * jnp.round(beyond / event.turn)
-
-
-def _recurrence(cases: Cases, times: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """After how many events the state recurs, and where motions drive the system its phase, (cases,)."""
-    turns = tuple(coordinate.period for coordinate in cases.system.coordinates)
-    if cases.driven:
-        phase = times / np.reshape(np.asarray(cases.cycle.duration), (-1, 1))
-        states, turns = np.concatenate([states, phase[..., None]], axis=-1), (*turns, 1.0)
-    return recurrence(states, np.max(np.abs(states), axis=1), RECURS, turns)
-
-
-def _labeled(cases: Cases, found: _Found, recurs: np.ndarray, transient: int) -> "xarray.Dataset":
-    times = np.asarray(found.buffer.times)
-    numbers = np.arange(transient + 1, transient + times.shape[1] + 1)
-    coordinates: Entries = {EVENT: (EVENT, numbers, {"long_name": "number of the event"})}
-    variables: Entries = {
-        "time": on_grid(cases, times, "time of the event", "s", (EVENT,)),
-        **states_of(cases, np.asarray(found.buffer.states), (EVENT,), "at the event"),
-        "recurrence": on_grid(cases, recurs, "number of events after which the motion repeats itself"),
-        "event_count": on_grid(cases, found.buffer.number, "number of events found"),
-        **outcome_of(cases, np.asarray(found.status), np.asarray(found.near_grazing_count)),
-    }
-    return dataset_of(cases, variables, coordinates)

@@ -4,14 +4,13 @@ import hashlib
 import math
 from collections.abc import Iterator
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from .._dynamics.common.method import Exact
 from .._foundation import checks
-from ._cases import MOST_PERIODS, Cases, checked_numbers
-from ._following import SEEN, Kept, SeenCases, block_size, in_blocks, periods_of, warn_of_unsettled
+from ._cases import MOST_PERIODS, Cases, Turns, checked_numbers
+from ._following import Kept, SeenCases, block_size, in_blocks, periods_of, warn_of_unsettled
 from ._orbits import periodic_orbit
 
 # After how many returns a motion repeats itself, and whether it has settled.
@@ -32,9 +31,7 @@ UNSETTLED = -1
 RECURS = 1e-6  # relative: states this near are the same
 
 
-def recurrence(
-    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
-) -> np.ndarray:
+def recurrence(states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: Turns) -> np.ndarray:
     """The smallest number of returns after which all `states` recur, (cases,); 0 where none is found, and -1 where the
     motion has not settled.
 
@@ -74,53 +71,40 @@ def recurrence(
     return found
 
 
-def approached(
-    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
-) -> list[tuple[int, float]]:
-    """The numbers of returns of the orbits to which one motion, (returns, coordinates), comes nearer, and how far it
-    may still be from them (tolerances).
-    """
-    found = []
-    for number, error in _differences(states[None], sizes[None], tolerance, periods):
-        size, _, changes = _tendency(error, number)
-        if changes[0] and 0 < size[0] < np.max(error):
-            found.append((number, float(size[0])))
-    turning = _turning(states[None], sizes[None], tolerance, periods)
-    return found + [(number, float(left[0])) for number, left in turning if np.isfinite(left[0])]
-
-
 def _differences(
-    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
+    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: Turns
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Each number of returns, and how far the states are from those so many returns later, in tolerances, (cases,
     returns); 0 for round-off.
     """
     smallest, limit = _limits(states, sizes, tolerance, periods)
     for number in range(1, states.shape[1] // 2 + 1):
-        change = np.abs(_changes(states, number, periods))
+        change = np.abs(_the_shorter_way(states[:, number:] - states[:, :-number], periods))
         yield number, np.max(np.where(change <= smallest, 0, change) / limit, axis=2)
 
 
-def _limits(
-    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
-) -> tuple[np.ndarray, np.ndarray]:
+def _limits(states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: Turns) -> tuple[np.ndarray, np.ndarray]:
     """Of each case and coordinate the round-off, and the tolerance or the round-off, (cases, 1, coordinates)."""
-    turns = np.array([period is not None for period in periods])
-    scale = np.where(turns, 1.0, np.fmax(sizes, np.max(np.abs(states), axis=1)))
+    scale = _scales(states, sizes, periods)
     smallest = _ROUND_OFF * np.finfo(states.dtype).eps * np.max(scale, axis=1, keepdims=True)
     limit = np.fmax(tolerance * scale, smallest)[:, None]
     return smallest[:, None], np.where(limit > 0, limit, 1)  # 1: of a motion that has always been at zero
 
 
-def _changes(states: np.ndarray, number: int, periods: tuple[float | None, ...]) -> np.ndarray:
-    """From each of the states to that so many returns later, of coordinates that turn the shorter way."""
-    change = states[:, number:] - states[:, :-number]
+def _scales(states: np.ndarray, sizes: np.ndarray, periods: Turns) -> np.ndarray:
+    """The largest size of each number of the states (cases, returns, coordinates), 1 of those that turn."""
+    turns = np.array([period is not None for period in periods])
+    return np.where(turns, 1.0, np.fmax(sizes, np.max(np.abs(states), axis=1)))
+
+
+def _the_shorter_way(change: np.ndarray, periods: Turns) -> np.ndarray:
+    """A change of the state, (..., coordinates), of coordinates that turn the shorter way."""
     turns = np.array([period or np.inf for period in periods])
     return change - np.where(np.isfinite(turns), turns, 0) * np.round(change / turns)
 
 
 def _turning(
-    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: tuple[float | None, ...]
+    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: Turns
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Numbers of returns, and how far states are from the orbit of so many that they turn about, in tolerances, (cases,
     ); infinity where they do not.
@@ -135,7 +119,7 @@ def _turning(
         some = some[:, some.shape[1] // 2 :]
         if not len(states) or some.shape[1] < max(_LEAST, 2 * some.shape[2] + 2):
             continue
-        change = _changes(some, 1, periods)
+        change = _the_shorter_way(np.diff(some, axis=1), periods)
         change = np.where(np.abs(change) <= smallest, 0, change)
         moves = np.all(np.any(change != 0, axis=2), axis=1) & np.all(np.isfinite(change), axis=(1, 2))
         change = np.where(moves[:, None, None], change / limit, 1)
@@ -188,9 +172,8 @@ def checked_periods(transient: object, kept: object, longest: object) -> tuple[i
 
 
 def settled(
-    cases: Cases, seen: SeenCases, lasted: tuple[int, int, int], tolerance: float, progress: bool | None,
-    stored: Kept, *, stacklevel: int,
-) -> tuple[SeenCases, np.ndarray, np.ndarray]:  # fmt: skip
+    cases: Cases, seen: SeenCases, lasted: tuple[int, int, int], tolerance: float, progress: bool | None, stored: Kept
+) -> tuple[SeenCases, np.ndarray, np.ndarray]:
     """What was `seen`; of cases that have not settled, in later periods: twice as many before those that are kept,
     again and again. Also the `recurrence` of each case, and how many periods more came before those, (cases,).
 
@@ -201,9 +184,8 @@ def settled(
     transient, kept, longest = lasted
     seen, size = jax.tree.map(np.array, seen), block_size(cases.number, stored)
     states, sizes = np.asarray(seen.states), np.asarray(seen.sizes)  # the same memory, which later periods are put into
-    turns = tuple(coordinate.period for coordinate in cases.system.coordinates)
     more, last = np.zeros(cases.number, int), transient
-    found = recurrence(states, sizes, tolerance, turns)
+    found = recurrence(states, sizes, tolerance, cases.turns)
     while last < longest and np.any(found == UNSETTLED):
         which = np.flatnonzero(found == UNSETTLED)
         gone, last = last + kept, min(2 * last, longest)
@@ -212,37 +194,38 @@ def settled(
         small = size if size < _FEW_LANES else min(size, 4 ** math.ceil(math.log(len(which), 4)))
         name = f"more-{last}-{hashlib.sha256(which.tobytes()).hexdigest()[:12]}"
         own = cases.of(which, states[which, -1])
-        later = in_blocks(own, periods_of(last - gone, kept), SEEN, progress, stored, small, name)
+        later = in_blocks(own, periods_of(last - gone, kept), SeenCases, progress, stored, small, name)
         later = later._replace(near_grazing_count=later.near_grazing_count + seen.near_grazing_count[which])
-        for whole, part in zip(jax.tree.leaves(seen), jax.tree.leaves(later), strict=True):
+        for whole, part in zip(seen, later, strict=True):
             whole[which] = part
         more[which] = last - transient
-        found[which] = recurrence(states[which], sizes[which], tolerance, turns)
+        found[which] = recurrence(states[which], sizes[which], tolerance, cases.turns)
     if cases.driven and longest > transient:
         for case in np.flatnonzero(found == UNSETTLED)[:_MOST_ORBITS]:
             found[case] = _by_orbits(cases, int(case), states[case], sizes[case], tolerance)
     if longest > transient:
-        so_far = int(transient + np.max(more))
-        warn_of_unsettled(found == UNSETTLED, so_far, "A larger longest_transient lets", stacklevel + 1)
+        so_far = f"{transient + np.max(more)} periods"
+        warn_of_unsettled(found == UNSETTLED, so_far, "longest_transient", stacklevel=4)
     return seen, found, more
 
 
 def _by_orbits(cases: Cases, case: int, states: np.ndarray, sizes: np.ndarray, tolerance: float) -> int:
     """The number of periods of the stable orbit that a motion comes nearer to; -1 where none is found near it."""
-    own = cases.of(np.array([case]), states[None, -1]).cycle
-    one = jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, own)
-    turns = np.array([coordinate.period or np.inf for coordinate in cases.system.coordinates])
-    scale = np.where(np.isfinite(turns), 1.0, np.fmax(sizes, np.max(np.abs(states), axis=0)))
-    near = approached(states, sizes, tolerance, tuple(None if np.isinf(turn) else turn for turn in turns))
+    seen = states[None], sizes[None], tolerance, cases.turns
+    # The numbers of returns of the orbits to which it comes nearer, and how far it may still be from them (tolerances).
+    near = []
+    for number, error in _differences(*seen):
+        size, _, changes = _tendency(error, number)
+        if changes[0] and 0 < size[0] < np.max(error):
+            near.append((number, float(size[0])))
+    near += [(number, float(left[0])) for number, left in _turning(*seen) if np.isfinite(left[0])]
+    one, scale = cases.cycle.of(case), _scales(states[None], sizes[None], cases.turns)[0]
+    y0, steps = tuple(map(float, states[-1])), one.method.max_steps
     for number, left in near:
-        steps = one.method.max_steps
         method = Exact(one.method.step, None if steps is None else number * steps, one.method.solver)
-        orbit = periodic_orbit(
-            one.system, one.base, y0=tuple(map(float, states[-1])), periods=number, period=float(one.duration),
-            method=method,
-        )  # fmt: skip
-        change = np.asarray(orbit.state) - states[-1]
-        change -= np.where(np.isfinite(turns), turns, 0) * np.round(change / turns)
+        period = float(one.duration)
+        orbit = periodic_orbit(one.system, one.base, y0=y0, periods=number, period=period, method=method)
+        change = _the_shorter_way(np.asarray(orbit.state) - states[-1], cases.turns)
         is_near = np.max(np.abs(change) / scale) <= _NEAR * left * tolerance
         if bool(orbit.converged) and orbit.is_stable and is_near:
             return number

@@ -230,7 +230,7 @@ class Circle(Equations):
     modes = (Mode((1,), 0.0, 0.5), Mode((0,), 0.5, 1.0))
 
     def __init__(self):
-        self.names, self.driven, self.itemsize = ("position",), True, 8
+        self.coordinates, self.driven, self.itemsize = 1, True, 8
 
     def at(self, unknowns, plane):
         return Evaluated(np.array([np.dot(unknowns, unknowns) - 1]), 2 * unknowns[None], 1.0, self.modes, 1)
