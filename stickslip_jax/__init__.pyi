@@ -66,7 +66,7 @@ from ._excitation.gaussian import (
 )
 from ._excitation.excitation import base_velocity as base_velocity
 from ._excitation.motion import SourceVoltage as SourceVoltage
-from ._explore.call import explore as explore
+from ._explore import explore as explore
 from ._foundation.fields import Quantity as Quantity
 from ._sensitivity.call import differentiable as differentiable, sensitivity as sensitivity
 from ._sensitivity.estimate import Sensitivities as Sensitivities, Sensitivity as Sensitivity

@@ -71,7 +71,7 @@ def _run_or_fail(tokens: Sequence[str], left: str) -> int:
         from .study._errors import StudyError  # noqa: PLC0415 - says which extra is missing
     except ImportError as error:
         return _fail(error, 1)
-    from ._commands import run  # noqa: PLC0415 - needs the extra
+    from .study._commands import run  # noqa: PLC0415 - needs the extra
 
     try:
         run(tokens)

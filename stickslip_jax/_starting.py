@@ -15,7 +15,10 @@ _MODULE = "stickslip_jax._cli"
 
 def begin() -> None:
     """Answer Ctrl-C from now on, if this program is the command, and Ctrl-C is not ignored or answered already."""
-    if not _is_command() or threading.current_thread() is not threading.main_thread():
+    program = sys.argv[0] if sys.argv else ""
+    # With "-m" the package is loaded before the module that is to run.
+    is_command = _MODULE in sys.orig_argv if program == "-m" else os.path.basename(program) in _FILES
+    if not is_command or threading.current_thread() is not threading.main_thread():
         return
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupted)
@@ -31,13 +34,6 @@ def usual() -> Any:
     """What answers Ctrl-C without this module."""
     now = signal.getsignal(signal.SIGINT)
     return signal.default_int_handler if now is _interrupted else now
-
-
-def _is_command() -> bool:
-    program = sys.argv[0] if sys.argv else ""
-    if program == "-m":  # the package is loaded before the module that is to run
-        return _MODULE in sys.orig_argv
-    return os.path.basename(program) in _FILES
 
 
 def _interrupted(*_: object) -> None:

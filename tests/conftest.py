@@ -76,4 +76,4 @@ def _compiled_code_is_let_go(request):
 def in_an_empty_folder(tmp_path, monkeypatch):
     """Let the command work in an empty folder, without settings of its own: all tests of a process share theirs."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("stickslip_jax._commands.prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)

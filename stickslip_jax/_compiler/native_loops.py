@@ -3,7 +3,7 @@
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from functools import cache, lru_cache, partial, wraps
 from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar, cast
 
@@ -15,8 +15,6 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
-
-from .._foundation.types import PyTreeDef
 
 # The switch that turns all of this folder off.
 
@@ -380,7 +378,7 @@ class CompiledNatively(Generic[_Arguments, _Result]):
     def __init__(self, function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any):
         self.native = jax.jit(native_loop(function, static_argnames), static_argnames=static_argnames, **options)
         self.usual = jax.jit(function, static_argnames=static_argnames, **options)
-        self._refused: set[PyTreeDef] = set()
+        self._refused: set[Hashable] = set()
 
     def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
         kind = jax.tree.structure((args, named))

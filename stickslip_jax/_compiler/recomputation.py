@@ -9,10 +9,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.extend import core
 
-from .._foundation import checks
-from .._foundation.types import PyTreeDef
 from .native_loops import PLAIN, computed_once
 
 # Many small arrays packed into a few: JAX takes microseconds for each array that a compiled function is given.
@@ -23,7 +22,7 @@ from .native_loops import PLAIN, computed_once
 class Layout(NamedTuple):
     """How to unpack a pytree; may be a static argument of ``jax.jit``."""
 
-    structure: PyTreeDef
+    structure: Hashable  # a `PyTreeDef`
     kinds: tuple[tuple[jnp.dtype, tuple[int, ...]], ...]  # type and shape of each leaf
 
     @classmethod
@@ -131,7 +130,7 @@ def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf], known: dict[Hash
 
 def _name(value: _Leaf) -> Hashable:
     """Identity of an operand: of a tracer the object, of a number its value."""
-    return id(value) if checks.is_traced(value) else (str(jax.typeof(value)), np.asarray(value).tobytes())
+    return id(value) if isinstance(value, Tracer) else (str(jax.typeof(value)), np.asarray(value).tobytes())
 
 
 def _details(equation: core.JaxprEqn) -> Hashable:

@@ -18,13 +18,16 @@ def require(needing: str, extra: str, *packages: str) -> None:
 
     `needing`: who needs them, with the verb: "Sweeps need".
     """
-    missing = [name for name in packages if not _is_installed(name)]
+    # A module that is loaded, or is None because it must not be, has no need to be found.
+    loaded = {name: sys.modules[name] if name in sys.modules else find_spec(name) for name in packages}
+    missing = [name for name, found in loaded.items() if found is None]
     if missing:
         raise ImportError(f"{needing} {', '.join(missing)}: pip install 'stickslip_jax[{extra}]'.")
 
 
-def _is_installed(name: str) -> bool:
-    return sys.modules[name] is not None if name in sys.modules else find_spec(name) is not None
+def require_explorer() -> None:
+    """Raises ImportError where what the explorer needs is not installed."""
+    require("The explorer needs", "explore", "panel", "bokeh", "pydantic", "xarray")
 
 
 # Labelled arrays of xarray with the attributes of the CF conventions.

@@ -87,25 +87,19 @@ def _cubics(x: PerPoint, y: PerPoint) -> Float[Array, "4 intervals"]:
     secant = jnp.diff(y) / length
     slope = jnp.zeros_like(y).at[0].set(secant[0])  # and 0 at the last point
     if len(x) > 2:
-        slope = slope.at[0].set(_edge_slope(*length[:2], *secant[:2]))
-        slope = slope.at[1:-1].set(_inner_slopes(length[:-1], length[1:], secant[:-1], secant[1:]))
+        # First that of the parabola through three points, where it keeps the curve monotone.
+        (h, after), (one, two) = length[:2], secant[:2]
+        parabola = ((2 * h + after) * one - h * two) / (h + after)
+        steep = (one * two < 0) & (jnp.abs(parabola) > 3 * jnp.abs(one))
+        slope = slope.at[0].set(jnp.where(parabola * one > 0, jnp.where(steep, 3 * one, parabola), 0))
+        # Then the weighted harmonic mean of two secants; 0 where the curve turns.
+        before, later, secants, following = length[:-1], length[1:], secant[:-1], secant[1:]
+        same = secants * following > 0
+        first, second = 2 * later + before, later + 2 * before
+        inverse = first / jnp.where(same, secants, 1) + second / jnp.where(same, following, 1)
+        slope = slope.at[1:-1].set(jnp.where(same, (first + second) / jnp.where(same, inverse, 1), 0))
     bend = (slope[:-1] + slope[1:] - 2 * secant) / length
     return jnp.stack([y[:-1], slope[:-1], (secant - slope[:-1]) / length - bend, bend / length])
-
-
-def _inner_slopes(length: PerPoint, after: PerPoint, secant: PerPoint, following: PerPoint) -> PerPoint:
-    """The slope between two secants of these lengths: their weighted harmonic mean; 0 where the curve turns."""
-    same = secant * following > 0
-    first, second = 2 * after + length, after + 2 * length
-    inverse = first / jnp.where(same, secant, 1) + second / jnp.where(same, following, 1)
-    return jnp.where(same, (first + second) / jnp.where(same, inverse, 1), 0)
-
-
-def _edge_slope(length: FloatArray, after: FloatArray, secant: FloatArray, following: FloatArray) -> FloatArray:
-    """The slope at the first point: that of the parabola through three points, where it keeps the curve monotone."""
-    parabola = ((2 * length + after) * secant - length * following) / (length + after)
-    steep = (secant * following < 0) & (jnp.abs(parabola) > 3 * jnp.abs(secant))
-    return jnp.where(parabola * secant > 0, jnp.where(steep, 3 * secant, parabola), 0)
 
 
 # Friction laws: the friction coefficient of a stick, and that of a slip by its relative speed.

@@ -75,7 +75,11 @@ def blocks(
 def storeys(positions: tuple[np.ndarray, ...], base: np.ndarray, on: tuple[tuple[int, ...], ...]) -> Mechanism:
     """A building: its mat on the ground, and its storeys above it; displacements are exaggerated."""
     largest = max(float(np.max(np.abs(x))) for x in positions)
-    factor = _round_down(0.25 * _WIDTH / largest) if largest > 0 else 1.0
+    factor = 1.0
+    if largest > 0:  # the largest of 1, 2 and 5 times a power of ten that is not above what fits
+        fits = 0.25 * _WIDTH / largest
+        power = 10.0 ** math.floor(math.log10(fits))
+        factor = next(share * power for share in (5.0, 2.0, 1.0) if share * power <= fits * (1 + 1e-12))
     places = [factor * x for x in positions]
     half, edge = 0.5 * _WIDTH, 0.92 * _WIDTH
     parts: list[Part] = [Belt(-0.3, factor * base, (-edge, edge), marks=12)]
@@ -121,9 +125,3 @@ def _extent(values: np.ndarray) -> tuple[float, float, float]:
     largest = max(abs(low), abs(high))
     # A motion of the size of the round-off is none.
     return low, high, high - low if high - low > 1e-9 * largest else largest or 1.0
-
-
-def _round_down(value: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is not above `value`."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(factor * power for factor in (5.0, 2.0, 1.0) if factor * power <= value * (1 + 1e-12))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._explore.page import GIVEN, NumberControl, Worker
-from stickslip_jax._explore.pictures import motion_of, realization, statistics_of
-from stickslip_jax._explore.scene import Scene
 from stickslip_jax.study import read_config
+from stickslip_jax.study._explorer_page import GIVEN, NumberControl, Worker
+from stickslip_jax.study._explorer_pictures import motion_of, realization, statistics_of
+from stickslip_jax.study._explorer_scene import Scene
 
 T1, SAMPLES, Y0 = 20.0, 300, (0.0, 1.0)
 

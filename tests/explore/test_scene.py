@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._explore.page import NotWritable, as_python
-from stickslip_jax._explore.scene import (
+from stickslip_jax.study import StudyConfig, StudyError, read_config
+from stickslip_jax.study._config import config_of
+from stickslip_jax.study._explorer_page import NotWritable, as_python
+from stickslip_jax.study._explorer_scene import (
     FRICTIONS,
     SYSTEMS,
     Scene,
@@ -19,8 +21,6 @@ from stickslip_jax._explore.scene import (
     scene_of,
     with_friction,
 )
-from stickslip_jax.study import StudyConfig, StudyError, read_config
-from stickslip_jax.study._config import config_of
 
 
 def scene_called(name):
@@ -191,7 +191,7 @@ def test_program_of_a_users_class_imports_it():
 
 
 def test_scene_of_float32_says_so(monkeypatch):
-    monkeypatch.setattr("stickslip_jax._explore.page.jnp.result_type", lambda kind: np.dtype("float32"))
+    monkeypatch.setattr("stickslip_jax.study._explorer_page.jnp.result_type", lambda kind: np.dtype("float32"))
     assert '"jax_enable_x64", False' in as_python(scene_called("mass on a spring"))
 
 

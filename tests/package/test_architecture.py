@@ -21,8 +21,8 @@ TESTS = Path(__file__).parents[1]
 # From the ground up: a module imports only from its own folder and from entries before its own.
 ROWS = (
     "_starting",
-    "_foundation",
     "_compiler",
+    "_foundation",
     "_numerics",
     "_uncertainty",
     "_excitation",
@@ -39,7 +39,6 @@ ROWS = (
     "papers",
     "study",
     "_explore",
-    "_commands",
     "_cli",
     "__init__",
     "__main__",
@@ -49,8 +48,8 @@ CIRCLES = {("_excitation/motion", "_excitation/segments")}
 
 # A file holds one topic, usually in 200 to 800 lines; a function reads from top to bottom.
 FILE_LINES, FUNCTION_LINES = 800, 200
-FILES_AT_MOST = 165  # of the package
-FLOORS, ARROWS = 16, 111  # at most, of the imports between folders; one that is undone lowers them
+FILES_AT_MOST = 161  # of the package
+FLOORS, ARROWS = 12, 100  # at most, of the imports between folders; one that is undone lowers them
 
 MODULES = {path.relative_to(ROOT).with_suffix("").parts: path for path in sorted(ROOT.rglob("*.py"))}
 
@@ -187,7 +186,7 @@ def test_imports_are_named_and_public(parts):
         for module in modules:
             full = [module, *(f"{module}.{name}" for name in names)]
             assert not any(item.startswith("jax._src") for item in full), ast.unparse(node)
-            assert module.split(".")[0] != "matplotlib" or parts[0] in ("plot", "_explore"), ast.unparse(node)
+            assert module.split(".")[0] != "matplotlib" or parts[0] in ("plot", "study"), ast.unparse(node)
     assert "jax._src" not in MODULES[parts].read_text()
 
 
@@ -213,13 +212,13 @@ def test_there_are_few_rooms():
 
 
 def test_there_are_few_floors_and_arrows():
-    """Of the folders, and files beside them; `ROWS` knows that there is no circle."""
+    """Floors of the folders (the files beside them only begin things), arrows of both; `ROWS` knows no circle."""
     arrows = {(parts[0], other[0]) for parts in MODULES for other in uses(parts, with_types=True)}
     arrows = {(one, other) for one, other in arrows if one != other and "__init__" not in (one, other)}
     floor: dict[str, int] = {}
     for row in ROWS:
         floor[row] = 1 + max((floor[other] for one, other in arrows if one == row), default=0)
-    assert max(floor.values()) <= FLOORS
+    assert max(floor[row] for row in ROWS if (ROOT / row).is_dir()) <= FLOORS
     assert len(arrows) <= ARROWS
 
 

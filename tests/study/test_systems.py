@@ -327,7 +327,7 @@ def test_long_name_of_a_missing_record_is_shown_whole(tmp_path):
 
 
 def test_command_finds_records_beside_the_configuration(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("stickslip_jax._commands.prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     text, *_ = STUDIES["accelerogram"]

@@ -154,7 +154,7 @@ def test_statistic_that_is_not_known_is_left_out_alone(copied, capsys, monkeypat
         found = stored_dataset(folder)
     assert set(found.data_vars) == set(dataset.data_vars)
     assert found.mean_stick_duration.equals(dataset.mean_stick_duration)
-    monkeypatch.setattr("stickslip_jax._commands.prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     assert cli.main(["show", str(folder)]) == 0
     out, err = capsys.readouterr()
     said = "stickslip: The sweep asks for 'junk', which this version of stickslip_jax does not know; it is left out.\n"

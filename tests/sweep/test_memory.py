@@ -135,7 +135,7 @@ def test_command_without_memory(tmp_path, monkeypatch, capsys):
     def hungry(*_):
         raise MemoryError
 
-    monkeypatch.setattr("stickslip_jax._commands.run", hungry)
+    monkeypatch.setattr("stickslip_jax.study._commands.run", hungry)
     assert cli.main(["sweep", "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err
     assert said.startswith("stickslip: There is not enough memory (MemoryError); what is done is kept, and the same")

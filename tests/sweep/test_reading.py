@@ -176,7 +176,7 @@ def assert_consistent(found) -> None:
 @pytest.mark.slow
 def test_two_hundred_readings_while_a_sweep_runs(tmp_path, capsys, monkeypatch):
     """As many as run beside it; a run that ends is followed by another one in another folder."""
-    monkeypatch.setattr("stickslip_jax._commands.prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     readings = beside = 0
     partial = set()
     jax.config.update("jax_enable_x64", True)

@@ -84,7 +84,7 @@ def test_folder_that_is_taken_away_while_it_runs(tmp_path, monkeypatch, what):
 
 
 def test_command_in_a_folder_that_is_taken_away_fails(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("stickslip_jax._commands.prepare_jax", lambda dtype: None)
+    monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     folder, config = tmp_path / "sweep", tmp_path / "sweep.toml"
     config.write_text(
         '[run]\nt1 = 20.0\nsamples = 500\n[sweep]\nkeep = "totals"\nbatch = 256\n[sweep.over]\nmu = [0.5, 1.0]'

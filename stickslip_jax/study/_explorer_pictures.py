@@ -31,7 +31,7 @@ from .._uncertainty.inputs import Inputs, StochasticModel
 from ..nonlinear import bifurcation_diagram
 from ..plot import _style, histogram, phase_portrait, time_history
 from ..plot._trajectory import joined, phases_of
-from .scene import MovableNumber, Scene
+from ._explorer_scene import MovableNumber, Scene
 
 # The numbers of all pictures of a scene: one realisation, and the sticks of thousands.
 

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Annotated
 import jax
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
-from . import __version__
-from ._foundation import compilation_cache
-from .study._errors import StudyError
-from .study._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
+from .. import __version__
+from .._foundation import compilation_cache
+from ._errors import StudyError
+from ._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
 
 if TYPE_CHECKING:
     import xarray
 
-    from ._sweep.sweep import Sweep
+    from .._sweep.sweep import Sweep
 
 _STUDY, _SWEEP, _EXECUTORS = StudyOptions(), SweepOptions(), ExecutorOptions()
 
@@ -83,7 +83,7 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
         TOML file that describes the study; without it, the mass and spring of Lima and Sampaio's conference paper on
         a base that switches at random. Files that it names are relative to its folder.
     """
-    from .study._reading import OPTIONS, read_config  # noqa: PLC0415
+    from ._reading import OPTIONS, read_config  # noqa: PLC0415
 
     if config is not None and options.print_example is not None:
         raise StudyError(
@@ -96,7 +96,7 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
         return
     prepare_jax(described.run.dtype)
 
-    from .study._run import (  # noqa: PLC0415
+    from ._run import (  # noqa: PLC0415
         as_json,
         run_study,
         table,
@@ -127,7 +127,7 @@ def sweep(
     config
         TOML file that describes the sweep, with a section [sweep.over]; without it, --paper parametric-analysis.
     """
-    from .study._reading import read_sweep_config  # noqa: PLC0415
+    from ._reading import read_sweep_config  # noqa: PLC0415
 
     if config is not None and options.paper is not None:
         raise StudyError(f"{config} and --paper {options.paper} were both given; leave out one of them.")
@@ -138,7 +138,7 @@ def sweep(
         print(described.to_toml(), end="")
         return
     prepare_jax(described.run.dtype)
-    from .study._sweep_run import sweep_of  # noqa: PLC0415
+    from ._sweep_run import sweep_of  # noqa: PLC0415
 
     source = "" if config is None else f"{config}: "
     _run_sweep(sweep_of(described, source), options.out.expanduser(), executors)
@@ -155,8 +155,8 @@ def resume(
     folder
         Folder of the sweep.
     """
-    from ._sweep.store import Store  # noqa: PLC0415
-    from ._sweep.sweep import Sweep  # noqa: PLC0415
+    from .._sweep.store import Store  # noqa: PLC0415
+    from .._sweep.sweep import Sweep  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
     _run_sweep(Sweep.load(folder), folder, executors)
@@ -171,8 +171,8 @@ def status(folder: Path, /) -> None:
     folder
         Folder of the sweep.
     """
-    from ._sweep.dataset import status_of  # noqa: PLC0415
-    from .study._sweep_run import status_text  # noqa: PLC0415
+    from .._sweep.dataset import status_of  # noqa: PLC0415
+    from ._sweep_run import status_text  # noqa: PLC0415
 
     print(status_text(folder, status_of(folder)))
 
@@ -194,8 +194,8 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
     """
     if out is not None and out.suffix.lower() not in FIGURES:
         raise StudyError(f"option --out must be a file that ends in {', '.join(FIGURES)}, but {out} was given.")
-    from ._sweep.dataset import stored_dataset  # noqa: PLC0415
-    from ._sweep.store import Store  # noqa: PLC0415
+    from .._sweep.dataset import stored_dataset  # noqa: PLC0415
+    from .._sweep.store import Store  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
     if out is not None:
@@ -223,14 +223,14 @@ def explore(
     browser
         Whether to open the page; its address is printed.
     """
-    from ._explore.call import require_panel  # noqa: PLC0415
-    from .study._reading import read_config  # noqa: PLC0415
+    from .._foundation.extras import require_explorer  # noqa: PLC0415
+    from ._reading import read_config  # noqa: PLC0415
 
-    require_panel()
+    require_explorer()
     described = read_config(config, {"samples": samples})
     prepare_jax(described.run.dtype)
-    from ._explore.page import serve  # noqa: PLC0415
-    from ._explore.scene import scene_of  # noqa: PLC0415
+    from ._explorer_page import serve  # noqa: PLC0415
+    from ._explorer_scene import scene_of  # noqa: PLC0415
 
     try:
         scene = scene_of(described)
@@ -242,8 +242,8 @@ def explore(
 
 
 def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None:
-    from ._sweep.store import DATA  # noqa: PLC0415
-    from .study._sweep_run import run_stored  # noqa: PLC0415
+    from .._sweep.store import DATA  # noqa: PLC0415
+    from ._sweep_run import run_stored  # noqa: PLC0415
 
     dataset = run_stored(sweep, folder, executors)
     if not executors.quiet:
@@ -252,7 +252,7 @@ def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None
 
 
 def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[str]:
-    from .study._sweep_run import chosen_statistics, sweep_table  # noqa: PLC0415
+    from ._sweep_run import chosen_statistics, sweep_table  # noqa: PLC0415
 
     names = chosen_statistics(dataset, wanted)
     print(sweep_table(dataset, names))
@@ -260,7 +260,7 @@ def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[
 
 
 def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) -> None:
-    from . import plot  # noqa: PLC0415 - slow to load
+    from .. import plot  # noqa: PLC0415 - slow to load
 
     dimensions = len(dataset["samples"].dims)
     if dimensions > 2:
@@ -273,7 +273,7 @@ def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) 
 
 def _check_figure(path: Path, force: bool) -> None:
     """Raise StudyError where no figure can be written."""
-    from ._foundation.files import file_to_write  # noqa: PLC0415
+    from .._foundation.files import file_to_write  # noqa: PLC0415
 
     try:
         file_to_write(path, overwrite=force)

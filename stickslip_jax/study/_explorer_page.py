@@ -22,9 +22,9 @@ from bokeh.document import Document, without_document_lock
 
 from .._foundation import html
 from .._sensitivity.estimate import Sensitivity
-from ..study._config import StudyConfig, config_of
-from . import pictures
-from .scene import (
+from . import _explorer_pictures as pictures
+from ._config import StudyConfig, config_of
+from ._explorer_scene import (
     FRICTIONS,
     SYSTEMS,
     MovableNumber,

@@ -18,8 +18,8 @@ from .._systems.friction import Coulomb, FrictionLaw, Stribeck, VelocityWeakenin
 from .._systems.system import System, unit_at
 from .._uncertainty.families import Weibull
 from .._uncertainty.numbers import NumberPath, check_numbers, number_at, numbers_in, quantity_at, shown, with_numbers
-from ..study._config import StudyConfig
-from ..study._reading import EXAMPLES
+from ._config import StudyConfig
+from ._reading import EXAMPLES
 
 # What the explorer shows: a system, what drives it, where it starts, and the numbers in all of them.
 

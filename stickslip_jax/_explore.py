@@ -2,20 +2,15 @@
 
 from typing import TYPE_CHECKING
 
-from .._dynamics.common.method import EXACT, Exact, Regularized
-from .._excitation.excitation import BaseMotion, law_of
-from .._foundation import checks
-from .._foundation.extras import require
-from .._foundation.types import InitialState
-from .._systems.system import System
+from ._dynamics.common.method import EXACT, Exact, Regularized
+from ._excitation.excitation import BaseMotion, law_of
+from ._foundation import checks
+from ._foundation.extras import require_explorer
+from ._foundation.types import InitialState
+from ._systems.system import System
 
 if TYPE_CHECKING:
-    from .page import Explorer
-
-
-def require_panel() -> None:
-    """Raise ImportError where the extra ``explore`` is not installed."""
-    require("The explorer needs", "explore", "panel", "bokeh", "pydantic", "xarray")
+    from .study._explorer_page import Explorer
 
 
 def explore(
@@ -51,13 +46,13 @@ def explore(
         ValueError: For arguments that do not fit.
         ImportError: Without the extra ``explore``.
     """
-    require_panel()
+    require_explorer()
     if not isinstance(system, System):
         raise checks.refused("system", "be a system such as MassSpring", system)
     import panel as pn  # noqa: PLC0415 - an extra
 
-    from .page import MOST_SAMPLES, Explorer  # noqa: PLC0415
-    from .scene import Scene  # noqa: PLC0415
+    from .study._explorer_page import MOST_SAMPLES, Explorer  # noqa: PLC0415
+    from .study._explorer_scene import Scene  # noqa: PLC0415
 
     checks.positive("t1", t1, "s")
     number = checks.whole_number("samples", samples, minimum=2, maximum=MOST_SAMPLES)
