@@ -161,14 +161,14 @@ class Windows(NamedTuple):
 
 def known_channels(system: System) -> dict[str, Channel]:
     """The channels that can be measured of every motion of a system, by name."""
-    coordinates, found = {}, {}
+    coordinates, rates = {}, {}
     for number, (name, unit, *_) in enumerate(system.coordinates):
         coordinates[name] = Channel(name, unit, MeasuredCoordinate(number))
         if "velocity" in name:
             rate = name.replace("velocity", "acceleration")
-            found[rate] = Channel(rate, f"{unit}^2", Rate(number))
-    found["friction force"] = Channel("friction force", "N", friction_force)
-    return found | coordinates  # these come before what is called like one of them
+            rates[rate] = Channel(rate, f"{unit}^2", Rate(number))
+    force = {"friction force": Channel("friction force", "N", friction_force)}
+    return coordinates | rates | force | coordinates  # last those that come before what is called like one of them
 
 
 class MeasuredCoordinate(NamedTuple):

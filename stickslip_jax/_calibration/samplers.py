@@ -217,7 +217,7 @@ def log_likelihood(
     model = FittedMotion(
         setting=as_arrays(setting, dtype), state_origin=jnp.zeros((1, len(state)), dtype), resting=None, method=method,
         transform=identity(len(of_setting), dtype), paths=tuple(parameter.path for parameter in of_setting),
-        observers=tuple(channel.observe for channel in record.channels), steps=loop_steps(arguments, _SPARE),
+        observers=tuple(channel.observe for channel in record.channels), steps=loop_steps(arguments, float(_SPARE)),
     )  # fmt: skip
     return LogLikelihood(
         names=tuple(parameter.name for parameter in parameters),
