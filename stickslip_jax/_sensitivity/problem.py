@@ -36,6 +36,7 @@ from .._excitation.piecewise_constant import (
     RandomSteps,
     VelocitySteps,
 )
+from .._excitation.segments import SegmentLaw
 from .._foundation import checks
 from .._foundation.processes import cores, require_threads_of_jax
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
@@ -367,23 +368,25 @@ def _starts_alike(base: BaseMotion, dtype: DType) -> bool:
     excitation = excitation_of(base)
     if isinstance(excitation.smooth, RandomSignal):
         return False
-    key_data = jnp.arange(2 * _PILOT, dtype=jnp.uint32).reshape(2, -1)
     for law in (*excitation.base, *excitation.ground):
         if not law.is_random or type(law) in (PoissonSwitching, RandomSteps):
             continue
-
-        @jax.jit
-        def first_segments(law=law):
-            def first(high, low):
-                drawn = law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
-                _, value, slope, _ = law.next_segment(law.begin((high, low), dtype), drawn, dtype)
-                return jnp.stack([jnp.asarray(value, dtype), jnp.asarray(slope, dtype)])
-
-            return jax.vmap(first)(*key_data)
-
-        if np.sum(np.unique(np.asarray(first_segments()), axis=0, return_counts=True)[1] == 1) > 8:
+        drawn = np.asarray(_first_segments(law, dtype=dtype))
+        if np.sum(np.unique(drawn, axis=0, return_counts=True)[1] == 1) > 8:
             return False
     return True
+
+
+@partial(jax.jit, static_argnames="dtype")
+def _first_segments(law: SegmentLaw, *, dtype: DType) -> Float[Array, "draws 2"]:
+    """Value and slope of the first segment, drawn often."""
+
+    def first(high, low):
+        drawn = law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
+        _, value, slope, _ = law.next_segment(law.begin((high, low), dtype), drawn, dtype)
+        return jnp.stack([jnp.asarray(value, dtype), jnp.asarray(slope, dtype)])
+
+    return jax.vmap(first)(*jnp.arange(2 * _PILOT, dtype=jnp.uint32).reshape(2, -1))
 
 
 def require_correctable(problem: SensitivityProblem) -> None:
