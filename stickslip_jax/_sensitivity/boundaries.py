@@ -80,21 +80,38 @@ class BoundaryDistances(NamedTuple):
             found = found | distance.is_active
         return found
 
-    def only(self, where: BoolArray, switch_where: BoolArray) -> "BoundaryDistances":
-        """The same distances, active only `where` that is true; that to the switch only `switch_where` is."""
+    def after(self, deterministic_until: FloatArray, where: BoolArray) -> "BoundaryDistances":
+        """The same distances, active only `where` that is true and they have a density: not before
+        `deterministic_until` (s, `FirstSegment`), except that to a change of the excitation then.
+
+        That to an earlier change counts where it is zero: windows then tell that there is no derivative.
+        """
+        is_random, digits = self.time >= deterministic_until, 4 * float(jnp.finfo(self.time.dtype).eps)
+        change, off = self.time + jnp.maximum(self.switch.value, 0), jnp.abs(self.switch.value)
+        may_switch = is_random | (change >= deterministic_until * (1 - digits)) | (off <= digits * change)
         limited = {
-            name: distance._replace(is_active=distance.is_active & (switch_where if name == "switch" else where))
+            name: distance._replace(
+                is_active=distance.is_active & where & (may_switch if name == "switch" else is_random)
+            )
             for name, distance in self._asdict().items()
             if isinstance(distance, SignedDistance)
         }
         return self._replace(**limited)
 
-    def after(self, deterministic_until: FloatArray, where: BoolArray) -> "BoundaryDistances":
-        """The same distances, active only `where` that is true and they have a density.
 
-        Before anything random happens (`deterministic_until`, s) none has, except that to the base's first change.
-        """
-        return self.only(where & (self.time >= deterministic_until), where)
+class FirstSegment(NamedTuple):
+    """What is the same in all samples, or one of a few values, so that it has no density: the motion until the base's
+    first segment ends, and when that is.
+    """
+
+    is_fixed: bool
+    end_is_fixed: bool
+
+    def deterministic_until(self, end: FloatArray) -> FloatArray:
+        """From when on something has a density, s; just after the `end` of the segment if that has none itself."""
+        if not self.is_fixed:
+            return jnp.zeros_like(end)
+        return end * (1 + 16 * float(jnp.finfo(end.dtype).eps)) if self.end_is_fixed else end
 
 
 class IntervalLane(NamedTuple):
@@ -275,11 +292,12 @@ class BoundarySums(NamedTuple):
     ) -> "BoundarySums":  # fmt: skip
         """The sums over a stick of a record, if it begins at t = 0 and may vanish, as its duration falls to 0.
 
-        `deterministic_until`: when the first random thing happens in the sample, s. A stick that ended before, but for
-        the first change of the base itself, has the same duration in all samples; one that lasts until `t1` is not
-        short.
+        `deterministic_until`: see `FirstSegment`. A stick that ended before, but for the first change of the base
+        itself, has the same duration in all samples; one that lasts until `t1` is not short.
         """
-        is_random = (deterministic_until == 0) | (ending == Ending.BASE_SWITCHED)
+        digits = 4 * float(jnp.finfo(duration.dtype).eps)
+        switched = (ending == Ending.BASE_SWITCHED) & (duration >= deterministic_until * (1 - digits))
+        is_random = (deterministic_until == 0) | switched
         may_vanish = (ending >= 0) & (start == 0) & (ending != Ending.HORIZON) & is_random
         return cls._weighed([(SignedDistance(duration, may_vanish), one_sided_kernel)], bandwidths)
 

@@ -499,7 +499,7 @@ def _recorded(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows:
 
     def means(values: Array, varied: Array | None = None) -> Array:
         here = with_numbers(engine, paths, values if varied is None else varied)
-        here = wrapped(here, partial(recording, fixed_start=problem.fixed_start))
+        here = wrapped(here, partial(recording, first=problem.first_segment))
 
         def chunk(first):
             mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, LANES), varying)

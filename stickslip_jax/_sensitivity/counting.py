@@ -24,6 +24,7 @@ from .boundaries import (
     BoundaryDistances,
     BoundarySums,
     EngineStep,
+    FirstSegment,
     IntervalLane,
     cross_with_distances,
     crossed_after,
@@ -64,11 +65,11 @@ class Counted(NamedTuple):
     sums: BoundarySums
 
 
-def recording(engine: IntervalEngine | SwitchedEngine, fixed_start: bool) -> "IntervalCounting | StepCounting":
-    """`engine` with its candidates recorded; `fixed_start`: whether all samples begin in the same state."""
+def recording(engine: IntervalEngine | SwitchedEngine, first: FirstSegment) -> "IntervalCounting | StepCounting":
+    """`engine` with its candidates recorded."""
     if isinstance(engine, IntervalEngine):
-        return IntervalCounting(engine, np.zeros(0), None, fixed_start, with_distances=True)
-    return StepCounting(engine, np.zeros(0), fixed_start, with_distances=True)
+        return IntervalCounting(engine, np.zeros(0), None, first, with_distances=True)
+    return StepCounting(engine, np.zeros(0), first, with_distances=True)
 
 
 # Over whole intervals of the base. Where the gaps between switches are exponential, the time left at an arrival is
@@ -102,24 +103,23 @@ class _IntervalMotion(NamedTuple):
 class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Counted]):
     """Engine that counts the sticks that an `IntervalEngine` simulates, and records candidates, if `with_distances`.
 
-    `bandwidths` (windows,): relative bandwidths of the kernels (see `two_sided_kernel`). `fixed_start`: whether all
-    samples begin alike: then nothing has a density before the base's first segment ends, but the distance to that end.
+    `bandwidths` (windows,): relative bandwidths of the kernels (see `two_sided_kernel`).
     """
 
     engine: IntervalEngine
     bandwidths: AnyArray
     likelihood: Likelihood | None
-    fixed_start: bool = eqx.field(static=True)
+    first: FirstSegment = eqx.field(static=True)
     with_distances: bool = eqx.field(static=True, default=False)
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[IntervalSample, _IntervalMotion]:
         law, (x, velocity), zero = self.engine.law, self.engine.y0, jnp.zeros((), dtype)
         motion = start_motion(self.shared(dtype), (x, velocity))
         memory = law.begin(key_data, dtype)
-        first, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
+        end, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
         lane = IntervalLane(memory, motion, start_totals(dtype), zero)
         begun = _IntervalMotion(lane, BoundarySums.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
-        return IntervalSample(key_data, first if self.fixed_start else zero), begun
+        return IntervalSample(key_data, self.first.deterministic_until(end)), begun
 
     def shared(self, dtype) -> Scales:
         return self.engine.shared(dtype)
@@ -133,16 +133,17 @@ class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Co
         (lane, sums, switches), law = motion, self.engine.law
         moved, stick, distances, duration = cross_with_distances(law, shared, lane, drawn)
         arrival = stick.start - lane.motion.t
-        exact, switch_where = jnp.zeros_like(arrival), jnp.ones((), bool)
+        exact, weighed = jnp.zeros_like(arrival), distances.after(sample.deterministic_until, jnp.ones((), bool))
         if law.gap_rate is not None:
             rate = jnp.asarray(getattr(law, law.gap_rate), arrival.dtype)
             # A gap that ends at the arrival, E / rate with its random number E held fixed.
             gap = lax.stop_gradient(arrival) * lax.stop_gradient(rate) / rate
             exact = zero_with_derivative(rate, gap - arrival, distances.exists)
-            switch_where = jnp.zeros((), bool)
+            inactive = jnp.zeros((), bool)
+            weighed = weighed._replace(switch=weighed.switch._replace(is_active=inactive))
         sums = sums._replace(event_parts=tuple(part + exact for part in sums.event_parts))
         bandwidths = jnp.asarray(self.bandwidths, arrival.dtype)
-        more = BoundarySums.over(distances.only(lane.motion.t >= sample.deterministic_until, switch_where), bandwidths)
+        more = BoundarySums.over(weighed, bandwidths)
         sums = jax.tree.map(jnp.add, sums, more)
         following = _IntervalMotion(moved, sums, switches + (lane.motion.t + duration < shared.t1))
         if not self.with_distances:
@@ -197,7 +198,7 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
 
     engine: SwitchedEngine
     bandwidths: AnyArray
-    fixed_start: bool = eqx.field(static=True)
+    first: FirstSegment = eqx.field(static=True)
     with_distances: bool = eqx.field(static=True)
     looks_back = True
 
@@ -205,7 +206,7 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
         smooth, lane = self.engine.begin(key_data, dtype)
         laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
         ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
-        until = jnp.min(jnp.stack(ends)) if self.fixed_start and ends else jnp.zeros((), dtype)
+        until = self.first.deterministic_until(jnp.min(jnp.stack(ends))) if ends else jnp.zeros((), dtype)
         begun = _StepMotion(lane, -jnp.ones((), dtype), BoundarySums.none(len(self.bandwidths), dtype))
         return StepSample(smooth, until), begun
 

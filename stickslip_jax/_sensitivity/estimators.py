@@ -309,11 +309,11 @@ def counting_engine(
 
     def counting(engine):
         if not problem.by_intervals:
-            return StepCounting(engine, bandwidths, problem.fixed_start, with_distances=len(bandwidths) > 0)
+            return StepCounting(engine, bandwidths, problem.first_segment, with_distances=len(bandwidths) > 0)
         law, likelihood = engine.law, None
         if law.gap_rate is not None:
             likelihood = Likelihood(getattr(law, law.gap_rate), pilot.stick_time, pilot.sticks)
-        return IntervalCounting(engine, bandwidths, likelihood, problem.fixed_start)
+        return IntervalCounting(engine, bandwidths, likelihood, problem.first_segment)
 
     return wrapped(problem.engine(), counting)
 
@@ -358,7 +358,7 @@ def with_sequences(
 
     `paths`: in the engine that records. Without `bandwidths` nothing but the sticks is recorded.
     """
-    job = job._replace(engine=wrapped(job.engine, partial(recording, fixed_start=problem.fixed_start)))
+    job = job._replace(engine=wrapped(job.engine, partial(recording, first=problem.first_segment)))
     buffer, tries = buffer if len(bandwidths) else buffer._replace(candidates=0), 0
     while True:
         found = sequence_chunk(

@@ -33,7 +33,6 @@ from .._excitation.piecewise_constant import (
     GivenSteps,
     PiecewiseConstantLaw,
     PoissonSwitching,
-    RandomSteps,
     VelocitySteps,
 )
 from .._excitation.segments import SegmentLaw
@@ -44,7 +43,7 @@ from .._numerics.elementary import random_words
 from .._systems.system import System, require_system
 from .._uncertainty.inputs import Input, Inputs, StochasticModel
 from .._uncertainty.numbers import NumberPath, Parameter, number_at, parameters_of, with_numbers
-from .boundaries import relative_excess
+from .boundaries import FirstSegment, relative_excess
 from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, RandomEngine, StickStatistic, statistics_of
 
 # A sensitivity problem: statistic, motion and parameters, and the results of its pilot simulation.
@@ -87,8 +86,7 @@ class SensitivityProblem(NamedTuple):
 
     What it says of its statistics holds if they are of one kind (`kinds`).
     `system`, `law`, `y0`: those of the first sample. `random`: the numbers that differ from sample to sample; None if
-    there are none. `model`: with all distributions and arrays, for what ensembles simulate. `starts_alike`: whether the
-    base begins as one of a few motions in all of its realisations.
+    there are none. `model`: with all distributions and arrays, for what ensembles simulate.
     """
 
     statistics: tuple[StickStatistic, ...]
@@ -104,7 +102,6 @@ class SensitivityProblem(NamedTuple):
     chunk: int | None
     dtype: DType
     model: StochasticModel
-    starts_alike: bool
     random: RandomInputs | None = None
 
     def only(self, statistic: StickStatistic) -> "SensitivityProblem":
@@ -120,11 +117,12 @@ class SensitivityProblem(NamedTuple):
         return [self._replace(statistics=tuple(statistics)) for statistics in found.values()]
 
     @property
-    def fixed_start(self) -> bool:
-        """Whether all samples are the same system, begin in the same state, and differ once the base's first segment
-        ends: before, no outcome has a density.
-        """
-        return self.random is None and self.starts_alike
+    def first_segment(self) -> FirstSegment:
+        """What has no density while the base's first segment lasts: nothing where numbers differ from the start on."""
+        if self.random is not None:
+            return FirstSegment(is_fixed=False, end_is_fixed=False)
+        with jax.ensure_compile_time_eval():
+            return _first_segment(self.law, self.dtype)
 
     @property
     def by_intervals(self) -> bool:
@@ -354,37 +352,36 @@ def problem_of(
     base = GivenSteps(base) if isinstance(base, VelocitySteps) else base
     problem = SensitivityProblem(
         statistics, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
-        dtype, inputs.model, _starts_alike(base, dtype),
+        dtype, inputs.model,
     )  # fmt: skip
     return problem if smoothed else problem.with_inputs(inputs), pilot
 
 
-def _starts_alike(base: BaseMotion, dtype: DType) -> bool:
-    """Whether the base begins as one of a few motions in all of its realisations.
+def _first_segment(base: BaseMotion, dtype: DType) -> FirstSegment:
+    """What has no density while the first segment of the base lasts.
 
     Of a random law 1,024 first segments are drawn. Where a few per cent of them have a density, more than 8 are drawn
     once only; of a law with more than 8 rare ones it does no harm to take it for one with a density.
     """
     excitation = excitation_of(base)
-    if isinstance(excitation.smooth, RandomSignal):
-        return False
+    is_fixed, end_is_fixed = not isinstance(excitation.smooth, RandomSignal), False
     for law in (*excitation.base, *excitation.ground):
-        if not law.is_random or type(law) in (PoissonSwitching, RandomSteps):
+        if type(law) is PoissonSwitching or not law.is_random:
             continue
         drawn = np.asarray(_first_segments(law, dtype=dtype))
-        if np.sum(np.unique(drawn, axis=0, return_counts=True)[1] == 1) > 8:
-            return False
-    return True
+        course, end = (np.unique(part, axis=0, return_counts=True)[1] for part in (drawn[:, 1:], drawn[:, :1]))
+        is_fixed, end_is_fixed = is_fixed and np.sum(course == 1) <= 8, end_is_fixed or np.sum(end == 1) <= 8
+    return FirstSegment(bool(is_fixed), bool(end_is_fixed))
 
 
 @partial(jax.jit, static_argnames="dtype")
-def _first_segments(law: SegmentLaw, *, dtype: DType) -> Float[Array, "draws 2"]:
-    """Value and slope of the first segment, drawn often."""
+def _first_segments(law: SegmentLaw, *, dtype: DType) -> Float[Array, "draws 3"]:
+    """Duration, value and slope of the first segment, drawn often."""
 
     def first(high, low):
         drawn = law.draw((high, low), jnp.zeros((), jnp.uint32), dtype)
-        _, value, slope, _ = law.next_segment(law.begin((high, low), dtype), drawn, dtype)
-        return jnp.stack([jnp.asarray(value, dtype), jnp.asarray(slope, dtype)])
+        segment = law.next_segment(law.begin((high, low), dtype), drawn, dtype)[:3]
+        return jnp.stack([jnp.asarray(number, dtype) for number in segment])
 
     return jax.vmap(first)(*jnp.arange(2 * _PILOT, dtype=jnp.uint32).reshape(2, -1))
 

@@ -4,15 +4,12 @@ A test with a fixed key gives the same answer for ever. Its bound was fixed befo
 that a correct law fails it for a key picked blindly.
 """
 
-import inspect
-import math
-import textwrap
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from support.segments import documented_law
 
 import stickslip_jax as ss
 from stickslip_jax._excitation.excitation import excitation_of, path_in_excitation
@@ -25,17 +22,7 @@ SYSTEM = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.3))
 T1 = 20.0
 
 
-def example():
-    """The class in the documentation of `SegmentLaw`, and the lines that use it."""
-    lines = inspect.getdoc(ss.SegmentLaw).partition("Attributes:")[0].splitlines()
-    code = textwrap.dedent("\n".join(line for line in lines if line.startswith("    ") or not line))
-    made, used = code.split("law = ")
-    names = {"ss": ss, "jnp": jnp, "jax": jax, "math": math, "Annotated": __import__("typing").Annotated}
-    exec(made, names)
-    return names["Ramps"], "law = " + used, names
-
-
-Ramps, USE, NAMES = example()
+Ramps, USE, NAMES = documented_law()
 LAW = Ramps(speed=1.0, rate=0.5)
 
 

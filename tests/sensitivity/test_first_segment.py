@@ -4,41 +4,18 @@ All samples begin in the same state. Short motions, so that the first segment de
 """
 
 import math
-from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 import pytest
+from support.segments import documented_law
 
 import stickslip_jax as ss
 
 AGREE = 4.0  # combined standard errors: passed by chance once in 16,000 independent comparisons
 GAP = ss.Weibull(1.0, 1.5)
+Ramps, _, _ = documented_law()  # from rest, with a random acceleration
 RECORDED = ss.StickFunctional(lambda sticks: jnp.sum(sticks.mask), "number")
-
-
-class Ramps(ss.SegmentLaw):
-    """A base that starts from rest with a random acceleration."""
-
-    speed: Annotated[float, ss.Quantity("m/s", above=0)]
-    rate: Annotated[float, ss.Quantity("1/s", above=0)]
-    is_random = True
-    jumps = False
-
-    def segments(self, t1):
-        mean = self.rate * t1
-        return math.ceil(mean + 6 * math.sqrt(mean) + 12)
-
-    def begin(self, key_data, dtype):
-        return jnp.zeros((), dtype)
-
-    def draw(self, key_data, number, dtype):
-        u, v = self.uniforms(key_data, number, dtype)
-        return ss.Exponential(1 / self.rate).icdf(u), ss.Uniform(-self.speed, self.speed).icdf(v)
-
-    def next_segment(self, memory, drawn, dtype):
-        duration, velocity = drawn
-        return duration, memory, (velocity - memory) / duration, velocity
 
 
 class OwnSwitching(ss.PoissonSwitching):
@@ -105,3 +82,21 @@ def test_first_arc_without_density():
     for one in found:
         error = math.hypot(one.standard_error, differences.standard_error)
         assert abs(one.derivative - differences.derivative) < AGREE * error
+
+
+@pytest.mark.parametrize("statistic", [ss.mean_stick_count, RECORDED], ids=["counted", "recorded"])
+def test_first_end_without_density(statistic):
+    """All first segments end at multiples of one interval: one that ends just after the arrival has no part in the
+    derivative, one that ends with it leaves none.
+    """
+    arrival = float(ss.simulate(system(), ss.Constant(1.0), t1=2.0, y0=(-0.3, -0.2)).sticks.start[0])
+    options = {"wrt": "mu", "samples": 4_096, "key": jax.random.key(1), "t1": 0.9, "y0": (-0.3, -0.2)}
+    with pytest.warns(RuntimeWarning, match="rests on 0 sticks only"):
+        after = ss.sensitivity(
+            statistic, system(), ss.RandomSteps(1.0, 1.002 * arrival), estimator="corrected", **options
+        )
+    assert (after.derivative, after.sticks_in_window) == (0, 0)
+    assert after.value > 0.4  # half of the bases begin forwards
+    with pytest.warns(RuntimeWarning, match="No two windows agree"):
+        at_once = ss.sensitivity(statistic, system(), ss.RandomSteps(1.0, arrival), estimator="corrected", **options)
+    assert math.isnan(at_once.standard_error)
