@@ -10,6 +10,7 @@ from stickslip_jax._dynamics.common.lanes import Job
 from stickslip_jax._numerics.steps import steepest_fall
 from stickslip_jax._numerics.sums import Moments
 from stickslip_jax._sensitivity import estimate, statistic
+from stickslip_jax._sensitivity.boundaries import FirstSegment
 from stickslip_jax._sensitivity.counting import recording
 from stickslip_jax._sensitivity.estimate import gradient_of_ratio
 from stickslip_jax._sensitivity.estimators import Accumulator, DerivativeColumns, derivatives_of
@@ -48,7 +49,7 @@ def test_what_is_close_to_a_boundary_crosses_it(name):
     """
     system, law, t1, y0, chunks = MOTIONS[name]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, "mu", t1, LANES, jax.random.key(1), y0)
-    engine = wrapped(problem.engine(), lambda engine: recording(engine, False))
+    engine = wrapped(problem.engine(), lambda engine: recording(engine, FirstSegment(False, False)))
     buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
     paths, mu = problem.paths("engine"), problem.parameters[0].value
 
@@ -88,7 +89,7 @@ def test_distances_move_as_their_derivatives_say(wrt):
     """
     system, law, t1, y0, _ = MOTIONS["harmonic"]
     problem, pilot = problem_of(ss.mean_stick_count, system, law, wrt, t1, LANES, jax.random.key(1), y0)
-    engine = wrapped(problem.engine(), lambda engine: recording(engine, False))
+    engine = wrapped(problem.engine(), lambda engine: recording(engine, FirstSegment(False, False)))
     buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
     paths, value = problem.paths("engine"), problem.parameters[0].value
     varying = problem.varying_leaves(0, LANES)
