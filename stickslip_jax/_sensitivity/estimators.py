@@ -26,7 +26,7 @@ from .._statistics.accumulator import Numbering
 from .._systems.system import is_built_in
 from .._uncertainty.inputs import StochasticModel
 from .._uncertainty.numbers import NumberPath, check_numbers, number_at, with_numbers
-from .boundaries import BoundarySums
+from .boundaries import BoundarySums, FirstSegment
 from .counting import IntervalCounting, Likelihood, StepCounting, recording
 from .problem import LANES, ROWS, Pilot, SensitivityProblem, buffer_sizes_for
 from .statistic import (
@@ -334,9 +334,10 @@ def recorded(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) 
     engine, paths = problem.engine(), problem.paths("engine")
     units = units_of(engine, problem.paths())[:, None, None]
     buffer = buffer_sizes_for(problem, pilot)
+    recorder = wrapped(engine, partial(recording, first=problem.first_segment))
 
     def rows(first: int, number: int) -> list[Rows]:
-        job = problem.job(engine, first, problem.sequence_lanes)
+        job = problem.job(recorder, first, problem.sequence_lanes)
         found, slopes, counts = with_sequences(problem, job, buffer, bandwidths, paths)
         status = np.asarray(counts.status)[:number]
 
@@ -354,11 +355,10 @@ def recorded(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) 
 def with_sequences(
     problem: SensitivityProblem, job: Job, buffer: BufferSizes, bandwidths: np.ndarray, paths: tuple[NumberPath, ...]
 ) -> tuple[tuple[Features, ...], tuple[Features, ...], RecordedCounts]:
-    """What `sequence_chunk` finds of the samples of a job, with larger buffers until all fits.
+    """What `sequence_chunk` finds of the samples of a job that records, with larger buffers until all fits.
 
     `paths`: in the engine that records. Without `bandwidths` nothing but the sticks is recorded.
     """
-    job = job._replace(engine=wrapped(job.engine, partial(recording, first=problem.first_segment)))
     buffer, tries = buffer if len(bandwidths) else buffer._replace(candidates=0), 0
     while True:
         found = sequence_chunk(
@@ -509,6 +509,8 @@ def _values_of_engine(problem: SensitivityProblem, pilot: Pilot, engine: Engine,
         summarize = compiled_for(job.engine, with_records=with_records).summarize
         totals = summarize(job, lanes=LANES, rows=ROWS, dtype=problem.dtype)
         return _values_of_totals(problem, jax.tree.map(lambda leaf: flat(leaf, number), totals))
+    # Only the sticks are asked for, and nothing about what has a density.
+    job = job._replace(engine=wrapped(job.engine, partial(recording, first=FirstSegment(False, False))))
     found, _, counts = with_sequences(problem, job, buffer_sizes_for(problem, pilot), np.zeros(0), ())
     status, sticks = (np.asarray(leaf)[:number] for leaf in (counts.status, counts.sticks))
     return _Values(np.stack([np.asarray(one.parts, float)[:number] for one in found]), status, sticks)
