@@ -53,7 +53,7 @@ from .system import (
     ages_of,
     shortest_period,
 )
-from .users_checks import check_contacts, check_fields, check_ground, check_motion
+from .users_checks import check_fields, check_ground, check_motion
 from .users_models import GeneralContactsModel, GeneralForcing, UsersBase, depends_on_time, differs_between, records_in
 
 _SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
@@ -309,7 +309,7 @@ class SwitchedSystem(WithContacts):
         if y0 is None:
             check_fields(self)
         else:
-            (check_motion if self.contacts is None else check_contacts)(self, y0[: len(self.state_names)])
+            check_motion(self, y0[: len(self.state_names)])
 
     def differs_between(self, y0: InitialState, times: np.ndarray, others: np.ndarray) -> bool:
         return differs_between(self, y0[: len(self.state_names)], times, others)

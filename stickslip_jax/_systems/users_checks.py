@@ -17,17 +17,19 @@ from .._foundation import checks
 from .._foundation.types import AnyArray, Number
 from .dynamic_friction import DynamicFriction
 from .structure import MOST_CONTACTS, is_singular
-from .switched_model import Segments
 from .system import System
 from .users_models import UsersBase
 
 # Checks of a user's `SwitchedSystem`, as far as it can be checked before it is simulated.
 
 
-_SHARES = (0.0, 1.0, -1.0, 0.5)  # of the friction force; the rates at them show whether they are affine
 _ONE_CONTACT = (
     "declare the number of dry-friction contacts, contacts = 2, or smooth the force of another one, "
     "F jax.numpy.tanh(v / width) with a small width."
+)
+_BY_DIRECTION = (
+    "where friction differs with the direction of sliding, leave the normal force as it is and give the contact a "
+    "Directional friction law, or smooth the step, jax.numpy.tanh(v / width)."
 )
 _NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
 _ASKED = ("look", "memory", "recorded", "tracks", "traits")  # properties that the package asks for
@@ -130,8 +132,9 @@ def _check_ages(system: Any) -> None:
 
 
 def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
-    """Check the methods of `system` in the state `y0` at time 0, with the base at rest. Raises ValueError for what they
-    must not return.
+    """Check the methods of `system`, a `SwitchedSystem`, in the state `y0` at time 0, with the base at rest.
+
+    Raises ValueError for what they must not return, and for contacts whose motion is not unique.
     """
     kind, zero = type(system).__name__, jnp.zeros(())
     y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
@@ -140,13 +143,19 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
         _check_methods(system, y, base)
     if any(checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y))):
         return
-    near = Near.of(y)
-    # Of another system like one that was tried, only the numbers are looked at, by a compiled function.
-    rates, gradient, found = (_numbers if is_new else _compiled_numbers)(system, y, base, near.columns)
-    if any(map(checks.is_traced, (rates, gradient, found))):  # its class encloses a number that JAX traces
+    # Of another system like one that was tried, only the numbers are looked at, by compiled functions.
+    velocities, gradients = (_velocities if is_new else _compiled_velocities)(system, y, base)
+    if checks.is_traced(velocities) or checks.is_traced(gradients):  # its class encloses a number that JAX traces
         return
-    near.check(kind, np.asarray(found))
-    _check_affine(kind, np.asarray(rates, float), np.asarray(gradient, float))
+    velocities, gradients = np.asarray(velocities, float), np.asarray(gradients, float)
+    near = Near.of(y) if system.contacts is None else Near.of(y, velocities, gradients)
+    rates, near_rates, near_forces = (_numbers if is_new else _compiled_numbers)(system, y, base, near.columns)
+    if any(map(checks.is_traced, (rates, near_rates, near_forces))):
+        return
+    near.check(kind, np.asarray(near_rates))
+    if system.has_normal_forces:
+        near.check(kind, np.asarray(near_forces), "normal_forces", _BY_DIRECTION)
+    _check_affine(kind, np.asarray(rates, float), gradients, system.contacts)
     _TRIED.add(system, y)
 
 
@@ -181,15 +190,20 @@ _TRIED = _Tried(256)
 
 
 def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
-    """Check what the methods of a system with one contact take and return."""
+    """Check what the methods of `system` take and return."""
     kind, zero = type(system).__name__, jnp.zeros(())
     check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
+    for name in ("relative_velocity", "normal_forces") if system.has_normal_forces else ("relative_velocity",):
+        check_traceable(system, (name,), zero, y, base)
+        _check_number(kind, name, getattr(system, name)(zero, y, base), system.contacts)
+    check_belt(system, y, base)
+    shares = _shares(system.contacts)
     try:
         with checks.traceable(f"The method rates of {kind}"):
-            rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in _SHARES]
-            jax.make_jaxpr(type(system).rates)(_as_traced(system), zero, y, base, zero)
+            rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in shares]
+            jax.make_jaxpr(type(system).rates)(_as_traced(system), zero, y, base, jnp.asarray(shares[0]))
     except (IndexError, TypeError) as error:
-        if not _takes_two(system, zero, y, base):
+        if system.contacts is not None or not _takes_two(system, zero, y, base):
             raise
         raise ValueError(
             f"Argument rates of a {kind} must take one number as friction, but it takes several; {_ONE_CONTACT}"
@@ -201,18 +215,33 @@ def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
             f"Argument rates of a {kind} must accept a state of {len(y)} numbers, but: {error}."
         ) from error
     check_rates(kind, rates[0], len(y))
-    check_traceable(system, ("relative_velocity",), zero, y, base)
-    velocity = system.relative_velocity(zero, y, base)
-    if isinstance(velocity, (tuple, list)) or np.size(velocity) > 1:
-        number = len(velocity) if isinstance(velocity, (tuple, list)) else np.size(velocity)
+
+
+def _shares(contacts: int | None) -> np.ndarray:
+    """Shares of the friction forces at which rates show whether they are affine: none, half of all, and each alone,
+    forward and backward; (shares,), or (shares, contacts) of several.
+    """
+    if contacts is None:
+        return np.array([0.0, 0.5, 1.0, -1.0])
+    units = np.eye(contacts)
+    return np.stack([0 * units[0], 0.5 * np.ones(contacts), *units, *-units])
+
+
+def _check_number(kind: str, name: str, values: Any, contacts: int | None) -> None:
+    """Check that the method `name` returned a number for each of the contacts; a scalar for one contact."""
+    listed = isinstance(values, (tuple, list))
+    shapes = [np.shape(value) for value in values] if listed else [()] * np.size(values)
+    if contacts is not None and (len(shapes) != contacts or any(shapes)):
         raise ValueError(
-            f"Argument relative_velocity of a {kind} must return one number, but {number} were given; {_ONE_CONTACT}"
+            f"Argument {name} of a {kind} must return {contacts} numbers, one for each of its contacts, but "
+            f"{checks.show(values)} was given."
         )
-    if not _is_scalar(velocity):
+    if contacts is None and (listed or len(shapes) > 1):
         raise ValueError(
-            f"Argument relative_velocity of a {kind} must return a scalar, but {checks.show(velocity)} was given."
+            f"Argument {name} of a {kind} must return one number, but {len(shapes)} were given; {_ONE_CONTACT}"
         )
-    check_belt(system, y, base)
+    if contacts is None and not _is_scalar(values):
+        raise ValueError(f"Argument {name} of a {kind} must return a scalar, but {checks.show(values)} was given.")
 
 
 def check_traceable(system: Any, names: tuple[str, ...], *args: Any) -> None:
@@ -263,29 +292,38 @@ def _uses(function: Callable[[Any], Any], argument: Any) -> bool:
     return any(atom is given for atom in used for given in jaxpr.invars)
 
 
+def _velocities(system: Any, y: tuple[Array, ...], base: UsersBase) -> tuple[Array, Array]:
+    """The relative velocities of the contacts (contacts,), and their derivatives by the state (contacts, states)."""
+
+    def of(state: Array) -> Array:
+        found = system.relative_velocity(jnp.zeros(()), tuple(state), base)
+        return jnp.stack([jnp.asarray(velocity, float) for velocity in (found if system.contacts else (found,))])
+
+    state = jnp.stack(y)
+    return of(state), jax.jacfwd(of)(state)
+
+
 def _numbers(
     system: Any, y: tuple[Array, ...], base: UsersBase, columns: tuple[AnyArray, ...]
 ) -> tuple[Array, Array, Array]:
-    """The rates (4, states) at `_SHARES`, the gradient of the relative velocity, and the rates (places, states) near
-    `columns`.
+    """The rates (shares, states) at the `_shares` of friction; rates under all of it, and normal forces, in the states
+    whose numbers are the `columns` of a `Near`, (places, numbers).
     """
-    zero = jnp.zeros(())
-    rates = [jnp.stack([jnp.asarray(rate, float) for rate in system.rates(zero, y, base, jnp.asarray(share))])
-             for share in _SHARES]  # fmt: skip
-    gradient = jax.grad(lambda y: jnp.asarray(system.relative_velocity(zero, y, base), float))(y)
-    return jnp.stack(rates), jnp.stack(gradient), rates_near(system, columns, base, jnp.ones(()))
+    zero, shares = jnp.zeros(()), _shares(system.contacts)
+
+    def rates(friction: Array, *state: Array) -> Array:
+        return jnp.stack([jnp.asarray(rate, float) for rate in system.rates(zero, state, base, friction)])
+
+    def forces(*state: Array) -> Array:
+        given = system.normal_forces(zero, state, base) if system.has_normal_forces else ()
+        return jnp.stack([zero, *(jnp.asarray(force, float) for force in given)])[1:]
+
+    found = jnp.stack([rates(jnp.asarray(share), *y) for share in shares])
+    near = jax.vmap(partial(rates, jnp.ones(shares.shape[1:])))(*columns)
+    return found, near, jax.vmap(forces)(*columns)
 
 
-_compiled_numbers = jax.jit(_numbers)
-
-
-def rates_near(system: Any, columns: tuple[AnyArray, ...], base: UsersBase, friction: Array) -> Array:
-    """The rates (places, states) in the states whose numbers are the `columns` of a `Near`."""
-
-    def rates(*state):
-        return jnp.stack([jnp.asarray(rate, float) for rate in system.rates(jnp.zeros(()), state, base, friction)])
-
-    return jax.vmap(rates)(*columns)
+_compiled_velocities, _compiled_numbers = jax.jit(_velocities), jax.jit(_numbers)
 
 
 def check_ground(system: Any) -> None:
@@ -374,137 +412,46 @@ class Near:
         )
 
 
-def _check_affine(kind: str, rates: np.ndarray, gradient: np.ndarray) -> None:
-    """Check that `rates`, (4, states) at `_SHARES`, are affine in them, and that friction opposes the sliding."""
-    if not np.all(np.isfinite(rates)):
-        return  # the status of the simulation reports it
-    bend = np.max(np.abs([rates[1] + rates[2] - 2 * rates[0], rates[0] + rates[1] - 2 * rates[3]]), axis=0)
-    wrong = np.flatnonzero(bend > AFFINE * np.max(np.abs(rates - rates[0]), axis=0, initial=0))
-    wrong = [number for number in wrong if bend[number] > 1e-5 * np.max(np.abs(rates[:, number]))]
-    if wrong:
-        values = ", ".join(f"{rate:.6g} at {share:g}" for share, rate in zip(_SHARES, rates[:, wrong[0]], strict=True))
-        raise ValueError(
-            f"Argument rates of a {kind} must be affine in friction, a + b friction, but rate number {wrong[0]} is "
-            f"{values}; multiply the kinetic friction force by friction, and nothing else."
-        )
-    effects = gradient * (rates[1] - rates[2]) / 2
-    if np.sum(effects) > AFFINE * np.sum(np.abs(effects)):
-        raise ValueError(
-            f"Argument rates of a {kind} must let positive friction act against a positive relative velocity, but "
-            f"friction = 1 raises the rate of the relative velocity by {np.sum(effects):.6g} against friction = 0; "
-            "turn its sign round."
-        )
-
-
-def _is_scalar(value: object) -> bool:
-    return isinstance(value, (int, float, np.generic, np.ndarray, jax.Array)) and np.ndim(value) == 0
-
-
-# Checks of a user's system with several contacts, as far as it can be checked before it is simulated.
-
-
-_BY_DIRECTION = (
-    "where friction differs with the direction of sliding, leave the normal force as it is and give the contact a "
-    "Directional friction law, or smooth the step, jax.numpy.tanh(v / width)."
-)
-_NOTHING = Segments((), (), ())
-
-
-def check_contacts(system: Any, y0: tuple[Number, ...]) -> None:
-    """Check the methods of `system`, a `SwitchedSystem`, in the state `y0` at time 0, with the base at rest.
-
-    Raises ValueError for what they must not return, and for contacts whose motion is not unique.
+def _check_affine(kind: str, rates: np.ndarray, gradients: np.ndarray, contacts: int | None) -> None:
+    """Check that `rates` (shares, states) at the `_shares` of friction are affine in them, that friction opposes the
+    sliding, and that the contacts have one motion. `gradients`: of relative velocities by the state.
     """
-    kind, zero = type(system).__name__, jnp.zeros(())
-    assert system.contacts is not None
-    contacts = system.contacts
-    y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
-    with checks.traceable(f"The method relative_velocity of {kind}"):
-        velocities = system.relative_velocity(zero, y, base)
-    _check_number(kind, "relative_velocity", velocities, contacts)
-    check_traceable(system, ("relative_velocity",), zero, y, base)
-    check_belt(system, y, base)
-    normal_forces: Any = ()
-    if system.has_normal_forces:
-        with checks.traceable(f"The method normal_forces of {kind}"):
-            normal_forces = system.normal_forces(zero, y, base)
-        _check_number(kind, "normal_forces", normal_forces, contacts)
-        check_traceable(system, ("normal_forces",), zero, y, base)
-    check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
-
-    def rates(friction: np.ndarray) -> tuple:
-        return system.rates(zero, y, base, jnp.asarray(friction))
-
-    units = np.eye(contacts)
-    with checks.traceable(f"The method rates of {kind}"):
-        found = [rates(friction) for friction in (0 * units[0], np.ones(contacts), *units, *-units)]
-    check_rates(kind, found[0], len(y))
-    check_traceable(system, ("rates",), zero, y, base, jnp.zeros(contacts))
-    model: Any = system.model_without_ages(None, None)
-    gain = model.instant(model.forcing(zero, _NOTHING), zero, y).gain
-    # Also numbers that a class encloses, which only what the methods return can show.
-    if any(checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y, normal_forces, found, gain))):
-        return
-    near = Near.of(y, *_velocities(system, y, base))
-    near.check(kind, np.asarray(rates_near(system, near.columns, base, jnp.ones(contacts))))
-    if system.has_normal_forces:
-        forces = jax.vmap(lambda *state: jnp.stack([*map(jnp.asarray, system.normal_forces(zero, state, base))]))
-        near.check(kind, np.asarray(forces(*near.columns)), "normal_forces", _BY_DIRECTION)
-    _check_affine_contacts(kind, np.array([[float(rate) for rate in row] for row in found]), contacts)
-    _check_unique(kind, np.asarray(gain))
-
-
-def _velocities(system: Any, y: tuple[Array, ...], base: UsersBase) -> tuple[Array, Array]:
-    """The relative velocities of the contacts (contacts,), and their derivatives by the state (contacts, states)."""
-
-    def of(state: Array) -> Array:
-        velocities = system.relative_velocity(jnp.zeros(()), tuple(state), base)
-        return jnp.stack([jnp.asarray(velocity, float) for velocity in velocities])
-
-    state = jnp.stack(y)
-    return of(state), jax.jacfwd(of)(state)
-
-
-def _check_number(kind: str, name: str, values: Any, contacts: int) -> None:
-    shapes = [np.shape(value) for value in values] if isinstance(values, (tuple, list)) else [()] * np.size(values)
-    if len(shapes) != contacts or any(shapes):
-        raise ValueError(
-            f"Argument {name} of a {kind} must return {contacts} numbers, one for each of its contacts, but "
-            f"{checks.show(values)} was given."
-        )
-
-
-def _check_affine_contacts(kind: str, rates: np.ndarray, contacts: int) -> None:
-    """`rates`: without friction, with friction 1 in all contacts, in each alone, and with friction -1 in each alone."""
     if not np.all(np.isfinite(rates)):
         return  # the status of the simulation reports it
-    idle, together, effects = rates[0], rates[1] - rates[0], rates[2 : 2 + contacts] - rates[0]
-    backward = idle - rates[2 + contacts :]
+    idle, half, number = rates[0], rates[1], contacts or 1
+    effects, backward = rates[2 : 2 + number] - idle, idle - rates[2 + number :]
+    bend = np.maximum(np.abs(2 * (half - idle) - np.sum(effects, axis=0)), np.max(np.abs(effects - backward), axis=0))
     size = np.sum(np.abs(effects), axis=0)
-    wrong = np.maximum(np.abs(together - np.sum(effects, axis=0)), np.max(np.abs(effects - backward), axis=0))
-    wrong = np.flatnonzero(wrong > AFFINE * size + 1e-5 * np.max(np.abs(rates), axis=0) * (size == 0))
+    wrong = np.flatnonzero((bend > AFFINE * size) & (bend > 1e-5 * np.max(np.abs(rates), axis=0)))
     if len(wrong):
-        raise ValueError(
-            f"Argument rates of a {kind} must be affine in friction, a + b_0 friction[0] + b_1 friction[1] + ..., but "
-            f"rate number {wrong[0]} is not; multiply each kinetic friction force by its friction, and nothing else."
+        form = "a + b friction" if contacts is None else "a + b_0 friction[0] + b_1 friction[1] + ..."
+        values = ", ".join(
+            f"{rate:.6g} at {' '.join(f'{one:g}' for one in np.atleast_1d(share))}"
+            for share, rate in zip(_shares(contacts), rates[:, wrong[0]], strict=True)
         )
-
-
-def _check_unique(kind: str, gain: np.ndarray) -> None:
-    if not np.all(np.isfinite(gain)):
-        return
-    for number, own in enumerate(np.diag(gain)):
-        if own <= 0:
+        raise ValueError(
+            f"Argument rates of a {kind} must be affine in friction, {form}, but rate number {wrong[0]} is {values}; "
+            "multiply each kinetic friction force by its friction, and nothing else."
+        )
+    terms = gradients[:, None] * (effects + backward) / 2  # (velocities, frictions, states)
+    by_friction, sizes = np.sum(terms, axis=-1), np.sum(np.abs(terms), axis=-1)
+    for i, (own, size) in enumerate(zip(np.diag(by_friction), np.diag(sizes), strict=True)):
+        if own > AFFINE * size or (contacts is not None and own >= 0):
+            name, of = ("friction", "") if contacts is None else (f"friction[{i}]", f" number {i}")
             raise ValueError(
                 f"Argument rates of a {kind} must let positive friction act against a positive relative velocity, but "
-                f"friction[{number}] = 1 changes the rate of relative velocity number {number} by {-own:.6g}; turn its "
-                "sign round, or leave out a contact that moves nothing."
+                f"{name} = 1 changes the rate of relative velocity{of} by {own:.6g}; turn its sign round, or leave out "
+                "a contact that moves nothing."
             )
-    eigenvalues = np.linalg.eigvalsh((gain + gain.T) / 2)
-    if is_singular(eigenvalues):
+    eigenvalues = np.linalg.eigvalsh(-(by_friction + by_friction.T) / 2)
+    if contacts is not None and is_singular(eigenvalues):
         raise ValueError(
             f"Argument rates of a {kind} must have one motion only, but the effects of the friction forces on the "
             "relative velocities are no positive definite matrix (smallest eigenvalue "
             f"{eigenvalues[0]:.4g}): a contact is implied by others, or friction changes its own normal force too "
             "much; join or leave out such contacts."
         )
+
+
+def _is_scalar(value: object) -> bool:
+    return isinstance(value, (int, float, np.generic, np.ndarray, jax.Array)) and np.ndim(value) == 0
