@@ -136,7 +136,9 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         mass = self.system.mass
         return OscillatorForcing(t, base, base_slope, force - mass * ground, force_slope - mass * ground_slope)
 
-    def slip(self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
+    def slip(
+        self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar
+    ) -> tuple[State, FloatScalar | None]:
         m, k, c = self._constants()
         coefficient = sign * self.friction.continued_coefficient(jnp.zeros_like(h), sign)
         # Beside the steady response to harmonic forces: a motion under a force that grows steadily.
@@ -147,16 +149,16 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         slope, speed = forcing.load_slope / m, y[1] - p0
         by = responses(0 if c is None else c / (2 * m), jnp.asarray(k / m, h.dtype), h)
         x = y[0] + (x1 - x0) + speed * by.impulse + first * by.step + slope * by.ramp
-        return x, p1 + speed * by.rate + first * by.impulse + slope * by.step
+        return (x, p1 + speed * by.rate + first * by.impulse + slope * by.step), None
 
     def at_age(self, age: FloatArray) -> "OscillatorModel":
         return eqx.tree_at(lambda model: model.system.friction, self, AtAge(self.friction, age))
 
-    def stick(self, forcing: OscillatorForcing, y: State, h: FloatScalar) -> State:
+    def stick(self, forcing: OscillatorForcing, y: State, h: FloatScalar) -> tuple[State, None]:
         travel = h * (forcing.base + 0.5 * h * forcing.base_slope)
         if self.smooth is not None:
             travel = travel + self.smooth.integral(forcing.t, h)
-        return y[0] + travel, self.base_motion(forcing, h)[0]
+        return (y[0] + travel, self.base_motion(forcing, h)[0]), None
 
     def rates(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         velocity, acceleration = self.base_motion(forcing, tau)
@@ -274,10 +276,7 @@ class SolverOscillatorModel(OscillatorModel):
     steps_may_be_long: ClassVar[bool] = False
     has_kinks: ClassVar[bool] = True
 
-    def slip(self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        return self.slip_and_error(forcing, y, h, sign)[0]
-
-    def slip_and_error(
+    def slip(
         self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar
     ) -> tuple[State, FloatScalar | None]:
         rates = Partial(type(self).rates, self, forcing, sign=sign)

@@ -111,17 +111,14 @@ class CartModel(OneContactModel[FloatScalar]):
     def forcing(self, t: FloatScalar, segments: Segments) -> FloatScalar:
         return self.smooth.angular_frequency * t + self.smooth.phase
 
-    def slip(self, forcing: FloatScalar, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
-        rates = Partial(type(self)._slip_rates, self, sincos(y[0]), sincos(forcing), sign)
-        (angle, speed, current), _ = runge_kutta_step(rates, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
-        return y[0] + angle, speed, current
-
-    def slip_and_error(
+    def slip(
         self, forcing: FloatScalar, y: State, h: FloatScalar, sign: FloatScalar
     ) -> tuple[State, FloatScalar | None]:
         if self.friction.constant:
-            return self.slip(forcing, y, h, sign), None
+            # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
+            rates = Partial(type(self)._slip_rates, self, sincos(y[0]), sincos(forcing), sign)
+            (angle, speed, current), _ = runge_kutta_step(rates, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
+            return (y[0] + angle, speed, current), None
         rates = Partial(type(self).rates, self, forcing, sign=sign)
         slid, error = runge_kutta_step(rates, y, h, solver=diffrax.Dopri8())
         return slid, relative_error(error, y, slid, self._gross_changes(forcing, y, h))
@@ -129,10 +126,10 @@ class CartModel(OneContactModel[FloatScalar]):
     def at_age(self, age: FloatArray) -> "CartModel":
         return eqx.tree_at(lambda model: model.system.friction, self, AtAge(self.friction, age))
 
-    def stick(self, forcing: FloatScalar, y: State, h: FloatScalar) -> State:
+    def stick(self, forcing: FloatScalar, y: State, h: FloatScalar) -> tuple[State, None]:
         rho = self.system.resistance / self.system.inductance
         rest = (y[2] - self._steady(forcing, jnp.zeros_like(h))) * jnp.exp(-rho * h)
-        return y[0], jnp.zeros_like(h), rest + self._steady(forcing, h)
+        return (y[0], jnp.zeros_like(h), rest + self._steady(forcing, h)), None
 
     def rates(self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)

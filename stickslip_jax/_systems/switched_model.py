@@ -238,33 +238,27 @@ class OneContactModel(SwitchedModel[F]):
     relative velocity.
     """
 
-    @abc.abstractmethod
-    def slip(self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        """The state after a slip of duration `h` (s) with relative velocity of this `sign`."""
+    def slip(self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar) -> tuple[State, FloatScalar | None]:
+        """The state after a slip of duration `h` (s) with relative velocity of this `sign`, and its relative error;
+        None where the step is known to be short enough.
+        """
+        raise NotImplementedError("of models whose `flow_and_error` asks for it")
 
-    def slip_and_error(
-        self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar
-    ) -> tuple[State, FloatScalar | None]:
-        """The result of `slip`, and its relative error; None where the step is known to be short enough."""
-        return self.slip(forcing, y, h, sign), None
-
-    @abc.abstractmethod
-    def stick(self, forcing: F, y: State, h: FloatScalar) -> State:
-        """The state after a stick of duration `h` (s)."""
-
-    def stick_and_error(self, forcing: F, y: State, h: FloatScalar) -> tuple[State, FloatScalar | None]:
-        """The result of `stick`, and its relative error or None."""
-        return self.stick(forcing, y, h), None
+    def stick(self, forcing: F, y: State, h: FloatScalar) -> tuple[State, FloatScalar | None]:
+        """The state after a stick of duration `h` (s), and its relative error or None."""
+        raise NotImplementedError("of models whose `flow_and_error` asks for it")
 
     def flow_and_error(
         self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
     ) -> tuple[State, FloatScalar | None]:
-        """The result of `flow`, and its relative error; None where the step is known to be short enough."""
         sticking = sign == 0
         # Both modes are computed, one is chosen. A slip over a stick's long step may overflow: it gets no length.
-        slid, error = self.slip_and_error(forcing, y, jnp.where(sticking, 0, h), sign)
-        held, error_held = self.stick_and_error(forcing, y, h)
-        return chosen_state(sticking, held, slid), _chosen(sticking, error_held, error)
+        slid, error = self.slip(forcing, y, jnp.where(sticking, 0, h), sign)
+        held, error_held = self.stick(forcing, y, h)
+        state = chosen_state(sticking, held, slid)
+        if error is None and error_held is None:
+            return state, None
+        return state, jnp.where(sticking, 0 if error_held is None else error_held, 0 if error is None else error)
 
     @abc.abstractmethod
     def on_base(self, forcing: F, y: State) -> State:
@@ -335,10 +329,3 @@ class OneContactModel(SwitchedModel[F]):
         """The signed friction coefficient that keeps the relative velocity constant; 0 where friction has no effect."""
         free, gain = self.effect_of_friction(forcing, tau, y)
         return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)
-
-
-def _chosen(first: BoolArray, one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
-    """One of two error estimates; None stands for 0, and both None give None."""
-    if one is None and other is None:
-        return None
-    return jnp.where(first, 0 if one is None else one, 0 if other is None else other)

@@ -367,20 +367,12 @@ class GeneralModel(OneContactModel[GeneralForcing]):
     def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
         return GeneralForcing.of(t, segments)
 
-    def slip(self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        return self.slip_and_error(forcing, y, h, sign)[0]
-
-    def slip_and_error(
-        self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar
-    ) -> tuple[State, FloatScalar]:
+    def slip(self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar) -> tuple[State, FloatScalar]:
         rates = Partial(type(self).slip_rates, self, forcing, sign=sign)
         slid, error = runge_kutta_step(rates, y, h, solver=self.solver)
         return slid, relative_error(error, y, slid, self._gross_changes(forcing, y, h))
 
-    def stick(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> State:
-        return self.stick_and_error(forcing, y, h)[0]
-
-    def stick_and_error(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> tuple[State, FloatScalar]:
+    def stick(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> tuple[State, FloatScalar]:
         rates = Partial(type(self).stick_rates, self, forcing)
         held, error = runge_kutta_step(rates, y, h, solver=self.solver)
         return self._held(forcing, h, held), relative_error(error, y, held, self._gross_changes(forcing, y, h))

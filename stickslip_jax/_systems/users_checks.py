@@ -311,10 +311,10 @@ def _numbers(
     """
     zero, shares = jnp.zeros(()), _shares(system.contacts)
 
-    def rates(friction: Array, *state: Array) -> Array:
+    def rates(friction: Array, *state: AnyArray) -> Array:
         return jnp.stack([jnp.asarray(rate, float) for rate in system.rates(zero, state, base, friction)])
 
-    def forces(*state: Array) -> Array:
+    def forces(*state: AnyArray) -> Array:
         given = system.normal_forces(zero, state, base) if system.has_normal_forces else ()
         return jnp.stack([zero, *(jnp.asarray(force, float) for force in given)])[1:]
 
