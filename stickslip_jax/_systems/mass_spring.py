@@ -41,7 +41,7 @@ from .friction import FrictionLaw, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
 from .structure import LinearStructure, StructureModel
-from .switched_model import Base, FloatPair, OneContactModel, Segments, base_motion, with_change
+from .switched_model import Base, EnergyModel, FloatPair, Powers, Segments, Terms, base_motion, with_change
 from .system import (
     AGE,
     DECAYED,
@@ -121,7 +121,7 @@ class OscillatorForcing(NamedTuple):
     load_slope: FloatScalar
 
 
-class OscillatorModel(OneContactModel[OscillatorForcing]):
+class OscillatorModel(EnergyModel[OscillatorForcing]):
     """A `MassSpring` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts. State: x (m), x' (m/s)."""
 
     system: Any  # a MassSpring, which makes this model
@@ -221,6 +221,26 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         self, forcing: OscillatorForcing, tau: FloatScalar, y: State, rates: State
     ) -> FloatScalar:
         return rates[1] - self.base_motion(forcing, tau)[1]
+
+    def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
+        return -coefficient * self.system.normal_force
+
+    def stored_energies(self, y: State) -> Terms:
+        system, (x, p) = self.system, y
+        return {"kinetic": 0.5 * system.mass * p * p, "elastic": 0.5 * system.stiffness * x * x}
+
+    def powers(self, forcing: OscillatorForcing, y: State, force: FloatScalar) -> Powers:
+        # The base moves with velocity v against the force -force that the mass exerts on it (Lima and Sampaio 2015, the
+        # energy analysis of section 2): it supplies force v, of which force x' reaches the mass.
+        (_, p), none, (_, _, c) = y, jnp.zeros_like(forcing.t), self._constants()
+        velocity = self.base_motion(forcing, none).velocity
+        supplied = {"base": force * velocity, "load": self.load_at(forcing, none) * p}
+        return Powers(supplied, {"friction": force * (velocity - p), "damping": (0 if c is None else c) * p * p})
+
+    @property
+    def fastest_decay(self) -> Scalar:
+        m, _, c = self._constants()
+        return 0.0 if c is None else c / m
 
     def _constants(self):
         return self.system.mass, self.system.stiffness, self.system.damping

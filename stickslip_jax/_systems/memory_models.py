@@ -141,6 +141,9 @@ class AgeingContact(_WithAges[F], OneContactModel[F]):  # pyright: ignore[report
     def release_sign(self, forcing: F, y: State) -> FloatScalar:
         return self.inner.release_sign(forcing, y[:-1])
 
+    def without_age(self, y: State) -> tuple[Any, State]:
+        return self.inner, y[:-1]
+
     @property
     def time_scales_are_known(self) -> bool:
         return self.inner.time_scales_are_known

@@ -37,7 +37,7 @@ from .composed_friction import AtAge
 from .friction import Coulomb, FrictionLaw, times_of_slips
 from .layouts import motor_and_cart
 from .memory_models import AgeingContact, InnerStates, inner_laws_of, with_ages
-from .switched_model import FloatPair, OneContactModel, Segments
+from .switched_model import EnergyModel, FloatPair, Powers, Segments, Terms
 from .system import (
     AGE,
     DECAYED,
@@ -102,7 +102,7 @@ class OnPin(FrictionLaw):
         return OnPin(self.law.in_direction(-velocity * self.sine), self.sine)
 
 
-class CartModel(OneContactModel[FloatScalar]):
+class CartModel(EnergyModel[FloatScalar]):
     """A `MotorCart` under a `SourceVoltage`. Its forcing is the phase of the voltage as a step begins, rad."""
 
     system: Any  # a MotorCart, which makes this model
@@ -276,6 +276,30 @@ class CartModel(OneContactModel[FloatScalar]):
 
     def relative_acceleration(self, forcing: FloatScalar, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
         return self.system.eccentricity * rates[1]
+
+    def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
+        # On the cart at ``x = d cos alpha``, whose velocity is ``-d sin alpha alpha'`` (Lima and Sampaio 2022, eq. 4).
+        return coefficient * self.system.friction_torque_of_one / self.system.eccentricity * self.heading(y)
+
+    def stored_energies(self, y: State) -> Terms:
+        system, (angle, speed, current) = self.system, y
+        cart = system.eccentricity * jnp.sin(angle) * speed
+        kinetic = 0.5 * (system.motor_inertia * speed * speed + system.cart_mass * cart * cart)
+        return {"kinetic": kinetic, "magnetic": 0.5 * system.inductance * current * current}
+
+    def powers(self, forcing: FloatScalar, y: State, force: FloatScalar) -> Powers:
+        system, (angle, speed, current) = self.system, y
+        voltage = self.smooth.mean + self.smooth.amplitude * jnp.sin(forcing)
+        friction = force * system.eccentricity * jnp.sin(angle) * speed
+        heat = {"friction": friction, "damping": system.motor_damping * speed * speed}
+        return Powers({"voltage": voltage * current}, heat | {"resistance": system.resistance * current * current})
+
+    def check_energy(self) -> None:
+        if self.system.equation != "physical":
+            raise ValueError(
+                f'energies needs a MotorCart with equation="physical", but one with equation="{self.system.equation}" '
+                "was given: the units of that equation do not match, so that it has no energy."
+            )
 
     def _steady(self, forcing: FloatScalar, tau: FloatScalar) -> FloatScalar:
         """The steady current in a stick, when its transient has decayed, A."""

@@ -1,13 +1,15 @@
 """A system under its excitation, as the engines integrate it: how it slips and sticks, and when; with one contact."""
 
 import abc
-from typing import ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from .._excitation.motion import Signal
 from .._excitation.segments import Segment
+from .._foundation import checks
+from .._foundation.methods import keeps
 from .._foundation.types import BoolArray, BoolScalar, DType, FloatArray, FloatScalar, Number, Scalar, State
 from .friction import FrictionLaw
 
@@ -329,3 +331,55 @@ class OneContactModel(SwitchedModel[F]):
         """The signed friction coefficient that keeps the relative velocity constant; 0 where friction has no effect."""
         free, gain = self.effect_of_friction(forcing, tau, y)
         return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)
+
+    def without_age(self, y: State) -> "tuple[Any, State]":
+        """The model of sticks without ages, and its state."""
+        return self, y
+
+
+# Friction forces and energies: what is stored, supplied and dissipated.
+
+
+Terms: TypeAlias = dict[str, FloatScalar]
+"""Energies (J) or powers (W) by name."""
+
+
+class Powers(NamedTuple):
+    """Powers at one instant, W: what the excitation supplies, and what is turned into heat, each by its name."""
+
+    supplied: Terms
+    dissipated: Terms
+
+
+class EnergyModel(OneContactModel[F]):
+    """A model whose friction is known in newtons, and whose equations are those of a system with an energy."""
+
+    @abc.abstractmethod
+    def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
+        """The friction force under this signed friction coefficient, N: on the mass, of a motor on the cart."""
+
+    @abc.abstractmethod
+    def stored_energies(self, y: State) -> Terms:
+        """The energies stored in the state, J."""
+
+    @abc.abstractmethod
+    def powers(self, forcing: F, y: State, force: FloatScalar) -> Powers:
+        """The powers in the state `y` under the friction force `force` (N); their sum is the rate of what is stored."""
+
+    @property
+    def fastest_decay(self) -> Scalar:
+        """The rate at which the fastest motion in a slip may die out within a step, 1/s; 0 where steps are shorter."""
+        return 0.0
+
+    def check_energy(self) -> None:
+        """Check that the equations of motion have an energy. Raises ValueError otherwise."""
+
+
+def require_energy_model(model: Any, name: str) -> None:
+    """Check that friction forces of `model` are known in newtons, not only as shares. Raises ValueError otherwise."""
+    holders = [kind for kind in type(model).__mro__ if "friction_force" in vars(kind)]
+    if not holders or not keeps(model, holders[0], "rates", "rates_under"):
+        raise ValueError(
+            f"{name} needs a MassSpring or a MotorCart, but a simulation of {checks.show(model.system)} was given: the "
+            "friction of a system of your own is known as a share of its largest kinetic force only."
+        )
