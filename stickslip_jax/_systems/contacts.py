@@ -35,7 +35,7 @@ from .._foundation.types import (
 from .._numerics.derivatives import without_derivatives
 from .._numerics.matrices import linear_solve, times
 from .._numerics.steps import relative_error, runge_kutta_step
-from .friction import FrictionLaw
+from .friction import FrictionLaw, require_law
 from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel, with_change
 
 # Normal forces of contacts: numbers, or functions of time.
@@ -195,8 +195,7 @@ class Contact(Checked):
 
     def check_parts(self) -> None:
         checks.bounded("direction", self.direction, ndim=1)
-        if not isinstance(self.friction, FrictionLaw):
-            raise checks.refused("friction", "be a friction law such as Coulomb(mu=0.3)", self.friction)
+        require_law("friction", self.friction)
 
     @classmethod
     def of_mass(cls, index: int, masses: int, normal_force: NormalForce, friction: FrictionLaw) -> "Contact":

@@ -35,9 +35,8 @@ from .._foundation.types import (
 from .._numerics.derivatives import NotKnown, bounds_of, values_of
 from .._numerics.elementary import responses, sincos
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .composed_friction import AtAge
 from .contacts import Contact, NormalForceQuantity, is_function, recorded_in, stick_band
-from .friction import FrictionLaw, times_of_slips
+from .friction import AtAge, FrictionLaw, require_law, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
 from .structure import LinearStructure, StructureModel
@@ -358,16 +357,10 @@ class MassSpring(System):
     force: Signal | Recorded | None = None
 
     def check_parts(self) -> None:
-        if not isinstance(self.friction, FrictionLaw):
-            raise ValueError(
-                "Argument friction must be a friction law such as Coulomb(mu=0.3), but "
-                f"{checks.show(self.friction)} was given."
-            )
+        require_law("friction", self.friction)
         if self.force is not None and not isinstance(self.force, (Signal, Recorded)):
-            raise ValueError(
-                "Argument force must be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, "
-                f"values), but {checks.show(self.force)} was given."
-            )
+            demand = "be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, values)"
+            raise checks.refused("force", demand, self.force)
 
     def check_relations(self) -> None:
         if not any(map(is_distribution, jax.tree.leaves(self.friction, is_leaf=is_distribution))):

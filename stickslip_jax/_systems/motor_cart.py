@@ -33,8 +33,7 @@ from .._foundation.types import (
 from .._numerics.derivatives import without_derivatives
 from .._numerics.elementary import sincos, sincos_of_small
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .composed_friction import AtAge
-from .friction import Coulomb, FrictionLaw, times_of_slips
+from .friction import AtAge, Coulomb, FrictionLaw, times_of_slips
 from .layouts import motor_and_cart
 from .memory_models import AgeingContact, InnerStates, inner_laws_of, with_ages
 from .switched_model import EnergyModel, FloatPair, Powers, Segments, Terms

@@ -37,7 +37,6 @@ from .._numerics.matrices import (
     magnitudes,
     times,
 )
-from .composed_friction import AtAge, least
 from .contacts import (
     Contact,
     ContactsModel,
@@ -61,7 +60,7 @@ from .contacts import (
     solved,
     values_at,
 )
-from .friction import FrictionLaw
+from .friction import AtAge, FrictionLaw, least
 from .layouts import blocks, disks, storeys
 from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
 from .switched_model import Segments, base_motion
