@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
-from stickslip_jax._systems.users_checks import check_motion
+from stickslip_jax._systems.switched_system import check_motion
 
 COUPLING = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 
