@@ -562,7 +562,8 @@ class ContactsModel(SwitchedModel[F]):
     ) -> tuple[State, FloatScalar | None]:
         reached, error = runge_kutta_step(Partial(type(self).rates, self, forcing, sign=sign), y, h, solver=self.solver)
         gross = self._gross_changes(forcing, y, h)
-        return self._held(forcing, h, reached, self._own(sign) == 0), _worst(relative_error(error, y, reached, gross))
+        # Of structures, the errors of all masses.
+        return self._held(forcing, h, reached, self._own(sign) == 0), jnp.max(relative_error(error, y, reached, gross))
 
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
         return self.instant(forcing, tau, y).velocity
@@ -714,7 +715,3 @@ def _bounded_guard(limit: FloatArray, force: FloatArray) -> FloatArray:
 def _finite(values: FloatArray) -> FloatArray:
     """`values`, 0 where they are not finite."""
     return jnp.where(jnp.isfinite(values), values, 0)
-
-
-def _worst(errors: FloatArray) -> FloatScalar:
-    return errors if errors.ndim == 0 else jnp.max(errors)

@@ -173,7 +173,9 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
         share = beyond * per_held
         t = forcing.t + tau
         jerk = 0 if self.smooth is None else self.smooth.curvature(t)
-        share_rate = (m * jerk + _times(c, acceleration) + k * velocity - self._force_rate(forcing, tau)) * per_held
+        force = self.system.force
+        force_rate = forcing.load_slope + (force.rate(t) if isinstance(force, Signal) else 0)
+        share_rate = (m * jerk + _times(c, acceleration) + k * velocity - force_rate) * per_held
         slip_rate = self.rates(forcing, tau, y, sign)[1] - acceleration
         sticking = sign == 0
         held = jnp.where(holds > 0, 1 - share * share, -1)
@@ -251,10 +253,6 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
     def load_at(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatScalar:
         load = forcing.load + tau * forcing.load_slope
         return load + self.system.force.value(forcing.t + tau) if isinstance(self.system.force, Signal) else load
-
-    def _force_rate(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatScalar:
-        force = self.system.force
-        return forcing.load_slope + (force.rate(forcing.t + tau) if isinstance(force, Signal) else 0)
 
     def _beyond_and_limit(self, forcing: OscillatorForcing, tau: FloatScalar, y: State) -> FloatPair:
         """The friction force that a stick needs, ``m v' + c v + k x - F`` (Lima and Sampaio 2017, eq. 3), from the
@@ -497,18 +495,14 @@ class MassSpring(System):
         structure = self._as_structure
         if structure is not None:
             return structure.sizes(excitation)
-        clock, memory = self._clock, self.memory
+        # The motion changes in the time of one radian, or in 1 s where there is hardly a spring.
+        squared, memory = jnp.asarray(self.stiffness / self.mass, float), self.memory
+        swings = squared > SOFT**2
+        clock = jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
         deceleration = self.friction.static * self.normal_force / self.mass
         speed = deceleration * clock
         of_memory = (*(clock for _ in memory.ages), *(law.state_scale for law in memory.laws))
         return Sizes(speed, deceleration, (speed * clock, speed, *of_memory))
-
-    @property
-    def _clock(self) -> Scalar:
-        """In which the motion changes: the time of one radian, or 1 s where there is hardly a spring."""
-        squared = jnp.asarray(self.stiffness / self.mass, float)
-        swings = squared > SOFT**2
-        return jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
 
     def check_solver(self, solver: Solver | None) -> None:
         if solver is None and self.damping is None and isinstance(self.force, Signal):
@@ -552,13 +546,14 @@ class MassSpring(System):
         # An open contact holds nothing: the band is empty there.
         closed = jnp.where(jnp.asarray(normal) > 0, normal, jnp.nan)
         ages = state[2] if self.friction.grows else jnp.zeros_like(times)
-        forward, backward = (jax.vmap(partial(self._limit_at, sign))(ages) for sign in (1.0, -1.0))
+
+        def limit_at(age: FloatScalar, sign: float) -> FloatArray:
+            """The largest friction coefficient of a stick of this age that would break into a slip of this sign."""
+            return jnp.asarray(AtAge(self.friction, age).stick_limit(jnp.full_like(age, sign)), age.dtype)
+
+        forward, backward = (jax.vmap(partial(limit_at, sign=sign))(ages) for sign in (1.0, -1.0))
         # A mass that lags behind the base once it is released needs a positive force.
         return (load - forward * closed) / stiffness, (load + backward * closed) / stiffness
-
-    def _limit_at(self, sign: float, age: FloatScalar) -> FloatArray:
-        """The largest friction coefficient of a stick of this age that would break into a slip of this sign."""
-        return jnp.asarray(AtAge(self.friction, age).stick_limit(jnp.full_like(age, sign)), age.dtype)
 
 
 def _over(value: Number, stiffness: Number) -> Any:

@@ -505,7 +505,10 @@ def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
             rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in shares]
             jax.make_jaxpr(type(system).rates)(_as_traced(system), zero, y, base, jnp.asarray(shares[0]))
     except (IndexError, TypeError) as error:
-        if system.contacts is not None or not _takes_two(system, zero, y, base):
+        takes_two = False
+        with contextlib.suppress(Exception):  # of a user's code
+            takes_two = system.rates(zero, y, base, jnp.zeros(2)) is not None
+        if system.contacts is not None or not takes_two:
             raise
         raise ValueError(
             f"Argument rates of a {kind} must take one number as friction, but it takes several; {_ONE_CONTACT}"
@@ -658,15 +661,6 @@ def check_rates(kind: str, rates: object, size: int) -> None:
                 f"Argument rates of a {kind} must return scalars, but number {number} of shape {np.shape(rate)} was "
                 "given."
             )
-
-
-def _takes_two(system: Any, t: Array, y: tuple[Array, ...], base: UsersBase) -> bool:
-    """Whether the rates of `system` can be asked for with two numbers as friction."""
-    try:
-        system.rates(t, y, base, jnp.zeros(2))
-    except Exception:  # of a user's code
-        return False
-    return True
 
 
 class Near:
