@@ -123,12 +123,6 @@ from ._statistics.independence import HypothesisTest as HypothesisTest, Verdict 
 from ._foundation.types import Ending as Ending, Status as Status
 from ._ensemble.encoding import SweepError as SweepError
 from ._sweep.sweep import Sweep as Sweep
-from ._systems.composed_friction import (
-    Ageing as Ageing,
-    Directional as Directional,
-    ExponentialGrowth as ExponentialGrowth,
-    LogarithmicGrowth as LogarithmicGrowth,
-)
 from ._systems.dynamic_friction import (
     BoucWen as BoucWen,
     Dahl as Dahl,
@@ -138,9 +132,13 @@ from ._systems.dynamic_friction import (
     LuGre as LuGre,
 )
 from ._systems.friction import (
+    Ageing as Ageing,
     Coulomb as Coulomb,
+    Directional as Directional,
+    ExponentialGrowth as ExponentialGrowth,
     FrictionCurve as FrictionCurve,
     FrictionLaw as FrictionLaw,
+    LogarithmicGrowth as LogarithmicGrowth,
     Stribeck as Stribeck,
     VelocityWeakening as VelocityWeakening,
 )

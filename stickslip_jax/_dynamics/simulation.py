@@ -5,7 +5,7 @@ import os
 import warnings
 from functools import partial
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -20,9 +20,8 @@ from .._foundation.fields import with_fields
 from .._foundation.methods import WithMethods
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
-from .._systems import energy
 from .._systems.memory_models import InnerStates
-from .._systems.switched_model import F, OneContactModel
+from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
 from .common.method import Exact, Regularized
 from .common.path import MotionPath
@@ -89,7 +88,7 @@ class _Rule(NamedTuple):
         return cls((bounds[:-1, None] + parts * (nodes + 1) / 2).reshape(-1), (parts * weights / 2).reshape(-1))
 
 
-def _sum(terms: energy.Terms) -> FloatScalar:
+def _sum(terms: Terms) -> FloatScalar:
     return jnp.stack(list(terms.values())).sum(axis=0)
 
 
@@ -107,7 +106,8 @@ def _forces(
         inside = (time >= 0) & (time <= last)
         if isinstance(model, InnerStates):
             coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
-            return jnp.where(inside, energy.friction_force(model.inner, y[:-1], coefficient), jnp.nan)
+            known: Any = model.inner
+            return jnp.where(inside, known.friction_force(y[:-1], coefficient), jnp.nan)
         if isinstance(method, Regularized):
             assert method.width is not None
             speed = model.relative_velocity(forcing, jnp.zeros_like(time), y)
@@ -118,7 +118,8 @@ def _forces(
             sign = jnp.where(model.at_rest(forcing, y), model.release_sign(forcing, y), model.slip_sign(forcing, y))
             now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
             coefficient = _coefficient(model, forcing, y, sign, now)
-        return jnp.where(inside, energy.friction_force(model, y, coefficient), jnp.nan)
+        known, y = model.without_age(y)
+        return jnp.where(inside, known.friction_force(y, coefficient), jnp.nan)
 
     return jax.vmap(at)(times)
 
@@ -135,14 +136,15 @@ def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatSca
 def _energies(
     model: OneContactModel, beginnings: StepBeginnings, last: FloatScalar, times: Times, rule: _Rule
 ) -> Energies:
-    def worked(begun: StepBeginnings, h: FloatScalar) -> energy.Powers:
+    def worked(begun: StepBeginnings, h: FloatScalar) -> Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
 
-        def power(node: FloatScalar) -> energy.Powers:
+        def power(node: FloatScalar) -> Powers:
             now = begun.t + node * h
             y, forcing = state_in_step(model, begun, node * h), model.forcing(now, begun.segments)
             coefficient = _coefficient(model, forcing, y, begun.sign, begun.sign == 0)
-            return energy.powers(model, forcing, y, energy.friction_force(model, y, coefficient))
+            known, y = model.without_age(y)
+            return known.powers(forcing, y, known.friction_force(y, coefficient))
 
         rates = jax.vmap(power)(jnp.asarray(rule.nodes, h.dtype))
         return jax.tree.map(lambda values: h * jnp.dot(jnp.asarray(rule.weights, h.dtype), values), rates)
@@ -156,8 +158,9 @@ def _energies(
         begun, sums = jax.tree.map(lambda values: values[index], (beginnings, before))
         h = time - begun.t
         done = jax.tree.map(jnp.add, sums, worked(begun, h))
-        stored = energy.stored_energies(model, state_in_step(model, begun, h))
-        start = energy.stored_energies(model, tuple(values[0] for values in beginnings.y))
+        known, y = model.without_age(state_in_step(model, begun, h))
+        _, first = model.without_age(tuple(values[0] for values in beginnings.y))
+        stored, start = known.stored_energies(y), known.stored_energies(first)
         left = _sum(start) + _sum(done.supplied) - _sum(stored) - _sum(done.dissipated)
         found = Energies(stored, done.supplied, done.dissipated, left)
         inside = (time >= 0) & (time <= last)
@@ -425,8 +428,9 @@ class Simulation(WithMethods):
         if inner is not None and isinstance(inner.inner, OneContactModel):
             model, known = inner, inner.inner
         else:
-            model = known = one_contact_model(self.system, self._path.smooth, None)
-        energy.require_known(self.system, known, "friction_force")
+            model = one_contact_model(self.system, self._path.smooth, None)
+            known, _ = model.without_age(())
+        require_energy_model(known, "friction_force")
         found = _forces(model, self._path, self.method, self.sticks, self.time_reached, times.reshape(-1))
         return found.reshape(times.shape)
 
@@ -458,10 +462,11 @@ class Simulation(WithMethods):
             path = follow_steps(self.system, self.base, Exact(), self.t1, y0, last.dtype).path
             assert isinstance(path, StepPath)
         model = one_contact_model(self.system, path.smooth, path.solver)
-        energy.require_known(self.system, model, "energies")
-        energy.require_energy(self.system)
+        known, _ = model.without_age(())
+        require_energy_model(known, "energies")
+        known.check_energy()
         lengths = jnp.append(path.beginnings.t[1:], last) - path.beginnings.t
-        rule = _Rule.of(energy.fastest_decay(model), jnp.max(lengths))
+        rule = _Rule.of(known.fastest_decay, jnp.max(lengths))
         found = _energies(model, path.beginnings, last, times.reshape(-1), rule)
         return jax.tree.map(lambda values: values.reshape(times.shape), found)
 

@@ -424,7 +424,7 @@ def distances_of_step(
         @sharing
         def go_on(carry, _):
             t, y = carry
-            return (t + length, _flow(model, model.forcing(t, segments), y, length, sign)), None
+            return (t + length, model.flow(model.forcing(t, segments), y, length, sign)), None
 
         (t, y), _ = lax.scan(go_on, (t0, y0), None, length=parts)
         return _AtRoot(t, y, *model.guard(model.forcing(t, segments), jnp.zeros_like(t), y, sign))
@@ -556,12 +556,6 @@ def _measure(s: FloatArray, d: FloatArray, age: FloatArray, is_ratio: BoolArray)
     return jnp.where(is_ratio, s / age, s), jnp.where(is_ratio, (d * age - s) / (age * age), d)
 
 
-def _flow(model: OneContactModel, inputs: PyTree, y: State, length: FloatArray, sign: FloatArray) -> State:
-    # The branch that is not chosen must stay finite too: see `advance`.
-    slid = model.slip(inputs, y, jnp.where(sign == 0, 0, length), sign)
-    return _either(sign == 0, model.stick(inputs, y, length), slid)
-
-
 def _search(
     model: OneContactModel, segments: Segments, start: _Start, step: EngineStep, outcome: _Outcome,
     step_length: FloatArray,
@@ -595,7 +589,7 @@ def _search(
             to = jnp.where(jnp.isnan(share), first, to)
             # The flow goes on from the last instant before the root, not from its beginning.
             inputs = model.forcing(t0 + before.tau, segments)
-            ahead = _flow(model, inputs, y, to - before.tau, sign)
+            ahead = model.flow(inputs, y, to - before.tau, sign)
             value = residual(to, *model.guard(inputs, to - before.tau, ahead, sign))
             # A residual that is positive at the first instant has no root after it: `before` is then never found.
             new, is_before = _RootBracket(to, value, jnp.ones_like(to), jnp.isnan(share) | before.found), value < 0

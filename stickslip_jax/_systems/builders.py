@@ -11,7 +11,7 @@ from .._foundation import checks
 from .._foundation.fields import Checked, Quantity
 from .._foundation.types import AnyArray, Number
 from .contacts import Contact, NormalForce, NormalForceQuantity, entries_of
-from .friction import Coulomb, FrictionLaw
+from .friction import Coulomb, FrictionLaw, require_law
 from .structure import BLOCKS, STOREYS, LinearStructure, check_forces, numbers_in
 
 # Structures that everyone draws: blocks in a row, storeys over a sliding bearing.
@@ -162,8 +162,7 @@ class FrictionDisk(Checked):
 
     def check_parts(self) -> None:
         checks.numeric("radius", self.radius)
-        if not isinstance(self.friction, FrictionLaw):
-            raise checks.refused("friction", "be a friction law such as Coulomb(mu=0.3)", self.friction)
+        require_law("friction", self.friction)
 
     def contact(self, turns: np.ndarray) -> Contact:
         """The contact whose relative angular velocity is ``turns . angular velocities``."""

@@ -35,7 +35,7 @@ from .._foundation.types import (
 from .._numerics.derivatives import without_derivatives
 from .._numerics.matrices import linear_solve, times
 from .._numerics.steps import relative_error, runge_kutta_step
-from .friction import FrictionLaw
+from .friction import FrictionLaw, require_law
 from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel, with_change
 
 # Normal forces of contacts: numbers, or functions of time.
@@ -195,8 +195,7 @@ class Contact(Checked):
 
     def check_parts(self) -> None:
         checks.bounded("direction", self.direction, ndim=1)
-        if not isinstance(self.friction, FrictionLaw):
-            raise checks.refused("friction", "be a friction law such as Coulomb(mu=0.3)", self.friction)
+        require_law("friction", self.friction)
 
     @classmethod
     def of_mass(cls, index: int, masses: int, normal_force: NormalForce, friction: FrictionLaw) -> "Contact":
@@ -563,7 +562,8 @@ class ContactsModel(SwitchedModel[F]):
     ) -> tuple[State, FloatScalar | None]:
         reached, error = runge_kutta_step(Partial(type(self).rates, self, forcing, sign=sign), y, h, solver=self.solver)
         gross = self._gross_changes(forcing, y, h)
-        return self._held(forcing, h, reached, self._own(sign) == 0), _worst(relative_error(error, y, reached, gross))
+        # Of structures, the errors of all masses.
+        return self._held(forcing, h, reached, self._own(sign) == 0), jnp.max(relative_error(error, y, reached, gross))
 
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
         return self.instant(forcing, tau, y).velocity
@@ -715,7 +715,3 @@ def _bounded_guard(limit: FloatArray, force: FloatArray) -> FloatArray:
 def _finite(values: FloatArray) -> FloatArray:
     """`values`, 0 where they are not finite."""
     return jnp.where(jnp.isfinite(values), values, 0)
-
-
-def _worst(errors: FloatArray) -> FloatScalar:
-    return errors if errors.ndim == 0 else jnp.max(errors)

@@ -35,13 +35,12 @@ from .._foundation.types import (
 from .._numerics.derivatives import NotKnown, bounds_of, values_of
 from .._numerics.elementary import responses, sincos
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .composed_friction import AtAge
 from .contacts import Contact, NormalForceQuantity, is_function, recorded_in, stick_band
-from .friction import FrictionLaw, times_of_slips
+from .friction import AtAge, FrictionLaw, require_law, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
 from .structure import LinearStructure, StructureModel
-from .switched_model import Base, FloatPair, OneContactModel, Segments, base_motion, with_change
+from .switched_model import Base, EnergyModel, FloatPair, Powers, Segments, Terms, base_motion, with_change
 from .system import (
     AGE,
     DECAYED,
@@ -121,7 +120,7 @@ class OscillatorForcing(NamedTuple):
     load_slope: FloatScalar
 
 
-class OscillatorModel(OneContactModel[OscillatorForcing]):
+class OscillatorModel(EnergyModel[OscillatorForcing]):
     """A `MassSpring` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts. State: x (m), x' (m/s)."""
 
     system: Any  # a MassSpring, which makes this model
@@ -136,7 +135,9 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         mass = self.system.mass
         return OscillatorForcing(t, base, base_slope, force - mass * ground, force_slope - mass * ground_slope)
 
-    def slip(self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
+    def slip(
+        self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar
+    ) -> tuple[State, FloatScalar | None]:
         m, k, c = self._constants()
         coefficient = sign * self.friction.continued_coefficient(jnp.zeros_like(h), sign)
         # Beside the steady response to harmonic forces: a motion under a force that grows steadily.
@@ -147,16 +148,16 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         slope, speed = forcing.load_slope / m, y[1] - p0
         by = responses(0 if c is None else c / (2 * m), jnp.asarray(k / m, h.dtype), h)
         x = y[0] + (x1 - x0) + speed * by.impulse + first * by.step + slope * by.ramp
-        return x, p1 + speed * by.rate + first * by.impulse + slope * by.step
+        return (x, p1 + speed * by.rate + first * by.impulse + slope * by.step), None
 
     def at_age(self, age: FloatArray) -> "OscillatorModel":
         return eqx.tree_at(lambda model: model.system.friction, self, AtAge(self.friction, age))
 
-    def stick(self, forcing: OscillatorForcing, y: State, h: FloatScalar) -> State:
+    def stick(self, forcing: OscillatorForcing, y: State, h: FloatScalar) -> tuple[State, None]:
         travel = h * (forcing.base + 0.5 * h * forcing.base_slope)
         if self.smooth is not None:
             travel = travel + self.smooth.integral(forcing.t, h)
-        return y[0] + travel, self.base_motion(forcing, h)[0]
+        return (y[0] + travel, self.base_motion(forcing, h)[0]), None
 
     def rates(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         velocity, acceleration = self.base_motion(forcing, tau)
@@ -172,7 +173,9 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
         share = beyond * per_held
         t = forcing.t + tau
         jerk = 0 if self.smooth is None else self.smooth.curvature(t)
-        share_rate = (m * jerk + _times(c, acceleration) + k * velocity - self._force_rate(forcing, tau)) * per_held
+        force = self.system.force
+        force_rate = forcing.load_slope + (force.rate(t) if isinstance(force, Signal) else 0)
+        share_rate = (m * jerk + _times(c, acceleration) + k * velocity - force_rate) * per_held
         slip_rate = self.rates(forcing, tau, y, sign)[1] - acceleration
         sticking = sign == 0
         held = jnp.where(holds > 0, 1 - share * share, -1)
@@ -220,6 +223,26 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
     ) -> FloatScalar:
         return rates[1] - self.base_motion(forcing, tau)[1]
 
+    def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
+        return -coefficient * self.system.normal_force
+
+    def stored_energies(self, y: State) -> Terms:
+        system, (x, p) = self.system, y
+        return {"kinetic": 0.5 * system.mass * p * p, "elastic": 0.5 * system.stiffness * x * x}
+
+    def powers(self, forcing: OscillatorForcing, y: State, force: FloatScalar) -> Powers:
+        # The base moves with velocity v against the force -force that the mass exerts on it (Lima and Sampaio 2015, the
+        # energy analysis of section 2): it supplies force v, of which force x' reaches the mass.
+        (_, p), none, (_, _, c) = y, jnp.zeros_like(forcing.t), self._constants()
+        velocity = self.base_motion(forcing, none).velocity
+        supplied = {"base": force * velocity, "load": self.load_at(forcing, none) * p}
+        return Powers(supplied, {"friction": force * (velocity - p), "damping": (0 if c is None else c) * p * p})
+
+    @property
+    def fastest_decay(self) -> Scalar:
+        m, _, c = self._constants()
+        return 0.0 if c is None else c / m
+
     def _constants(self):
         return self.system.mass, self.system.stiffness, self.system.damping
 
@@ -230,10 +253,6 @@ class OscillatorModel(OneContactModel[OscillatorForcing]):
     def load_at(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatScalar:
         load = forcing.load + tau * forcing.load_slope
         return load + self.system.force.value(forcing.t + tau) if isinstance(self.system.force, Signal) else load
-
-    def _force_rate(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatScalar:
-        force = self.system.force
-        return forcing.load_slope + (force.rate(forcing.t + tau) if isinstance(force, Signal) else 0)
 
     def _beyond_and_limit(self, forcing: OscillatorForcing, tau: FloatScalar, y: State) -> FloatPair:
         """The friction force that a stick needs, ``m v' + c v + k x - F`` (Lima and Sampaio 2017, eq. 3), from the
@@ -274,10 +293,7 @@ class SolverOscillatorModel(OscillatorModel):
     steps_may_be_long: ClassVar[bool] = False
     has_kinks: ClassVar[bool] = True
 
-    def slip(self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        return self.slip_and_error(forcing, y, h, sign)[0]
-
-    def slip_and_error(
+    def slip(
         self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar
     ) -> tuple[State, FloatScalar | None]:
         rates = Partial(type(self).rates, self, forcing, sign=sign)
@@ -339,16 +355,10 @@ class MassSpring(System):
     force: Signal | Recorded | None = None
 
     def check_parts(self) -> None:
-        if not isinstance(self.friction, FrictionLaw):
-            raise ValueError(
-                "Argument friction must be a friction law such as Coulomb(mu=0.3), but "
-                f"{checks.show(self.friction)} was given."
-            )
+        require_law("friction", self.friction)
         if self.force is not None and not isinstance(self.force, (Signal, Recorded)):
-            raise ValueError(
-                "Argument force must be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, "
-                f"values), but {checks.show(self.force)} was given."
-            )
+            demand = "be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, values)"
+            raise checks.refused("force", demand, self.force)
 
     def check_relations(self) -> None:
         if not any(map(is_distribution, jax.tree.leaves(self.friction, is_leaf=is_distribution))):
@@ -485,18 +495,14 @@ class MassSpring(System):
         structure = self._as_structure
         if structure is not None:
             return structure.sizes(excitation)
-        clock, memory = self._clock, self.memory
+        # The motion changes in the time of one radian, or in 1 s where there is hardly a spring.
+        squared, memory = jnp.asarray(self.stiffness / self.mass, float), self.memory
+        swings = squared > SOFT**2
+        clock = jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
         deceleration = self.friction.static * self.normal_force / self.mass
         speed = deceleration * clock
         of_memory = (*(clock for _ in memory.ages), *(law.state_scale for law in memory.laws))
         return Sizes(speed, deceleration, (speed * clock, speed, *of_memory))
-
-    @property
-    def _clock(self) -> Scalar:
-        """In which the motion changes: the time of one radian, or 1 s where there is hardly a spring."""
-        squared = jnp.asarray(self.stiffness / self.mass, float)
-        swings = squared > SOFT**2
-        return jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
 
     def check_solver(self, solver: Solver | None) -> None:
         if solver is None and self.damping is None and isinstance(self.force, Signal):
@@ -540,13 +546,14 @@ class MassSpring(System):
         # An open contact holds nothing: the band is empty there.
         closed = jnp.where(jnp.asarray(normal) > 0, normal, jnp.nan)
         ages = state[2] if self.friction.grows else jnp.zeros_like(times)
-        forward, backward = (jax.vmap(partial(self._limit_at, sign))(ages) for sign in (1.0, -1.0))
+
+        def limit_at(age: FloatScalar, sign: float) -> FloatArray:
+            """The largest friction coefficient of a stick of this age that would break into a slip of this sign."""
+            return jnp.asarray(AtAge(self.friction, age).stick_limit(jnp.full_like(age, sign)), age.dtype)
+
+        forward, backward = (jax.vmap(partial(limit_at, sign=sign))(ages) for sign in (1.0, -1.0))
         # A mass that lags behind the base once it is released needs a positive force.
         return (load - forward * closed) / stiffness, (load + backward * closed) / stiffness
-
-    def _limit_at(self, sign: float, age: FloatScalar) -> FloatArray:
-        """The largest friction coefficient of a stick of this age that would break into a slip of this sign."""
-        return jnp.asarray(AtAge(self.friction, age).stick_limit(jnp.full_like(age, sign)), age.dtype)
 
 
 def _over(value: Number, stiffness: Number) -> Any:

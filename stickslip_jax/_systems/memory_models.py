@@ -72,6 +72,12 @@ class _WithAges(SwitchedModel[F]):
     def forcing(self, t: FloatScalar, segments: Any) -> F:
         return self.inner.forcing(t, segments)
 
+    def flow_and_error(
+        self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
+    ) -> tuple[State, FloatScalar | None]:
+        reached, error = self.inner.flow_and_error(forcing, y[:-1], h, sign)
+        return (*reached, jnp.where(self._stuck(sign), y[-1] + h, 0)), error
+
     def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
         return *self.inner.rates(forcing, tau, y[:-1], sign), self._stuck(sign).astype(y[0].dtype)
 
@@ -115,22 +121,9 @@ class _WithAges(SwitchedModel[F]):
         stuck = self.inner.stuck(sign)
         return stuck if self.contacts is None else stuck[:-1]
 
-    def _aged(self, y: State, h: FloatScalar, sign: FloatArray) -> FloatArray:
-        """The ages after the time `h` (s)."""
-        return jnp.where(self._stuck(sign), y[-1] + h, 0)
-
 
 class AgeingContacts(_WithAges[F]):
     """A system with several contacts, and ages (contacts,) of their sticks."""
-
-    def flow(self, forcing: F, y: State, h: FloatScalar, sign: FloatArray) -> State:
-        return *self.inner.flow(forcing, y[:-1], h, sign), self._aged(y, h, sign)
-
-    def flow_and_error(
-        self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
-    ) -> tuple[State, FloatScalar | None]:
-        reached, error = self.inner.flow_and_error(forcing, y[:-1], h, sign)
-        return (*reached, self._aged(y, h, sign)), error
 
     def decided(self, forcing: F, y: State, question: Question) -> Decision:
         return self.inner.at_age(y[-1]).decided(forcing, y[:-1], question)
@@ -138,22 +131,6 @@ class AgeingContacts(_WithAges[F]):
 
 class AgeingContact(_WithAges[F], OneContactModel[F]):  # pyright: ignore[reportIncompatibleVariableOverride] - as above
     """A system with one contact, and the age of its stick."""
-
-    def slip(self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        return *self.inner.slip(forcing, y[:-1], h, sign), jnp.zeros_like(y[-1])
-
-    def slip_and_error(
-        self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar
-    ) -> tuple[State, FloatScalar | None]:
-        slid, error = self.inner.slip_and_error(forcing, y[:-1], h, sign)
-        return (*slid, jnp.zeros_like(y[-1])), error
-
-    def stick(self, forcing: F, y: State, h: FloatScalar) -> State:
-        return *self.inner.stick(forcing, y[:-1], h), y[-1] + h
-
-    def stick_and_error(self, forcing: F, y: State, h: FloatScalar) -> tuple[State, FloatScalar | None]:
-        held, error = self.inner.stick_and_error(forcing, y[:-1], h)
-        return (*held, y[-1] + h), error
 
     def on_base(self, forcing: F, y: State) -> State:
         return *self.inner.on_base(forcing, y[:-1]), y[-1]
@@ -163,6 +140,9 @@ class AgeingContact(_WithAges[F], OneContactModel[F]):  # pyright: ignore[report
 
     def release_sign(self, forcing: F, y: State) -> FloatScalar:
         return self.inner.release_sign(forcing, y[:-1])
+
+    def without_age(self, y: State) -> tuple[Any, State]:
+        return self.inner, y[:-1]
 
     @property
     def time_scales_are_known(self) -> bool:

@@ -33,11 +33,10 @@ from .._foundation.types import (
 from .._numerics.derivatives import without_derivatives
 from .._numerics.elementary import sincos, sincos_of_small
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .composed_friction import AtAge
-from .friction import Coulomb, FrictionLaw, times_of_slips
+from .friction import AtAge, Coulomb, FrictionLaw, times_of_slips
 from .layouts import motor_and_cart
 from .memory_models import AgeingContact, InnerStates, inner_laws_of, with_ages
-from .switched_model import FloatPair, OneContactModel, Segments
+from .switched_model import EnergyModel, FloatPair, Powers, Segments, Terms
 from .system import (
     AGE,
     DECAYED,
@@ -102,7 +101,7 @@ class OnPin(FrictionLaw):
         return OnPin(self.law.in_direction(-velocity * self.sine), self.sine)
 
 
-class CartModel(OneContactModel[FloatScalar]):
+class CartModel(EnergyModel[FloatScalar]):
     """A `MotorCart` under a `SourceVoltage`. Its forcing is the phase of the voltage as a step begins, rad."""
 
     system: Any  # a MotorCart, which makes this model
@@ -111,17 +110,14 @@ class CartModel(OneContactModel[FloatScalar]):
     def forcing(self, t: FloatScalar, segments: Segments) -> FloatScalar:
         return self.smooth.angular_frequency * t + self.smooth.phase
 
-    def slip(self, forcing: FloatScalar, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
-        rates = Partial(type(self)._slip_rates, self, sincos(y[0]), sincos(forcing), sign)
-        (angle, speed, current), _ = runge_kutta_step(rates, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
-        return y[0] + angle, speed, current
-
-    def slip_and_error(
+    def slip(
         self, forcing: FloatScalar, y: State, h: FloatScalar, sign: FloatScalar
     ) -> tuple[State, FloatScalar | None]:
         if self.friction.constant:
-            return self.slip(forcing, y, h, sign), None
+            # Angles are measured from where the step begins, so that sines cost a third: `step_limit` keeps them small.
+            rates = Partial(type(self)._slip_rates, self, sincos(y[0]), sincos(forcing), sign)
+            (angle, speed, current), _ = runge_kutta_step(rates, (0 * h, *y[1:]), h, solver=diffrax.Dopri8())
+            return (y[0] + angle, speed, current), None
         rates = Partial(type(self).rates, self, forcing, sign=sign)
         slid, error = runge_kutta_step(rates, y, h, solver=diffrax.Dopri8())
         return slid, relative_error(error, y, slid, self._gross_changes(forcing, y, h))
@@ -129,10 +125,10 @@ class CartModel(OneContactModel[FloatScalar]):
     def at_age(self, age: FloatArray) -> "CartModel":
         return eqx.tree_at(lambda model: model.system.friction, self, AtAge(self.friction, age))
 
-    def stick(self, forcing: FloatScalar, y: State, h: FloatScalar) -> State:
+    def stick(self, forcing: FloatScalar, y: State, h: FloatScalar) -> tuple[State, None]:
         rho = self.system.resistance / self.system.inductance
         rest = (y[2] - self._steady(forcing, jnp.zeros_like(h))) * jnp.exp(-rho * h)
-        return y[0], jnp.zeros_like(h), rest + self._steady(forcing, h)
+        return (y[0], jnp.zeros_like(h), rest + self._steady(forcing, h)), None
 
     def rates(self, forcing: FloatScalar, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         direction, phase = sincos(y[0]), sincos(forcing + self.smooth.angular_frequency * tau)
@@ -279,6 +275,30 @@ class CartModel(OneContactModel[FloatScalar]):
 
     def relative_acceleration(self, forcing: FloatScalar, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
         return self.system.eccentricity * rates[1]
+
+    def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
+        # On the cart at ``x = d cos alpha``, whose velocity is ``-d sin alpha alpha'`` (Lima and Sampaio 2022, eq. 4).
+        return coefficient * self.system.friction_torque_of_one / self.system.eccentricity * self.heading(y)
+
+    def stored_energies(self, y: State) -> Terms:
+        system, (angle, speed, current) = self.system, y
+        cart = system.eccentricity * jnp.sin(angle) * speed
+        kinetic = 0.5 * (system.motor_inertia * speed * speed + system.cart_mass * cart * cart)
+        return {"kinetic": kinetic, "magnetic": 0.5 * system.inductance * current * current}
+
+    def powers(self, forcing: FloatScalar, y: State, force: FloatScalar) -> Powers:
+        system, (angle, speed, current) = self.system, y
+        voltage = self.smooth.mean + self.smooth.amplitude * jnp.sin(forcing)
+        friction = force * system.eccentricity * jnp.sin(angle) * speed
+        heat = {"friction": friction, "damping": system.motor_damping * speed * speed}
+        return Powers({"voltage": voltage * current}, heat | {"resistance": system.resistance * current * current})
+
+    def check_energy(self) -> None:
+        if self.system.equation != "physical":
+            raise ValueError(
+                f'energies needs a MotorCart with equation="physical", but one with equation="{self.system.equation}" '
+                "was given: the units of that equation do not match, so that it has no energy."
+            )
 
     def _steady(self, forcing: FloatScalar, tau: FloatScalar) -> FloatScalar:
         """The steady current in a stick, when its transient has decayed, A."""

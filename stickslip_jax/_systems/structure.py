@@ -37,7 +37,6 @@ from .._numerics.matrices import (
     magnitudes,
     times,
 )
-from .composed_friction import AtAge, least
 from .contacts import (
     Contact,
     ContactsModel,
@@ -61,7 +60,7 @@ from .contacts import (
     solved,
     values_at,
 )
-from .friction import FrictionLaw
+from .friction import AtAge, FrictionLaw, least
 from .layouts import blocks, disks, storeys
 from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
 from .switched_model import Segments, base_motion
@@ -99,7 +98,14 @@ def check_structure(mass: Any, stiffness: Any, damping: Any, contacts: Any, forc
     _check_matrix("stiffness", stiffness, size)
     if damping is not None:
         _check_matrix("damping", damping, size)
-    _check_mass(mass)
+    if not checks.is_traced(mass):
+        values = np.asarray(mass, float)
+        eigenvalues = np.sort(values) if values.ndim == 1 else np.linalg.eigvalsh(values)
+        if is_singular(eigenvalues):
+            raise ValueError(
+                f"Argument mass must be positive definite, but its smallest eigenvalue is {eigenvalues[0]:.4g} beside "
+                f"the largest, {eigenvalues[-1]:.4g}; leave out coordinates without mass."
+            )
     _check_contacts(mass, contacts, size)
     check_forces("force", force, size)
 
@@ -174,18 +180,6 @@ def _check_matrix(name: str, value: Any, size: int | None) -> int:
             f"{matrix[j, i]:g}."
         )
     return shape[0]
-
-
-def _check_mass(value: Any) -> None:
-    if checks.is_traced(value):
-        return
-    mass = np.asarray(value, float)
-    eigenvalues = np.sort(mass) if mass.ndim == 1 else np.linalg.eigvalsh(mass)
-    if is_singular(eigenvalues):
-        raise ValueError(
-            f"Argument mass must be positive definite, but its smallest eigenvalue is {eigenvalues[0]:.4g} beside the "
-            f"largest, {eigenvalues[-1]:.4g}; leave out coordinates without mass."
-        )
 
 
 def _check_contacts(mass: Any, contacts: Any, size: int) -> None:
@@ -482,18 +476,23 @@ class ArcsModel(StructureModel):
     def in_mode(self, forcing: StructureForcing, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
         of, own, sticks = self._in_precision_of(y), self._own(sign), self._own(sign) == 0
         now = self.instant(forcing, tau, y)
-        normal, normal_rate = self._normal_forces(forcing, tau), self._normal_rates(forcing, tau)
+        t, normal = forcing.t + tau, self._normal_forces(forcing, tau)
+        normal_rate = rates_at(self.structure.normal_forces, t, forcing.normal_slope)
         limits, changing = (
             self._closed(self.limits_under(forces, now.velocity), sign) for forces in (normal, normal_rate)
         )
         force = solved(now.gain, now.drift, limits.slip(own), sticks)
         moving = now.rates[1] - times(of.by_force, force)
-        pull = self._load_rate(forcing, tau) - times(of.stiffness, y[1])
+        # The rate of what ground and external forces do to each mass, m/s^3.
+        load = jnp.full((self.structure.size,), -forcing.ground_slope)
+        if self.structure.force is not None:
+            load = load + times(of.inverse_mass, rates_at(self.structure.force, t, forcing.load_slope))
+        pull = load - times(of.stiffness, y[1])
         if of.damping is not None:
             pull = pull - times(of.damping, moving)
         drift = times(of.directions, pull)
         if self.smooth is not None:
-            drift = drift - of.on_base * self.smooth.curvature(forcing.t + tau)
+            drift = drift - of.on_base * self.smooth.curvature(t)
         rate = solved(now.gain, drift, changing.slip(own), sticks)
         velocity = acceleration(now.gain, now.drift, force)
         (middle, limit), (middle_rate, limit_rate) = (forces.band(force) for forces in (limits, changing))
@@ -504,17 +503,6 @@ class ArcsModel(StructureModel):
 
     def _varying(self, normal: FloatArray) -> FloatArray | None:
         return normal[np.array(self.varying)] if self.varying else None
-
-    def _normal_rates(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
-        return rates_at(self.structure.normal_forces, forcing.t + tau, forcing.normal_slope)
-
-    def _load_rate(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
-        """The rate of what ground and external forces do to each mass, m/s^3."""
-        load = jnp.full((self.structure.size,), -forcing.ground_slope)
-        if self.structure.force is None:
-            return load
-        applied = rates_at(self.structure.force, forcing.t + tau, forcing.load_slope)
-        return load + times(in_dtype(self.matrices.inverse_mass, load.dtype), applied)
 
 
 class _Held(NamedTuple):

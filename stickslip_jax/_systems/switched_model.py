@@ -1,13 +1,15 @@
 """A system under its excitation, as the engines integrate it: how it slips and sticks, and when; with one contact."""
 
 import abc
-from typing import ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from .._excitation.motion import Signal
 from .._excitation.segments import Segment
+from .._foundation import checks
+from .._foundation.methods import keeps
 from .._foundation.types import BoolArray, BoolScalar, DType, FloatArray, FloatScalar, Number, Scalar, State
 from .friction import FrictionLaw
 
@@ -238,33 +240,27 @@ class OneContactModel(SwitchedModel[F]):
     relative velocity.
     """
 
-    @abc.abstractmethod
-    def slip(self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        """The state after a slip of duration `h` (s) with relative velocity of this `sign`."""
+    def slip(self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar) -> tuple[State, FloatScalar | None]:
+        """The state after a slip of duration `h` (s) with relative velocity of this `sign`, and its relative error;
+        None where the step is known to be short enough.
+        """
+        raise NotImplementedError("of models whose `flow_and_error` asks for it")
 
-    def slip_and_error(
-        self, forcing: F, y: State, h: FloatScalar, sign: FloatScalar
-    ) -> tuple[State, FloatScalar | None]:
-        """The result of `slip`, and its relative error; None where the step is known to be short enough."""
-        return self.slip(forcing, y, h, sign), None
-
-    @abc.abstractmethod
-    def stick(self, forcing: F, y: State, h: FloatScalar) -> State:
-        """The state after a stick of duration `h` (s)."""
-
-    def stick_and_error(self, forcing: F, y: State, h: FloatScalar) -> tuple[State, FloatScalar | None]:
-        """The result of `stick`, and its relative error or None."""
-        return self.stick(forcing, y, h), None
+    def stick(self, forcing: F, y: State, h: FloatScalar) -> tuple[State, FloatScalar | None]:
+        """The state after a stick of duration `h` (s), and its relative error or None."""
+        raise NotImplementedError("of models whose `flow_and_error` asks for it")
 
     def flow_and_error(
         self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
     ) -> tuple[State, FloatScalar | None]:
-        """The result of `flow`, and its relative error; None where the step is known to be short enough."""
         sticking = sign == 0
         # Both modes are computed, one is chosen. A slip over a stick's long step may overflow: it gets no length.
-        slid, error = self.slip_and_error(forcing, y, jnp.where(sticking, 0, h), sign)
-        held, error_held = self.stick_and_error(forcing, y, h)
-        return chosen_state(sticking, held, slid), _chosen(sticking, error_held, error)
+        slid, error = self.slip(forcing, y, jnp.where(sticking, 0, h), sign)
+        held, error_held = self.stick(forcing, y, h)
+        state = chosen_state(sticking, held, slid)
+        if error is None and error_held is None:
+            return state, None
+        return state, jnp.where(sticking, 0 if error_held is None else error_held, 0 if error is None else error)
 
     @abc.abstractmethod
     def on_base(self, forcing: F, y: State) -> State:
@@ -336,9 +332,54 @@ class OneContactModel(SwitchedModel[F]):
         free, gain = self.effect_of_friction(forcing, tau, y)
         return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)
 
+    def without_age(self, y: State) -> "tuple[Any, State]":
+        """The model of sticks without ages, and its state."""
+        return self, y
 
-def _chosen(first: BoolArray, one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
-    """One of two error estimates; None stands for 0, and both None give None."""
-    if one is None and other is None:
-        return None
-    return jnp.where(first, 0 if one is None else one, 0 if other is None else other)
+
+# Friction forces and energies: what is stored, supplied and dissipated.
+
+
+Terms: TypeAlias = dict[str, FloatScalar]
+"""Energies (J) or powers (W) by name."""
+
+
+class Powers(NamedTuple):
+    """Powers at one instant, W: what the excitation supplies, and what is turned into heat, each by its name."""
+
+    supplied: Terms
+    dissipated: Terms
+
+
+class EnergyModel(OneContactModel[F]):
+    """A model whose friction is known in newtons, and whose equations are those of a system with an energy."""
+
+    @abc.abstractmethod
+    def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
+        """The friction force under this signed friction coefficient, N: on the mass, of a motor on the cart."""
+
+    @abc.abstractmethod
+    def stored_energies(self, y: State) -> Terms:
+        """The energies stored in the state, J."""
+
+    @abc.abstractmethod
+    def powers(self, forcing: F, y: State, force: FloatScalar) -> Powers:
+        """The powers in the state `y` under the friction force `force` (N); their sum is the rate of what is stored."""
+
+    @property
+    def fastest_decay(self) -> Scalar:
+        """The rate at which the fastest motion in a slip may die out within a step, 1/s; 0 where steps are shorter."""
+        return 0.0
+
+    def check_energy(self) -> None:
+        """Check that the equations of motion have an energy. Raises ValueError otherwise."""
+
+
+def require_energy_model(model: Any, name: str) -> None:
+    """Check that friction forces of `model` are known in newtons, not only as shares. Raises ValueError otherwise."""
+    holders = [kind for kind in type(model).__mro__ if "friction_force" in vars(kind)]
+    if not holders or not keeps(model, holders[0], "rates", "rates_under"):
+        raise ValueError(
+            f"{name} needs a MassSpring or a MotorCart, but a simulation of {checks.show(model.system)} was given: the "
+            "friction of a system of your own is known as a share of its largest kinetic force only."
+        )

@@ -1,27 +1,25 @@
-"""User-defined systems: any ordinary differential equations with dry-friction contacts.
-
-Slips and sticks are integrated; their ends follow from the rates. With the relative velocity ``sigma(t, y, base)`` and
-``rates = a + b friction``, one unit of friction changes ``sigma'`` by ``gain = grad sigma . b`` (negative). In a stick,
-friction is the share u of the kinetic force that keeps ``sigma' = 0`` (Filippov's sliding field); the stick
-lasts while ``|u| <= static_ratio``. Where friction has no effect on sigma (``gain = 0``) nothing sticks.
-"""
+"""Systems of a user's own: any ordinary differential equations with dry-friction contacts; and how they are checked."""
 
 import abc
+import contextlib
+import dataclasses
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import Partial
+import numpy.typing as npt
+from jaxtyping import Array
 
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Signal
+from .._excitation.recorded import ForceSteps
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.types import (
-    BoolScalar,
+    AnyArray,
     ExplicitSolver,
     FloatArray,
     FloatScalar,
@@ -31,12 +29,9 @@ from .._foundation.types import (
     Solver,
     State,
 )
-from .._numerics.derivatives import without_derivatives
-from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .dynamic_friction import DynamicFriction
-from .friction import Coulomb, FrictionLaw
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, with_ages
-from .switched_model import FloatPair, OneContactModel, Segments, with_change
+from .structure import MOST_CONTACTS, is_singular
 from .system import (
     AGE,
     SHORTEST_TIME,
@@ -45,6 +40,7 @@ from .system import (
     Memory,
     RecordedForces,
     Sizes,
+    System,
     TimeScale,
     TimeScales,
     Tracks,
@@ -53,12 +49,9 @@ from .system import (
     ages_of,
     shortest_period,
 )
-from .users_checks import check_contacts, check_fields, check_ground, check_motion
-from .users_models import GeneralContactsModel, GeneralForcing, UsersBase, depends_on_time, differs_between, records_in
+from .users_models import GeneralContactsModel, GeneralModel, UsersBase, depends_on_time, differs_between, records_in
 
 _SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
-_NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
-_LEAST_GAIN = 64  # units in the last place of the terms of the gain; a smaller gain is round-off
 
 
 class SwitchedSystem(WithContacts):
@@ -252,6 +245,11 @@ class SwitchedSystem(WithContacts):
         return Tracks(self.contacts, self._counted)
 
     @property
+    def has_static_ratio(self) -> bool:
+        """Whether a static ratio is given."""
+        return type(self).static_ratio is not SwitchedSystem.static_ratio
+
+    @property
     def has_normal_forces(self) -> bool:
         """Whether normal forces are given as functions."""
         return type(self).normal_forces is not SwitchedSystem.normal_forces
@@ -309,7 +307,7 @@ class SwitchedSystem(WithContacts):
         if y0 is None:
             check_fields(self)
         else:
-            (check_motion if self.contacts is None else check_contacts)(self, y0[: len(self.state_names)])
+            check_motion(self, y0[: len(self.state_names)])
 
     def differs_between(self, y0: InitialState, times: np.ndarray, others: np.ndarray) -> bool:
         return differs_between(self, y0[: len(self.state_names)], times, others)
@@ -324,201 +322,432 @@ class SwitchedSystem(WithContacts):
         return RecordedForces(records_in(self))
 
 
-class _Contact(NamedTuple):
-    """The effect of friction at one instant.
+# Checks of a user's `SwitchedSystem`, as far as it can be checked before it is simulated.
 
-    Attributes:
-        idle: Rates without friction.
-        by_friction: What one unit of friction adds to them.
-        drift: The rate of the relative velocity without friction.
-        has_effect: Whether friction has an effect on the relative velocity.
-        gain: What one unit of friction adds to its rate.
-        per_gain: ``1 / gain``, 0 where friction has no effect.
+
+_ONE_CONTACT = (
+    "declare the number of dry-friction contacts, contacts = 2, or smooth the force of another one, "
+    "F jax.numpy.tanh(v / width) with a small width."
+)
+_BY_DIRECTION = (
+    "where friction differs with the direction of sliding, leave the normal force as it is and give the contact a "
+    "Directional friction law, or smooth the step, jax.numpy.tanh(v / width)."
+)
+_NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
+_ASKED = ("look", "memory", "recorded", "tracks", "traits")  # properties that the package asks for
+AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
+
+
+def check_fields(system: Any) -> None:
+    """Check the fields and properties of `system`. Raises ValueError for what does not fit."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(system):
+        if not isinstance(leaf, (int, float, np.ndarray, np.generic, jax.Array)):
+            field = jax.tree_util.keystr(path).lstrip(".")
+            raise ValueError(
+                f"Argument {field} of a {type(system).__name__} must be a number or an array, but {checks.show(leaf)} "
+                f"was given; declare a field of another kind as {field}: ... = equinox.field(static=True)."
+            )
+    for field in dataclasses.fields(system):
+        if callable(getattr(System, field.name, None)) or field.name in _ASKED:
+            raise ValueError(
+                f"Argument {field.name} of a {type(system).__name__} must have another name, because {field.name} is "
+                "what the package asks of every system; rename the field."
+            )
+    if system.has_normal_forces and system.contacts is None:
+        raise ValueError(
+            f"Argument normal_forces of a {type(system).__name__} must come with the number of its contacts, but "
+            "contacts is None, and nobody would ask for it: declare contacts = 1, or more."
+        )
+    names = system.state_names
+    if not isinstance(names, tuple) or len(names) < 2 or not all(isinstance(name, str) for name in names):
+        raise ValueError(
+            f"Argument state_names of a {type(system).__name__} must be a tuple of two names or more, but "
+            f"{checks.show(names)} was given."
+        )
+    kind = type(system).__name__
+    with checks.traceable(f"The property static_ratio of {kind}"):
+        ratio = system.static_ratio
+    if system.contacts is None:
+        checks.numeric("static_ratio", ratio)
+    elif np.shape(ratio) not in ((), (checks.whole_number("contacts", system.contacts, maximum=MOST_CONTACTS),)):
+        raise checks.refused("static_ratio", f"be one number or an array ({system.contacts},)", ratio)
+    if not checks.is_traced(ratio) and np.min(np.asarray(ratio)) < 1:
+        raise ValueError(
+            f"Argument static_ratio must be at least 1, but {ratio} was given: a stick holds at least as "
+            "well as a slip."
+        )
+    if system.memory.ages:
+        _check_ages(system)
+    _check_inner_laws(system)
+    for name in ("shortest_time", "speed_scale"):
+        with checks.traceable(f"The property {name} of {kind}"):
+            value = getattr(system, name)
+        if value is not None:
+            checks.positive(name, value)
+
+
+def _check_inner_laws(system: Any) -> None:
+    """Check the `inner_laws` of a system, if it has some."""
+    kind, laws, number = type(system).__name__, system.inner_laws, system.contacts or 1
+    if not isinstance(laws, tuple) or not all(isinstance(law, DynamicFriction) for law in laws):
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must be a tuple of friction laws with an inner state, such as LuGre, but "
+            f"{checks.show(laws)} was given; other laws are written in rates."
+        )
+    if laws and len(laws) != number:
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must hold a law for each of its contacts, {number}, but {len(laws)} were "
+            "given."
+        )
+    ratio = system.static_ratio
+    if laws and (system.memory.ages or (not checks.is_traced(ratio) and np.max(np.asarray(ratio)) > 1)):
+        raise ValueError(
+            f"Argument inner_laws of a {kind} must come without static_ratio and static_ratio_after, those of exact "
+            "sticks, but both were given; keep one of them."
+        )
+    if laws and system.coordinates[len(system.state_names) :] != system.memory.coordinates:
+        raise ValueError(
+            f"Argument coordinates of a {kind} must end with the inner states of its laws: add "
+            "*self.memory.coordinates."
+        )
+
+
+def _check_ages(system: Any) -> None:
+    """Check `static_ratio_after` and the coordinates of a system whose friction grows with the ages of sticks."""
+    kind, shape = type(system).__name__, () if system.contacts is None else (system.contacts,)
+    if system.coordinates[len(system.state_names) :] != system.memory.ages:
+        raise ValueError(
+            f"Argument coordinates of a {kind} must end with the ages of its sticks, because it has a "
+            "static_ratio_after: add *self.memory.coordinates."
+        )
+    with checks.traceable(f"The method static_ratio_after of {kind}"):
+        jax.make_jaxpr(system.static_ratio_after)(jnp.zeros(shape))
+    now, later = (system.static_ratio_after(jnp.full(shape, age)) for age in (0.0, 1.0))
+    if checks.is_traced(now) or checks.is_traced(later):
+        return
+    now, later = np.asarray(now), np.asarray(later)
+    if not np.all(np.isfinite(later) & (later >= now) & (now >= 1)):
+        raise ValueError(
+            f"Argument static_ratio_after of a {kind} must return finite numbers, at least 1, that do not fall with "
+            f"the age, but {checks.show(now)} was returned for the age 0 s, and {checks.show(later)} for 1 s."
+        )
+
+
+def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
+    """Check the methods of `system`, a `SwitchedSystem`, in the state `y0` at time 0, with the base at rest.
+
+    Raises ValueError for what they must not return, and for contacts whose motion is not unique.
+    """
+    kind, zero = type(system).__name__, jnp.zeros(())
+    y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
+    is_new = _TRIED.is_new(system, y)
+    if is_new:
+        _check_methods(system, y, base)
+    if any(checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y))):
+        return
+    # Of another system like one that was tried, only the numbers are looked at, by compiled functions.
+    velocities, gradients = (_velocities if is_new else _compiled_velocities)(system, y, base)
+    if checks.is_traced(velocities) or checks.is_traced(gradients):  # its class encloses a number that JAX traces
+        return
+    velocities, gradients = np.asarray(velocities, float), np.asarray(gradients, float)
+    near = Near.of(y) if system.contacts is None else Near.of(y, velocities, gradients)
+    rates, near_rates, near_forces = (_numbers if is_new else _compiled_numbers)(system, y, base, near.columns)
+    if any(map(checks.is_traced, (rates, near_rates, near_forces))):
+        return
+    near.check(kind, np.asarray(near_rates))
+    if system.has_normal_forces:
+        near.check(kind, np.asarray(near_forces), "normal_forces", _BY_DIRECTION)
+    _check_affine(kind, np.asarray(rates, float), gradients, system.contacts)
+    _TRIED.add(system, y)
+
+
+class _Tried:
+    """Systems whose methods were tried: their classes, and what can be told of their fields without the numbers."""
+
+    def __init__(self, most: int):
+        self._kinds: dict[Any, None] = {}
+        self._most = most
+
+    def is_new(self, system: Any, y: tuple[Array, ...]) -> bool:
+        """Whether no system like it was tried."""
+        try:
+            return self._kind(system, y) not in self._kinds
+        except TypeError:  # a static field cannot be hashed
+            return True
+
+    def add(self, system: Any, y: tuple[Array, ...]) -> None:
+        """Remember it; the oldest is forgotten."""
+        with contextlib.suppress(TypeError):
+            self._kinds[self._kind(system, y)] = None
+            if len(self._kinds) > self._most:
+                self._kinds.pop(next(iter(self._kinds)), None)  # another thread may have been first
+
+    @staticmethod
+    def _kind(system: Any, y: tuple[Array, ...]) -> tuple[Any, ...]:
+        leaves, structure = jax.tree.flatten((system, y))
+        return structure, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+
+
+_TRIED = _Tried(256)
+
+
+def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
+    """Check what the methods of `system` take and return."""
+    kind, zero = type(system).__name__, jnp.zeros(())
+    check_traceable(system, ("shortest_time", "static_ratio", "speed_scale"))
+    for name in ("relative_velocity", "normal_forces") if system.has_normal_forces else ("relative_velocity",):
+        check_traceable(system, (name,), zero, y, base)
+        _check_number(kind, name, getattr(system, name)(zero, y, base), system.contacts)
+    check_belt(system, y, base)
+    shares = _shares(system.contacts)
+    try:
+        with checks.traceable(f"The method rates of {kind}"):
+            rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in shares]
+            jax.make_jaxpr(type(system).rates)(_as_traced(system), zero, y, base, jnp.asarray(shares[0]))
+    except (IndexError, TypeError) as error:
+        takes_two = False
+        with contextlib.suppress(Exception):  # of a user's code
+            takes_two = system.rates(zero, y, base, jnp.zeros(2)) is not None
+        if system.contacts is not None or not takes_two:
+            raise
+        raise ValueError(
+            f"Argument rates of a {kind} must take one number as friction, but it takes several; {_ONE_CONTACT}"
+        ) from error
+    except ValueError as error:  # rates unpacks the state into another number of variables
+        if isinstance(error.__cause__, (TypeError, jax.errors.JAXTypeError)):
+            raise
+        raise ValueError(
+            f"Argument rates of a {kind} must accept a state of {len(y)} numbers, but: {error}."
+        ) from error
+    check_rates(kind, rates[0], len(y))
+
+
+def _shares(contacts: int | None) -> np.ndarray:
+    """Shares of the friction forces at which rates show whether they are affine: none, half of all, and each alone,
+    forward and backward; (shares,), or (shares, contacts) of several.
+    """
+    if contacts is None:
+        return np.array([0.0, 0.5, 1.0, -1.0])
+    units = np.eye(contacts)
+    return np.stack([0 * units[0], 0.5 * np.ones(contacts), *units, *-units])
+
+
+def _check_number(kind: str, name: str, values: Any, contacts: int | None) -> None:
+    """Check that the method `name` returned a number for each of the contacts; a scalar for one contact."""
+    listed = isinstance(values, (tuple, list))
+    shapes = [np.shape(value) for value in values] if listed else [()] * np.size(values)
+    if contacts is not None and (len(shapes) != contacts or any(shapes)):
+        raise ValueError(
+            f"Argument {name} of a {kind} must return {contacts} numbers, one for each of its contacts, but "
+            f"{checks.show(values)} was given."
+        )
+    if contacts is None and (listed or len(shapes) > 1):
+        raise ValueError(
+            f"Argument {name} of a {kind} must return one number, but {len(shapes)} were given; {_ONE_CONTACT}"
+        )
+    if contacts is None and not _is_scalar(values):
+        raise ValueError(f"Argument {name} of a {kind} must return a scalar, but {checks.show(values)} was given.")
+
+
+def check_traceable(system: Any, names: tuple[str, ...], *args: Any) -> None:
+    """Check that JAX can trace the numbers of `system` in these properties, or methods that take `args`.
+
+    Raises ValueError, also for what its known numbers alone do not allow.
+    """
+    kind = type(system).__name__
+    for name in names:
+        with checks.traceable(f"The {'method' if args else 'property'} {name} of {kind}"):
+            jax.make_jaxpr(partial(_asked, name))(_as_traced(system), *args)
+
+
+def _asked(name: str, system: Any, *args: Any) -> Any:
+    return getattr(system, name)(*args) if args else getattr(system, name)
+
+
+def _as_traced(system: Any) -> Any:
+    """`system` as engines hold it: its numbers are arrays that JAX traces."""
+    return jax.tree.map(jnp.asarray, system)
+
+
+def check_belt(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
+    """Check that the relative velocity does not jump with a `ForceSteps`: sticks would not see it."""
+
+    def is_steps(value):
+        return isinstance(value, ForceSteps)
+
+    leaves, tree = jax.tree.flatten(system, is_leaf=is_steps)
+    steps = [leaf for leaf in leaves if is_steps(leaf)]
+
+    def velocity(steps):
+        own = iter(steps)
+        known = jax.tree.unflatten(tree, [next(own) if is_steps(leaf) else leaf for leaf in leaves])
+        return known.relative_velocity(jnp.zeros(()), y, base)
+
+    if steps and _uses(velocity, steps):
+        raise ValueError(
+            f"Argument relative_velocity of a {type(system).__name__} must not use a ForceSteps, which is a force that "
+            "jumps; a base that jumps is the argument base, a VelocitySteps."
+        )
+
+
+def _uses(function: Callable[[Any], Any], argument: Any) -> bool:
+    """Whether `function` looks at its argument."""
+    jaxpr = jax.make_jaxpr(function)(argument).jaxpr
+    used = [*jaxpr.outvars, *(atom for equation in jaxpr.eqns for atom in equation.invars)]
+    return any(atom is given for atom in used for given in jaxpr.invars)
+
+
+def _velocities(system: Any, y: tuple[Array, ...], base: UsersBase) -> tuple[Array, Array]:
+    """The relative velocities of the contacts (contacts,), and their derivatives by the state (contacts, states)."""
+
+    def of(state: Array) -> Array:
+        found = system.relative_velocity(jnp.zeros(()), tuple(state), base)
+        return jnp.stack([jnp.asarray(velocity, float) for velocity in (found if system.contacts else (found,))])
+
+    state = jnp.stack(y)
+    return of(state), jax.jacfwd(of)(state)
+
+
+def _numbers(
+    system: Any, y: tuple[Array, ...], base: UsersBase, columns: tuple[AnyArray, ...]
+) -> tuple[Array, Array, Array]:
+    """The rates (shares, states) at the `_shares` of friction; rates under all of it, and normal forces, in the states
+    whose numbers are the `columns` of a `Near`, (places, numbers).
+    """
+    zero, shares = jnp.zeros(()), _shares(system.contacts)
+
+    def rates(friction: Array, *state: AnyArray) -> Array:
+        return jnp.stack([jnp.asarray(rate, float) for rate in system.rates(zero, state, base, friction)])
+
+    def forces(*state: AnyArray) -> Array:
+        given = system.normal_forces(zero, state, base) if system.has_normal_forces else ()
+        return jnp.stack([zero, *(jnp.asarray(force, float) for force in given)])[1:]
+
+    found = jnp.stack([rates(jnp.asarray(share), *y) for share in shares])
+    near = jax.vmap(partial(rates, jnp.ones(shares.shape[1:])))(*columns)
+    return found, near, jax.vmap(forces)(*columns)
+
+
+_compiled_velocities, _compiled_numbers = jax.jit(_velocities), jax.jit(_numbers)
+
+
+def check_ground(system: Any) -> None:
+    """Check that the rates of `system` use the acceleration of the ground, which excites it. Else raises ValueError."""
+    kind, zero = type(system).__name__, jnp.zeros(())
+    friction = zero if system.contacts is None else jnp.zeros(system.contacts)
+
+    def rates(ground):
+        return system.rates(zero, (zero,) * len(system.state_names), UsersBase(zero, zero, ground), friction)
+
+    with checks.traceable(f"The method rates of {kind}"):
+        is_used = _uses(rates, zero)
+    if not is_used:
+        raise ValueError(
+            f"Argument base of a {kind} must be a base velocity, but a ground acceleration was given, and rates does "
+            "not use base.ground; subtract it from the rate of each velocity relative to the ground."
+        )
+
+
+def check_rates(kind: str, rates: object, size: int) -> None:
+    if not isinstance(rates, (tuple, list)) or len(rates) != size:
+        shown = f"{len(rates)}" if isinstance(rates, (tuple, list)) else checks.show(rates)
+        raise ValueError(
+            f"Argument rates of a {kind} must return a tuple of {size} numbers, one for each of state_names, but "
+            f"{shown} was given."
+        )
+    for number, rate in enumerate(rates):
+        if not _is_scalar(rate):
+            raise ValueError(
+                f"Argument rates of a {kind} must return scalars, but number {number} of shape {np.shape(rate)} was "
+                "given."
+            )
+
+
+class Near:
+    """States close to those where a number of the state passes zero, its initial value, another number, or the value
+    with which a contact does not slide.
+
+    There the sign of a velocity changes that somebody writes for a contact: nothing must jump there.
     """
 
-    idle: State
-    by_friction: State
-    drift: FloatScalar
-    has_effect: BoolScalar
-    gain: FloatScalar
-    per_gain: FloatScalar
+    def __init__(self, places: list[tuple[int, float]], columns: tuple[AnyArray, ...]):
+        self.places, self.columns = places, columns
 
-    @property
-    def share(self) -> FloatScalar:
-        """The friction, as a share of the kinetic force, that keeps the relative velocity constant."""
-        return -self.drift * self.per_gain
+    @classmethod
+    def of(cls, y: tuple[Array, ...], velocities: npt.ArrayLike = (), gradients: npt.ArrayLike = ()) -> "Near":
+        """Those of the initial state `y`: four at each place, two on either side.
 
-
-class GeneralModel(OneContactModel[GeneralForcing]):
-    """A `SwitchedSystem` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts."""
-
-    system: SwitchedSystem
-    smooth: Signal | None
-    solver: ExplicitSolver
-    age: FloatScalar | None = None
-
-    def at_age(self, age: FloatArray) -> "GeneralModel":
-        return eqx.tree_at(lambda model: model.age, self, age, is_leaf=lambda leaf: leaf is None)
-
-    @property
-    def _static_ratio(self) -> Scalar | FloatArray:
-        return self.system.static_ratio if self.age is None else self.system.static_ratio_after(self.age)
-
-    def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
-        return GeneralForcing.of(t, segments)
-
-    def slip(self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar) -> State:
-        return self.slip_and_error(forcing, y, h, sign)[0]
-
-    def slip_and_error(
-        self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar
-    ) -> tuple[State, FloatScalar]:
-        rates = Partial(type(self).slip_rates, self, forcing, sign=sign)
-        slid, error = runge_kutta_step(rates, y, h, solver=self.solver)
-        return slid, relative_error(error, y, slid, self._gross_changes(forcing, y, h))
-
-    def stick(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> State:
-        return self.stick_and_error(forcing, y, h)[0]
-
-    def stick_and_error(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> tuple[State, FloatScalar]:
-        rates = Partial(type(self).stick_rates, self, forcing)
-        held, error = runge_kutta_step(rates, y, h, solver=self.solver)
-        return self._held(forcing, h, held), relative_error(error, y, held, self._gross_changes(forcing, y, h))
-
-    def rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
-        slid, held = self.slip_rates(forcing, tau, y, sign), self.stick_rates(forcing, tau, y)
-        return tuple(jnp.where(sign == 0, a, b) for a, b in zip(held, slid, strict=True))
-
-    def slip_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
-        """The rates of a slip of this sign, continued smoothly to beyond the end of the slip.
-
-        The last Runge-Kutta step of a slip may have stages slightly beyond its end. Friction that depends on the
-        absolute relative velocity has a kink there, which would cost the order: beyond, rates are extrapolated from the
-        mirror image of the state.
+        `velocities`, `gradients`: of the contacts (contacts,), and their derivatives by the state (contacts, states).
         """
-        t, base, _ = self.base_at(forcing, tau)
-        sigma, gradient = self._gradient(forcing, t, y, base)
-        steep = sum(part * part for part in gradient)
-        beyond = (sign * sigma < 0) & (steep > 0)
-        shift = jnp.where(beyond, sigma / jnp.where(beyond, steep, 1), 0)
-        end, image = (tuple(v - k * shift * g for v, g in zip(y, gradient, strict=True)) for k in (1, 2))
-        here, there = self._rates(forcing, t, end, base, sign), self._rates(forcing, t, image, base, sign)
-        return tuple(jnp.where(beyond, 2 * a - b, b) for a, b in zip(here, there, strict=True))
+        values = [float(value) for value in y]
+        centres = [{0.0, *values} for _ in y]
+        for velocity, gradient in zip(np.asarray(velocities), np.asarray(gradients), strict=True):
+            for i in np.flatnonzero(gradient):
+                centres[i].add(float(values[i] - velocity / gradient[i]))
+        places = [(i, centre) for i, found in enumerate(centres) for centre in sorted(found) if np.isfinite(centre)]
+        step = float(np.sqrt(np.finfo(y[0].dtype).eps)) * max(1.0, *map(abs, values))
+        near = np.array(values) * np.ones((len(places), 4, 1))
+        for row, (i, centre) in zip(near, places, strict=True):
+            row[:, i] = centre + step * np.array([-1.0, 1.0, -_NEARER, _NEARER])
+        return cls(places, tuple(near.reshape(-1, len(y)).T.astype(y[0].dtype)))
 
-    def stick_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
-        """The sliding field: the rates under the friction that keeps the relative velocity."""
-        contact = self._contact(forcing, *self.base_at(forcing, tau)[:2], y)
-        return tuple(a + contact.share * b for a, b in zip(contact.idle, contact.by_friction, strict=True))
-
-    def guard(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
-        t, base, base_rates = self.base_at(forcing, tau)
-        one = jnp.ones_like(t)
-
-        slid = self.slip_rates(forcing, tau, y, sign)
-        sigma, sigma_rate = jax.jvp(partial(self._sigma, forcing), (t, y, base), (one, slid, base_rates))
-
-        def share_of(t, y, base):
-            contact = self._contact(forcing, t, base, y)
-            return contact.share / jnp.asarray(self._static_ratio, t.dtype), contact.has_effect
-
-        held = self.stick_rates(forcing, tau, y)
-        share, share_rate, has_effect = jax.jvp(share_of, (t, y, base), (one, held, base_rates), has_aux=True)
-        sticking = sign == 0
-        stick = jnp.where(has_effect, 1 - share * share, -1)
-        stick_rate = jnp.where(has_effect, -2 * share * share_rate, 0)
-        return jnp.where(sticking, stick, sign * sigma), jnp.where(sticking, stick_rate, sign * sigma_rate)
-
-    def guard_scale(self, forcing: GeneralForcing, y: State, sign: FloatScalar) -> FloatScalar:
-        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
-        sigma, gradient = self._gradient(forcing, t, y, base)
-        by_base = jax.grad(lambda v: self._sigma(forcing, t, y, base._replace(velocity=v)))(base.velocity)
-        slip = jnp.abs(sigma) + jnp.abs(by_base * base.velocity)
-        slip = slip + sum(jnp.abs(part * value) for part, value in zip(gradient, y, strict=True))
-        if self.system.shortest_time is not None:
-            contact = self._contact(forcing, t, base, y)
-            change = sum(jnp.abs(part * rate) for part, rate in zip(gradient, contact.idle, strict=True))
-            slip = with_change(slip, change + jnp.abs(contact.gain), 2 * np.pi / self.system.shortest_time, t)
-        return jnp.where(sign == 0, 2.0, slip)
-
-    def on_base(self, forcing: GeneralForcing, y: State) -> State:
-        return self._held(forcing, jnp.zeros_like(y[0]), y)
-
-    def can_stick(self, forcing: GeneralForcing, y: State) -> BoolScalar:
-        contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
-        return contact.has_effect & (jnp.abs(contact.share) <= self._static_ratio)
-
-    def release_sign(self, forcing: GeneralForcing, y: State) -> FloatScalar:
-        # Without friction the relative velocity would change faster than friction can prevent.
-        contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
-        return jnp.where(contact.drift > 0, 1, -1).astype(y[0].dtype)
-
-    @property
-    def friction(self) -> FrictionLaw:
-        """Coulomb's law, its coefficient a share of the kinetic force."""
-        static_exceeds_kinetic = type(self.system).static_ratio is not SwitchedSystem.static_ratio
-        return Coulomb(1.0, self.system.static_ratio if static_exceeds_kinetic else None)
-
-    def rates_under(self, forcing: GeneralForcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
-        t, base, _ = self.base_at(forcing, tau)
-        return self._rates(forcing, t, y, base, coefficient)
-
-    def relative_velocity(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatScalar:
-        t, base, _ = self.base_at(forcing, tau)
-        return self._sigma(forcing, t, y, base)
-
-    def relative_acceleration(self, forcing: GeneralForcing, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
-        t, base, base_rates = self.base_at(forcing, tau)
-        return jax.jvp(partial(self._sigma, forcing), (t, y, base), (jnp.ones_like(t), rates, base_rates))[1]
-
-    def base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, UsersBase, UsersBase]:
-        """The time, the base and its time derivative, `tau` later."""
-        t, base = forcing.t + tau, forcing.base_at(self.smooth, tau)
-        jerk = jnp.zeros_like(t) if self.smooth is None else jnp.asarray(self.smooth.curvature(t), t.dtype)
-        return t, base, UsersBase(base.acceleration, jerk, forcing.ground_slope)
-
-    def _rates(
-        self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase, friction: FloatScalar
-    ) -> State:
-        return tuple(jnp.asarray(rate, t.dtype) for rate in forcing.seen_at(self.system, t).rates(t, y, base, friction))
-
-    def _gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> State:
-        """The sum of the changes of each number of the state in the time `h` by each term of its rate alone."""
-        model, forcing, y, h = without_derivatives((self, forcing, y, h))
-        t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
-        none = jnp.zeros_like(t)
-        slopes = jax.jacfwd(partial(model._rates, forcing, t), argnums=(0, 2))(y, base, none)
-        return gross_changes(h, y, model._rates(forcing, t, y, base, none), *zip(*slopes, strict=True))
-
-    def _sigma(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase) -> FloatScalar:
-        return jnp.asarray(forcing.seen_at(self.system, t).relative_velocity(t, y, base), t.dtype)
-
-    def _gradient(
-        self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase
-    ) -> tuple[FloatScalar, State]:
-        """The relative velocity and its gradient with respect to the state."""
-        return jax.value_and_grad(lambda y: self._sigma(forcing, t, y, base))(y)
-
-    def _contact(self, forcing: GeneralForcing, t: FloatScalar, base: UsersBase, y: State) -> _Contact:
-        # Rates are affine in friction: their derivative is what friction adds, without cancellation.
-        idle, by_friction = jax.jvp(
-            lambda friction: self._rates(forcing, t, y, base, friction), (jnp.zeros_like(t),), (jnp.ones_like(t),)
+    def check(self, kind: str, found: np.ndarray, name: str = "rates", hint: str = _ONE_CONTACT) -> None:
+        """Check the numbers (places, numbers) `found` there by the method `name`: that they do not jump."""
+        rates = found.reshape(len(self.places), 4, -1)
+        far, close = np.abs(rates[:, 1] - rates[:, 0]), np.abs(rates[:, 3] - rates[:, 2])
+        most = np.max(np.abs(rates), axis=(0, 1), where=np.isfinite(rates), initial=0.0)
+        jumps = (close > _JUMP * far) & (close > AFFINE * most)
+        if not np.any(jumps):
+            return
+        place, number = (int(index) for index in np.argwhere(jumps)[0])
+        state, centre = self.places[place]
+        raise ValueError(
+            f"Argument {name} of a {kind} must be smooth functions of the state, but {name.replace('_', ' ')[:-1]} "
+            f"number {number} jumps from {rates[place, 2, number]:.6g} to {rates[place, 3, number]:.6g} where number "
+            f"{state} of the state passes {centre:g}; {hint}"
         )
-        _, gradient = self._gradient(forcing, t, y, base)
-        # The relative velocity depends on the base's velocity only, whose rate is its acceleration.
-        none = jnp.zeros_like(t)
-        moving = (jnp.ones_like(t), idle, UsersBase(base.acceleration, none, none))
-        _, drift = jax.jvp(partial(self._sigma, forcing), (t, y, base), moving)
-        terms = [part * rate for part, rate in zip(gradient, by_friction, strict=True)]
-        gain, size = sum(terms, jnp.zeros_like(t)), sum(map(jnp.abs, terms), jnp.zeros_like(t))
-        has_effect = gain < -_LEAST_GAIN * jnp.finfo(t.dtype).eps * size
-        per_gain = jnp.where(has_effect, 1 / jnp.where(has_effect, gain, -1), 0)
-        return _Contact(idle, by_friction, drift, has_effect, gain, per_gain)
 
-    def _held(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
-        """`y`, moved in the direction in which friction acts until the relative velocity is zero."""
-        t, base, _ = self.base_at(forcing, tau)
-        for _ in range(_NEWTON_STEPS):
-            contact = self._contact(forcing, t, base, y)
-            friction = self._sigma(forcing, t, y, base) * contact.per_gain
-            y = tuple(value - friction * effect for value, effect in zip(y, contact.by_friction, strict=True))
-        return y
+
+def _check_affine(kind: str, rates: np.ndarray, gradients: np.ndarray, contacts: int | None) -> None:
+    """Check that `rates` (shares, states) at the `_shares` of friction are affine in them, that friction opposes the
+    sliding, and that the contacts have one motion. `gradients`: of relative velocities by the state.
+    """
+    if not np.all(np.isfinite(rates)):
+        return  # the status of the simulation reports it
+    idle, half, number = rates[0], rates[1], contacts or 1
+    effects, backward = rates[2 : 2 + number] - idle, idle - rates[2 + number :]
+    bend = np.maximum(np.abs(2 * (half - idle) - np.sum(effects, axis=0)), np.max(np.abs(effects - backward), axis=0))
+    size = np.sum(np.abs(effects), axis=0)
+    wrong = np.flatnonzero((bend > AFFINE * size) & (bend > 1e-5 * np.max(np.abs(rates), axis=0)))
+    if len(wrong):
+        form = "a + b friction" if contacts is None else "a + b_0 friction[0] + b_1 friction[1] + ..."
+        values = ", ".join(
+            f"{rate:.6g} at {' '.join(f'{one:g}' for one in np.atleast_1d(share))}"
+            for share, rate in zip(_shares(contacts), rates[:, wrong[0]], strict=True)
+        )
+        raise ValueError(
+            f"Argument rates of a {kind} must be affine in friction, {form}, but rate number {wrong[0]} is {values}; "
+            "multiply each kinetic friction force by its friction, and nothing else."
+        )
+    terms = gradients[:, None] * (effects + backward) / 2  # (velocities, frictions, states)
+    by_friction, sizes = np.sum(terms, axis=-1), np.sum(np.abs(terms), axis=-1)
+    for i, (own, size) in enumerate(zip(np.diag(by_friction), np.diag(sizes), strict=True)):
+        if own > AFFINE * size or (contacts is not None and own >= 0):
+            name, of = ("friction", "") if contacts is None else (f"friction[{i}]", f" number {i}")
+            raise ValueError(
+                f"Argument rates of a {kind} must let positive friction act against a positive relative velocity, but "
+                f"{name} = 1 changes the rate of relative velocity{of} by {own:.6g}; turn its sign round, or leave out "
+                "a contact that moves nothing."
+            )
+    eigenvalues = np.linalg.eigvalsh(-(by_friction + by_friction.T) / 2)
+    if contacts is not None and is_singular(eigenvalues):
+        raise ValueError(
+            f"Argument rates of a {kind} must have one motion only, but the effects of the friction forces on the "
+            "relative velocities are no positive definite matrix (smallest eigenvalue "
+            f"{eigenvalues[0]:.4g}): a contact is implied by others, or friction changes its own normal force too "
+            "much; join or leave out such contacts."
+        )
+
+
+def _is_scalar(value: object) -> bool:
+    return isinstance(value, (int, float, np.generic, np.ndarray, jax.Array)) and np.ndim(value) == 0

@@ -1,4 +1,10 @@
-"""A user's system under its excitation: what drives it, and the model of one with several contacts."""
+"""A user's system under its excitation: what drives it, and how it slips and sticks.
+
+Slips and sticks are integrated; their ends follow from the rates. With the relative velocity ``sigma(t, y, base)`` and
+``rates = a + b friction``, one unit of friction changes ``sigma'`` by ``gain = grad sigma . b`` (negative). In a stick,
+friction is the share u of the kinetic force that keeps ``sigma' = 0`` (Filippov's sliding field); the stick
+lasts while ``|u| <= static_ratio``. Where friction has no effect on sigma (``gain = 0``) nothing sticks.
+"""
 
 from collections.abc import Iterable
 from functools import lru_cache, partial
@@ -9,16 +15,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 
 from .._excitation.motion import Signal
 from .._excitation.recorded import ForceSteps, Recorded
 from .._excitation.segments import added
-from .._foundation.types import BoolArray, ExplicitSolver, FloatArray, FloatScalar, State
+from .._foundation.types import BoolArray, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Scalar, State
 from .._numerics.derivatives import without_derivatives
 from .._numerics.matrices import is_positive_definite, linear_solve
-from .._numerics.steps import gross_changes
+from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .contacts import ContactsModel, Instant, Limits, Uncoupled
-from .switched_model import Segments, base_motion
+from .friction import Coulomb, FrictionLaw
+from .switched_model import FloatPair, OneContactModel, Segments, SwitchedModel, base_motion, with_change
 
 # What drives a user's `SwitchedSystem` from one instant on: its base, the ground, and the records in its fields.
 
@@ -155,20 +163,217 @@ def _depends_on_time(structure: Any, leaves: tuple[jax.ShapeDtypeStruct, ...]) -
     return False
 
 
-# A user's system with several contacts under its excitation.
+# A user's system under its excitation.
 
 
-class GeneralContactsModel(ContactsModel[GeneralForcing]):
-    """A `SwitchedSystem` with several contacts, on a base of velocity ``smooth(t)`` plus piecewise-linear parts."""
+class _OfUser(SwitchedModel[GeneralForcing]):
+    """A `SwitchedSystem` on a base of velocity ``smooth(t)`` plus piecewise-linear parts."""
 
     system: Any  # a SwitchedSystem, which makes this model
     smooth: Signal | None
     solver: ExplicitSolver
-    fastest: FloatScalar
-    age: FloatArray | None = None
+    age: FloatArray | None = eqx.field(default=None, kw_only=True)
 
-    def at_age(self, age: FloatArray) -> "GeneralContactsModel":
+    def at_age(self, age: FloatArray) -> Any:
         return eqx.tree_at(lambda model: model.age, self, age, is_leaf=lambda leaf: leaf is None)
+
+    @property
+    def _static_ratio(self) -> Scalar | FloatArray:
+        return self.system.static_ratio if self.age is None else self.system.static_ratio_after(self.age)
+
+    def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
+        return GeneralForcing.of(t, segments)
+
+    def base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, UsersBase, UsersBase]:
+        """The time, the base and its time derivative, `tau` later."""
+        t, base = forcing.t + tau, forcing.base_at(self.smooth, tau)
+        jerk = jnp.zeros_like(t) if self.smooth is None else jnp.asarray(self.smooth.curvature(t), t.dtype)
+        return t, base, UsersBase(base.acceleration, jerk, forcing.ground_slope)
+
+    def _rates(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase, friction: FloatArray) -> State:
+        return tuple(jnp.asarray(rate, t.dtype) for rate in forcing.seen_at(self.system, t).rates(t, y, base, friction))
+
+
+# With one contact.
+
+
+_NEWTON_STEPS = 2  # to relative velocity zero; where it is linear in the state, one is exact
+_LEAST_GAIN = 64  # units in the last place of the terms of the gain; a smaller gain is round-off
+
+
+class _Contact(NamedTuple):
+    """The effect of friction at one instant.
+
+    Attributes:
+        idle: Rates without friction.
+        by_friction: What one unit of friction adds to them.
+        drift: The rate of the relative velocity without friction.
+        has_effect: Whether friction has an effect on the relative velocity.
+        gain: What one unit of friction adds to its rate.
+        per_gain: ``1 / gain``, 0 where friction has no effect.
+    """
+
+    idle: State
+    by_friction: State
+    drift: FloatScalar
+    has_effect: BoolScalar
+    gain: FloatScalar
+    per_gain: FloatScalar
+
+    @property
+    def share(self) -> FloatScalar:
+        """The friction, as a share of the kinetic force, that keeps the relative velocity constant."""
+        return -self.drift * self.per_gain
+
+
+class GeneralModel(_OfUser, OneContactModel[GeneralForcing]):
+    """A `SwitchedSystem` with one contact, whose relative velocity and friction are scalars."""
+
+    def slip(self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar) -> tuple[State, FloatScalar]:
+        rates = Partial(type(self).slip_rates, self, forcing, sign=sign)
+        slid, error = runge_kutta_step(rates, y, h, solver=self.solver)
+        return slid, relative_error(error, y, slid, self._gross_changes(forcing, y, h))
+
+    def stick(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> tuple[State, FloatScalar]:
+        rates = Partial(type(self).stick_rates, self, forcing)
+        held, error = runge_kutta_step(rates, y, h, solver=self.solver)
+        return self._held(forcing, h, held), relative_error(error, y, held, self._gross_changes(forcing, y, h))
+
+    def rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+        slid, held = self.slip_rates(forcing, tau, y, sign), self.stick_rates(forcing, tau, y)
+        return tuple(jnp.where(sign == 0, a, b) for a, b in zip(held, slid, strict=True))
+
+    def slip_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+        """The rates of a slip of this sign, continued smoothly to beyond the end of the slip.
+
+        The last Runge-Kutta step of a slip may have stages slightly beyond its end. Friction that depends on the
+        absolute relative velocity has a kink there, which would cost the order: beyond, rates are extrapolated from the
+        mirror image of the state.
+        """
+        t, base, _ = self.base_at(forcing, tau)
+        sigma, gradient = self._gradient(forcing, t, y, base)
+        steep = sum(part * part for part in gradient)
+        beyond = (sign * sigma < 0) & (steep > 0)
+        shift = jnp.where(beyond, sigma / jnp.where(beyond, steep, 1), 0)
+        end, image = (tuple(v - k * shift * g for v, g in zip(y, gradient, strict=True)) for k in (1, 2))
+        here, there = self._rates(forcing, t, end, base, sign), self._rates(forcing, t, image, base, sign)
+        return tuple(jnp.where(beyond, 2 * a - b, b) for a, b in zip(here, there, strict=True))
+
+    def stick_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
+        """The sliding field: the rates under the friction that keeps the relative velocity."""
+        contact = self._contact(forcing, *self.base_at(forcing, tau)[:2], y)
+        return tuple(a + contact.share * b for a, b in zip(contact.idle, contact.by_friction, strict=True))
+
+    def guard(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
+        t, base, base_rates = self.base_at(forcing, tau)
+        one = jnp.ones_like(t)
+
+        slid = self.slip_rates(forcing, tau, y, sign)
+        sigma, sigma_rate = jax.jvp(partial(self._sigma, forcing), (t, y, base), (one, slid, base_rates))
+
+        def share_of(t, y, base):
+            contact = self._contact(forcing, t, base, y)
+            return contact.share / jnp.asarray(self._static_ratio, t.dtype), contact.has_effect
+
+        held = self.stick_rates(forcing, tau, y)
+        share, share_rate, has_effect = jax.jvp(share_of, (t, y, base), (one, held, base_rates), has_aux=True)
+        sticking = sign == 0
+        stick = jnp.where(has_effect, 1 - share * share, -1)
+        stick_rate = jnp.where(has_effect, -2 * share * share_rate, 0)
+        return jnp.where(sticking, stick, sign * sigma), jnp.where(sticking, stick_rate, sign * sigma_rate)
+
+    def guard_scale(self, forcing: GeneralForcing, y: State, sign: FloatScalar) -> FloatScalar:
+        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
+        sigma, gradient = self._gradient(forcing, t, y, base)
+        by_base = jax.grad(lambda v: self._sigma(forcing, t, y, base._replace(velocity=v)))(base.velocity)
+        slip = jnp.abs(sigma) + jnp.abs(by_base * base.velocity)
+        slip = slip + sum(jnp.abs(part * value) for part, value in zip(gradient, y, strict=True))
+        if self.system.shortest_time is not None:
+            contact = self._contact(forcing, t, base, y)
+            change = sum(jnp.abs(part * rate) for part, rate in zip(gradient, contact.idle, strict=True))
+            slip = with_change(slip, change + jnp.abs(contact.gain), 2 * np.pi / self.system.shortest_time, t)
+        return jnp.where(sign == 0, 2.0, slip)
+
+    def on_base(self, forcing: GeneralForcing, y: State) -> State:
+        return self._held(forcing, jnp.zeros_like(y[0]), y)
+
+    def can_stick(self, forcing: GeneralForcing, y: State) -> BoolScalar:
+        contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
+        return contact.has_effect & (jnp.abs(contact.share) <= self._static_ratio)
+
+    def release_sign(self, forcing: GeneralForcing, y: State) -> FloatScalar:
+        # Without friction the relative velocity would change faster than friction can prevent.
+        contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
+        return jnp.where(contact.drift > 0, 1, -1).astype(y[0].dtype)
+
+    @property
+    def friction(self) -> FrictionLaw:
+        """Coulomb's law, its coefficient a share of the kinetic force."""
+        return Coulomb(1.0, self.system.static_ratio if self.system.has_static_ratio else None)
+
+    def rates_under(self, forcing: GeneralForcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
+        t, base, _ = self.base_at(forcing, tau)
+        return self._rates(forcing, t, y, base, coefficient)
+
+    def relative_velocity(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatScalar:
+        t, base, _ = self.base_at(forcing, tau)
+        return self._sigma(forcing, t, y, base)
+
+    def relative_acceleration(self, forcing: GeneralForcing, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
+        t, base, base_rates = self.base_at(forcing, tau)
+        return jax.jvp(partial(self._sigma, forcing), (t, y, base), (jnp.ones_like(t), rates, base_rates))[1]
+
+    def _gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> State:
+        """The sum of the changes of each number of the state in the time `h` by each term of its rate alone."""
+        model, forcing, y, h = without_derivatives((self, forcing, y, h))
+        t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
+        none = jnp.zeros_like(t)
+        slopes = jax.jacfwd(partial(model._rates, forcing, t), argnums=(0, 2))(y, base, none)
+        return gross_changes(h, y, model._rates(forcing, t, y, base, none), *zip(*slopes, strict=True))
+
+    def _sigma(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase) -> FloatScalar:
+        return jnp.asarray(forcing.seen_at(self.system, t).relative_velocity(t, y, base), t.dtype)
+
+    def _gradient(
+        self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase
+    ) -> tuple[FloatScalar, State]:
+        """The relative velocity and its gradient with respect to the state."""
+        return jax.value_and_grad(lambda y: self._sigma(forcing, t, y, base))(y)
+
+    def _contact(self, forcing: GeneralForcing, t: FloatScalar, base: UsersBase, y: State) -> _Contact:
+        # Rates are affine in friction: their derivative is what friction adds, without cancellation.
+        idle, by_friction = jax.jvp(
+            lambda friction: self._rates(forcing, t, y, base, friction), (jnp.zeros_like(t),), (jnp.ones_like(t),)
+        )
+        _, gradient = self._gradient(forcing, t, y, base)
+        # The relative velocity depends on the base's velocity only, whose rate is its acceleration.
+        none = jnp.zeros_like(t)
+        moving = (jnp.ones_like(t), idle, UsersBase(base.acceleration, none, none))
+        _, drift = jax.jvp(partial(self._sigma, forcing), (t, y, base), moving)
+        terms = [part * rate for part, rate in zip(gradient, by_friction, strict=True)]
+        gain, size = sum(terms, jnp.zeros_like(t)), sum(map(jnp.abs, terms), jnp.zeros_like(t))
+        has_effect = gain < -_LEAST_GAIN * jnp.finfo(t.dtype).eps * size
+        per_gain = jnp.where(has_effect, 1 / jnp.where(has_effect, gain, -1), 0)
+        return _Contact(idle, by_friction, drift, has_effect, gain, per_gain)
+
+    def _held(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
+        """`y`, moved in the direction in which friction acts until the relative velocity is zero."""
+        t, base, _ = self.base_at(forcing, tau)
+        for _ in range(_NEWTON_STEPS):
+            contact = self._contact(forcing, t, base, y)
+            friction = self._sigma(forcing, t, y, base) * contact.per_gain
+            y = tuple(value - friction * effect for value, effect in zip(y, contact.by_friction, strict=True))
+        return y
+
+
+# With several contacts.
+
+
+class GeneralContactsModel(_OfUser, ContactsModel[GeneralForcing]):
+    """A `SwitchedSystem` with several contacts, whose relative velocities and friction are arrays (contacts,)."""
+
+    solver: ExplicitSolver
+    fastest: FloatScalar
 
     @property
     def contacts(self) -> int:
@@ -179,9 +384,6 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
     def coupled(self) -> bool:
         return True
 
-    def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
-        return GeneralForcing.of(t, segments)
-
     def time(self, forcing: GeneralForcing) -> FloatScalar:
         return forcing.t
 
@@ -189,7 +391,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         return jnp.broadcast_to(y[0], (self.contacts + 1,))
 
     def instant(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> Instant:
-        t, base = self._base_at(forcing, tau)
+        t, base, _ = self.base_at(forcing, tau)
         idle, by_friction = self._affine(forcing, t, y, base)
         # The relative velocities depend on the base's velocity only, whose rate is its acceleration.
         none = jnp.zeros_like(t)
@@ -202,7 +404,8 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         return Instant(idle, velocity, drift, -jax.vmap(along, out_axes=1)(by_friction))
 
     def effect(self, forcing: GeneralForcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
-        _, by_friction = self._affine(forcing, *self._at(forcing, tau, y))
+        t, base, _ = self.base_at(forcing, tau)
+        _, by_friction = self._affine(forcing, t, y, base)
         return tuple(jnp.sum(force * each) for each in by_friction)
 
     def rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatArray) -> State:
@@ -212,7 +415,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         absolute relative velocity has a kink there, which would cost the order: beyond, rates are extrapolated from the
         mirror image of the state.
         """
-        t, base = self._base_at(forcing, tau)
+        t, base, _ = self.base_at(forcing, tau)
         velocity, own = self._velocities(forcing, t, y, base), self._own(sign)
         beyond = (own * velocity < 0) & ~self._is_open(sign)
         gradients = jax.jacrev(lambda y: self._velocities(forcing, t, y, base))(y)
@@ -227,8 +430,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
 
     def limits(self, forcing: GeneralForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
         normal = self._normal_forces(forcing, tau, y)
-        ratio = self.system.static_ratio if self.age is None else self.system.static_ratio_after(self.age)
-        static = normal * jnp.broadcast_to(jnp.asarray(ratio, normal.dtype), normal.shape)
+        static = normal * jnp.broadcast_to(jnp.asarray(self._static_ratio, normal.dtype), normal.shape)
         return Limits(normal, normal, static, static)
 
     @property
@@ -242,7 +444,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         return self._normal_forces(forcing, tau, y)
 
     def normal_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
-        t, base = self._base_at(forcing, jnp.zeros_like(y[0]))
+        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
 
         def rate(t: FloatScalar) -> FloatArray:
             return jax.jvp(lambda t: self._normal(forcing, t, y, base), (t,), (jnp.ones_like(t),))[1]
@@ -254,7 +456,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         return jnp.abs(self._normal(forcing, t, y, base)) + jnp.abs(bend) + sum(jax.tree.leaves(terms))
 
     def velocity_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
-        t, base = self._base_at(forcing, jnp.zeros_like(y[0]))
+        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
         slopes = jax.jacrev(lambda y: self._velocities(forcing, t, y, base))(y)
         by_base = jax.jacfwd(lambda v: self._velocities(forcing, t, y, base._replace(velocity=v)))(base.velocity)
         by_state = sum(jnp.abs(slope * value) for slope, value in zip(slopes, y, strict=True))
@@ -262,7 +464,7 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
 
     def gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
         model, forcing, y, h = without_derivatives((self, forcing, y, h))
-        t, base = model._base_at(forcing, jnp.zeros_like(h))
+        t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
         none = jnp.zeros_like(friction)
         slopes = jax.jacfwd(partial(model._rates, forcing, t), argnums=(0,))(y, base, none)
         _, by_friction = model._affine(forcing, t, y, base)
@@ -276,16 +478,6 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
         gain = self.instant(forcing, jnp.zeros_like(y[0]), y).gain
         assert not isinstance(gain, Uncoupled)
         return jnp.where(is_positive_definite((gain + gain.T) / 2), y[0], jnp.nan), *y[1:]
-
-    def _at(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> tuple[FloatScalar, State, UsersBase]:
-        t, base = self._base_at(forcing, tau)
-        return t, y, base
-
-    def _base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, UsersBase]:
-        return forcing.t + tau, forcing.base_at(self.smooth, tau)
-
-    def _rates(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase, friction: FloatArray) -> State:
-        return tuple(jnp.asarray(rate, t.dtype) for rate in forcing.seen_at(self.system, t).rates(t, y, base, friction))
 
     def _affine(
         self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase
@@ -307,7 +499,8 @@ class GeneralContactsModel(ContactsModel[GeneralForcing]):
     def _normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
         if not self.system.has_normal_forces:
             return jnp.ones(self.contacts, y[0].dtype)
-        return self._normal(forcing, *self._at(forcing, tau, y))
+        t, base, _ = self.base_at(forcing, tau)
+        return self._normal(forcing, t, y, base)
 
 
 def _stacked(values: Any, t: FloatScalar) -> FloatArray:

@@ -13,8 +13,15 @@ from .._excitation.motion import Harmonic, RandomPhase, SourceVoltage
 from .._excitation.piecewise_constant import Constant, PoissonSwitching, RandomSteps, SemiMarkovSwitching, SquareWave
 from .._foundation import checks
 from .._foundation.fields import Quantity, modules_in
-from .._systems.composed_friction import Ageing, Directional, ExponentialGrowth
-from .._systems.friction import Coulomb, FrictionLaw, Stribeck, VelocityWeakening
+from .._systems.friction import (
+    Ageing,
+    Coulomb,
+    Directional,
+    ExponentialGrowth,
+    FrictionLaw,
+    Stribeck,
+    VelocityWeakening,
+)
 from .._systems.system import System, unit_at
 from .._uncertainty.families import Weibull
 from .._uncertainty.numbers import NumberPath, check_numbers, number_at, numbers_in, quantity_at, shown, with_numbers

@@ -12,10 +12,17 @@ from .._excitation.excitation import WithJumps
 from .._excitation.motion import Harmonic, RandomPhase, Signal, SourceVoltage, SumOfHarmonics
 from .._excitation.recorded import ForceSteps
 from .._systems.builders import STANDARD_GRAVITY, block_row, storeys_on_bearing
-from .._systems.composed_friction import Ageing, Directional, ExponentialGrowth, LogarithmicGrowth
 from .._systems.contacts import Contact
 from .._systems.dynamic_friction import BoucWen, Dahl, DieterichRuina, ElastoPlastic, LuGre
-from .._systems.friction import Coulomb, Stribeck, VelocityWeakening
+from .._systems.friction import (
+    Ageing,
+    Coulomb,
+    Directional,
+    ExponentialGrowth,
+    LogarithmicGrowth,
+    Stribeck,
+    VelocityWeakening,
+)
 from .._systems.mass_spring import MassSpring
 from .._systems.motor_cart import USUAL_MU, MotorCart
 from .._systems.structure import MOST_CONTACTS, LinearStructure, check_structure

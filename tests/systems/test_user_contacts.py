@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
-from stickslip_jax._systems.users_checks import check_contacts
+from stickslip_jax._systems.switched_system import check_motion
 
 COUPLING = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
 
@@ -79,7 +79,7 @@ def test_normal_forces_that_jump_with_the_direction_are_refused(law):
     [lambda v: 1 + 0.2 * jnp.tanh(v), lambda v: 1 + 0.2 * jnp.abs(v), lambda v: jnp.maximum(0.5 + v, 0.0)],
 )
 def test_normal_forces_with_kinks_are_not_refused(law):
-    check_contacts(Pressed(law=law), START)
+    check_motion(Pressed(law=law), START)
 
 
 def test_normal_forces_that_jump_where_a_contact_between_blocks_stops_are_refused():
@@ -97,7 +97,7 @@ def test_normal_forces_that_jump_where_a_contact_between_blocks_stops_are_refuse
             return (*y[3:], *(-COUPLING @ jnp.stack(y[:3]) - push))
 
     with pytest.raises(ValueError, match="normal_forces of a Geared must be smooth"):
-        check_contacts(Geared(), START)
+        check_motion(Geared(), START)
 
 
 START = (-1.0, 1.0, -1.0, -1.0, 1.0, 1.0)

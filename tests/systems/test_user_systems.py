@@ -278,7 +278,7 @@ def bent(self, t, y, base, friction):
         (
             bad(rates=lambda self, t, y, base, friction: (y[1], friction - y[0])),
             {},
-            r"rates .* must let positive friction act against .*, but friction = 1 raises .* turn its sign round",
+            r"rates .* must let positive friction act against .*, but friction = 1 changes .* turn its sign round",
         ),
         (bad(rates=lambda *_: (0.0,)), {}, r"rates of a Bad must return a tuple of 2 numbers, .* but 1 was given"),
         (bad(rates=lambda *_: 1.0), {}, r"rates of a Bad must return a tuple of 2 numbers, .* but 1.0 was given"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._systems.users_checks import check_motion
+from stickslip_jax._systems.switched_system import check_motion
 
 MASS = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5))
 TRACE = "must be written so that JAX can trace it, but it asks for the value of a number that is not known"
