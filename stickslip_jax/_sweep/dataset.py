@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Hashable, Iterator
 from pathlib import Path
 from tempfile import SpooledTemporaryFile, gettempdir
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from .._statistics.quantities import BY_NAME as STICK_BY_NAME
 from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import require_system
-from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unpacked
+from .batches import derivatives_of, head_of, joined, packed, unpacked
 from .plan import Plan, Task
 from .store import DATA, Batch, Store, derivative_name
 
@@ -161,7 +161,7 @@ class Work:
                 break
         return joined(found) if len(found) > 1 else found[0] if found else None
 
-    def heads(self, point: int) -> list[Head]:
+    def heads(self, point: int) -> list[dict[str, Any]]:
         """The heads of the batches of samples of a point."""
         found = []
         for batch, data in self._read(point, is_gap_allowed=True):
@@ -189,7 +189,7 @@ class Work:
         self._batches = self.store.batches()
         self.damaged += 1
 
-    def derivatives(self, point: int) -> dict[str, Derivatives]:
+    def derivatives(self, point: int) -> dict[str, dict[str, Any]]:
         """The results of the derivatives of a point that are there, by name."""
         found, names = {}, {derivative_name(self.plan, number) for number in range(len(self.plan.derivatives))}
         for batch in list(self._batches_at(point)):

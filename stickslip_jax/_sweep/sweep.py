@@ -212,11 +212,14 @@ class Sweep:
             SweepError: For a folder that holds something else or cannot be written, and if points failed.
             ImportError: Without the extra ``study``.
         """
-        from .run import ExecutorChoice, run_sweep  # noqa: PLC0415 - needs an extra
+        from .run import run_sweep  # noqa: PLC0415 - needs an extra
 
         require_threads_of_jax()
         path = None if folder is None else checks.path("folder", folder)
-        return run_sweep(self._plan, path, ExecutorChoice(threads, workers, executor, shared_folder), progress)
+        return run_sweep(
+            self._plan, path, threads=threads, workers=workers, executor=executor, shared_folder=shared_folder,
+            progress=progress,
+        )  # fmt: skip
 
     @property
     def points(self) -> int:
