@@ -100,7 +100,7 @@ class Work:
                 missing.append(Task(point, at, after))
                 at = after
             at = end
-        if not (self.plan.is_adaptive and missing):
+        if not (self.plan.standard_errors and missing):
             return missing
         ensemble, errors = self.ensemble(point), self.plan.standard_errors
         is_precise = ensemble is not None and all(
@@ -134,7 +134,7 @@ class Work:
         more = []
         if task.derivative is None:
             self.done[task.point] += task.samples
-            more = self._missing(task.point) if self.plan.is_adaptive else []
+            more = self._missing(task.point) if self.plan.standard_errors else []
             self._left[task.point] += len(more)
         if not self._left[task.point]:
             self.complete += 1
@@ -154,11 +154,10 @@ class Work:
                 self._cache.put(point, read)
         found, fields = [], self.plan.fields_at(point)
         for batch, data in read:
-            try:
+            with self._damage_removed(point, batch):
                 found.append(unpacked(data, fields, batch.first, batch.end))
-            except DamagedFileError as error:
-                self._remove(point, batch, str(error))
-                break
+                continue
+            break
         return joined(found) if len(found) > 1 else found[0] if found else None
 
     def heads(self, point: int) -> list[dict[str, Any]]:
@@ -521,10 +520,9 @@ def status_of(folder: Path) -> SweepStatus:
     for _ in work.tasks():  # counts what is done, after damaged batches were left out above
         pass
     points = plan.points.number
-    return SweepStatus(
-        points, points if is_finished else work.complete, sum(work.done), points * plan.samples, plan.is_adaptive,
-        endings, seconds, is_running, is_finished,
-    )  # fmt: skip
+    complete, most = points if is_finished else work.complete, points * plan.samples
+    how_far = (points, complete, sum(work.done), most, bool(plan.standard_errors))
+    return SweepStatus(*how_far, endings, seconds, is_running, is_finished)
 
 
 def stored_dataset(folder: Path) -> "xarray.Dataset":

@@ -23,7 +23,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -50,12 +50,6 @@ if TYPE_CHECKING:
 
 # loky ends workers that have grown, as ours do when they compile for another task; they do not go on growing.
 _ENVIRONMENT = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e15"}
-
-
-class Written(NamedTuple):
-    """The result of a task whose worker has written the batch into the folder of the sweep. `size`: in bytes."""
-
-    size: int
 
 
 class WorkerDiedError(Exception):
@@ -85,8 +79,8 @@ class Executor(ABC):
     def close(self, *, wait: bool) -> None:
         """Close it; tasks that have not begun are cancelled. `wait`: whether to wait for those that have."""
 
-    def result(self, task: Task, future: Any) -> Outcome | Written:
-        """The outcome of a task that is done.
+    def result(self, task: Task, future: Any) -> Outcome | int:
+        """The outcome of a task that is done; the size (bytes) of a batch that the worker has written into the folder.
 
         Raises WorkerDiedError, SweepError where the sweep cannot continue, and the error of the task.
         """
@@ -235,7 +229,7 @@ class DaskCluster(Executor):
         self._futures[task] = future
         return future
 
-    def result(self, task: Task, future: "distributed.Future") -> Outcome | Written:
+    def result(self, task: Task, future: "distributed.Future") -> Outcome | int:
         from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
 
         del self._futures[task]
@@ -263,8 +257,8 @@ class DaskCluster(Executor):
             ) from error
         finally:
             future.release()
-        if isinstance(found, Written):
-            self._check_visible(self._path_of(task), found.size)
+        if isinstance(found, int):
+            self._check_visible(self._path_of(task), found)
         return found
 
     def _path_of(self, task: Task) -> Path:
@@ -339,8 +333,8 @@ def _assembled(parts: list[bytes], double: bool, versions: tuple[tuple[str, str]
     return Sent(b"".join(parts), double, versions, caches)
 
 
-def _perform(plan: Sent, task: tuple, path: str = "", sweep_id: bytes = b"") -> Outcome | Written:
-    """Do a task; where there is a `path`, write its batch there, into the folder of the sweep.
+def _perform(plan: Sent, task: tuple, path: str = "", sweep_id: bytes = b"") -> Outcome | int:
+    """Do a task; where there is a `path`, write its batch there, into the folder of the sweep, and return its size.
 
     Raises SweepError where that is not here.
     """
@@ -355,7 +349,7 @@ def _perform(plan: Sent, task: tuple, path: str = "", sweep_id: bytes = b"") -> 
         write_whole(Path(path), whole)
     except OSError as error:
         raise SweepError(f"{_where()}: {cannot_write(folder, error)}") from error
-    return Written(len(whole))
+    return len(whole)
 
 
 @functools.lru_cache(maxsize=4)
@@ -381,39 +375,35 @@ def _where() -> str:
 _DEATHS = 3  # of workers while a task was under way, after which the sweep ends
 
 
-class Stopping:
-    """Whether the sweep is to stop. `requested`: after the batches under way."""
+@contextmanager
+def stoppable() -> Iterator[threading.Event]:
+    """Handles SIGINT while the block runs, where signals can be handled: in the main thread, unless it is ignored.
 
-    def __init__(self) -> None:
-        self.requested = False
+    The event is set by the first one: the sweep is to stop after the batches under way. The second one raises
+    KeyboardInterrupt.
+    """
+    stopping, before = threading.Event(), signal.getsignal(signal.SIGINT)
 
-    def request(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal: the first time ask to stop, the second time raise KeyboardInterrupt."""
-        if self.requested:
+    def request(number: int, frame: FrameType | None) -> None:
+        if stopping.is_set():
             raise KeyboardInterrupt
-        self.requested = True
+        stopping.set()
         # In one write: a second Ctrl-C comes between the parts that print would write.
         sys.stderr.write(
             "\nStopping after the batches under way; what is done is kept. Press Ctrl-C again to stop at once.\n"
         )
 
-
-@contextmanager
-def stoppable() -> Iterator[Stopping]:
-    """Handles SIGINT while the block runs, where signals can be handled: in the main thread, unless it is ignored."""
-    stopping = Stopping()
-    before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
         yield stopping
         return
-    signal.signal(signal.SIGINT, stopping.request)
+    signal.signal(signal.SIGINT, request)
     try:
         yield stopping
     finally:
         signal.signal(signal.SIGINT, before)
 
 
-def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress) -> None:
+def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Progress) -> None:
     """Do all tasks of `work`, a few at a time, and store each result when it comes.
 
     If there was no memory for a task it is done again, with fewer tasks at a time: a smaller batch would change the
@@ -422,8 +412,8 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
     """
     waiting, under_way, lost = deque(work.tasks()), _UnderWay(executor), Counter[Task]()
     bar.advance(sum(work.done))
-    while (waiting and not stopping.requested) or under_way.tasks:
-        while waiting and not stopping.requested and len(under_way.tasks) < min(under_way.most, executor.at_once):
+    while (waiting and not stopping.is_set()) or under_way.tasks:
+        while waiting and not stopping.is_set() and len(under_way.tasks) < min(under_way.most, executor.at_once):
             under_way.begin(waiting.popleft())
         future = under_way.ended()
         if future is None:
@@ -592,7 +582,7 @@ def run_sweep(
             tasks_by = _executor_for(plan, store, threads, workers, executor, shared_folder)
             with tasks_by, progress_bar(progress, number * plan.samples) as bar:
                 run_tasks(work, tasks_by, stopping, bar)
-            if stopping.requested:
+            if stopping.is_set():
                 store.log("stopped")
                 resume = f"`stickslip resume {there}`, or the same call again, goes on from here."
                 raise KeyboardInterrupt(
