@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, NoReturn, Self, TypeAlias
+from typing import Any, Literal, NamedTuple, NoReturn, TypeAlias
 
 import equinox as eqx
 import jax
@@ -263,7 +263,7 @@ class EnsembleData:
         return self.origins or (Origin(*(getattr(self, name) for name in Origin._fields)),)
 
     @cached_property
-    def _parts(self) -> list[Self]:
+    def _parts(self) -> "list[EnsembleData]":
         """Ensembles that draw again what the samples of each part were simulated from; one if it was not joined."""
         return [dataclasses.replace(self, **origin._asdict(), origins=()) for origin in self._origins]
 

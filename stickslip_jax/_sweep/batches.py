@@ -18,7 +18,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from typing import Any, NamedTuple, TextIO, TypeAlias, TypeVar, cast
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import jax
 import numpy as np
@@ -72,13 +72,10 @@ def warnings_by_thread() -> Iterator[None]:
             warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # the sweep says so once
             show = warnings.showwarning
 
-            def show_or_collect(
-                message: Warning | str, category: type[Warning], filename: str, lineno: int,
-                file: TextIO | None = None, line: str | None = None,
-            ) -> None:  # fmt: skip
+            def show_or_collect(message: Warning | str, *where: Any, **more: Any) -> None:
                 texts = getattr(_local, "texts", None)
                 if texts is None:
-                    show(message, category, filename, lineno, file, line)
+                    show(message, *where, **more)
                 else:
                     texts.append(str(message))
 
@@ -276,23 +273,19 @@ class Performer:
     """Does tasks of a plan in any threads of this process, spread over the devices that JAX has here."""
 
     def __init__(self, plan: Plan):
-        self._plan, self._devices, self._number = plan, jax.local_devices(), itertools.count()
-        self._compiling = [threading.Lock() for _ in self._devices]
-        self._compiled: set[int] = set()
+        self._plan, self._number = plan, itertools.count()
+        self._devices = [(device, threading.Lock()) for device in jax.local_devices()]
+        self._compiled: set[jax.Device] = set()
 
     def perform(self, task: Task) -> bytes:
         """Do a task. Raises ValueError for a point that cannot be simulated."""
-        device = next(self._number) % len(self._devices)
-        if device not in self._compiled:  # the first task compiles what all need, while the others wait
-            with self._compiling[device]:
+        device, compiling = self._devices[next(self._number) % len(self._devices)]
+        with jax.default_device(device) if len(self._devices) > 1 else nullcontext():
+            with compiling:  # the first task compiles what all need, while the others wait
                 if device not in self._compiled:
-                    done = self._on(device, task)
+                    done = perform(self._plan, task)
                     self._compiled.add(device)
                     return done
-        return self._on(device, task)
-
-    def _on(self, device: int, task: Task) -> bytes:
-        with jax.default_device(self._devices[device]) if len(self._devices) > 1 else nullcontext():
             return perform(self._plan, task)
 
 

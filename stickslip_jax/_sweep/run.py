@@ -15,7 +15,6 @@ import threading
 import time
 import uuid
 import warnings
-from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
@@ -60,37 +59,55 @@ class WorkerDiedError(Exception):
         self.others = others
 
 
-class Executor(ABC):
-    """Does tasks somewhere, as many at a time as there are `workers`, and is closed at the end of a ``with`` block."""
+class Executor:
+    """Does tasks in a pool, as many at a time as it has `workers`, and is closed at the end of a ``with`` block.
 
-    def __init__(self, workers: int):
-        self._workers = workers
+    - `new_pool`: makes it, a `ThreadPoolExecutor` or one of processes of loky. `perform`: does a task there.
+    """
+
+    def __init__(self, workers: int, new_pool: Callable[[], Any], perform: Callable[[Task], Outcome]):
+        self._workers, self._new_pool, self._perform = workers, new_pool, perform
+        self._pool = new_pool()
 
     @property
     def at_once(self) -> int:
         """How many tasks are worth submitting before the first is done."""
         return 2 * self._workers
 
-    @abstractmethod
     def submit(self, task: Task) -> Any:
         """Begin a task; its future, of the standard library or of dask."""
-
-    @abstractmethod
-    def close(self, *, wait: bool) -> None:
-        """Close it; tasks that have not begun are cancelled. `wait`: whether to wait for those that have."""
+        try:
+            with _no_interrupts():
+                return self._pool.submit(self._perform, task)
+        except BrokenExecutor as error:  # a worker died while there was nothing to do
+            future: Future[Outcome] = Future()
+            future.set_exception(error)
+            return future
 
     def result(self, task: Task, future: Any) -> Outcome | int:
         """The outcome of a task that is done; the size (bytes) of a batch that the worker has written into the folder.
 
         Raises WorkerDiedError, SweepError where the sweep cannot continue, and the error of the task.
         """
-        return future.result()
+        try:
+            return future.result()
+        except (BrokenExecutor, CancelledError) as error:  # the whole pool breaks
+            raise WorkerDiedError(str(error).partition("\n")[0], others=True) from error
 
-    def restart(self) -> None:  # noqa: B027 - threads have nothing to do
+    def restart(self) -> None:
         """Start it again after all tasks under way were lost."""
+        self.close(wait=False)
+        self._pool = self._new_pool()
 
-    def check(self) -> None:  # noqa: B027 - only connections are lost
-        """Raises SweepError if futures can no longer become done."""
+    def close(self, *, wait: bool) -> None:
+        """Close it; tasks that have not begun are cancelled. `wait`: whether to wait for those that have."""
+        if isinstance(self._pool, ThreadPoolExecutor):
+            self._pool.shutdown(wait=wait, cancel_futures=True)
+        else:
+            self._pool.shutdown(wait=True, kill_workers=not wait)
+
+    def check(self) -> None:
+        """Raises SweepError if futures can no longer become done, as where a connection is lost."""
 
     def __enter__(self) -> "Executor":
         return self
@@ -99,57 +116,23 @@ class Executor(ABC):
         self.close(wait=kind is None)
 
 
-class Threads(Executor):
+def _threads(plan: Plan, number: int) -> Executor:
     """Threads of this process."""
-
-    def __init__(self, plan: Plan, threads: int):
-        super().__init__(threads)
-        self._performer = Performer(plan)
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="stickslip sweep")
-
-    def submit(self, task: Task) -> Future[bytes]:
-        return self._pool.submit(self._performer.perform, task)
-
-    def close(self, *, wait: bool) -> None:
-        self._pool.shutdown(wait=wait, cancel_futures=True)
+    new_pool = functools.partial(ThreadPoolExecutor, number, thread_name_prefix="stickslip sweep")
+    return Executor(number, new_pool, Performer(plan).perform)
 
 
-class Processes(Executor):
+def _processes(plan: Plan, number: int) -> Executor:
     """Processes of this machine, each with one thread. They are spawned: JAX does not survive a fork.
 
     Those of loky do not run the user's program again, as those of the standard library and of dask do.
     """
+    start, prepare = batches.start_of_process(plan), batches.prepare_process
+    require("Argument workers needs", "study", "loky")
+    from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
 
-    def __init__(self, plan: Plan, processes: int):
-        super().__init__(processes)
-        self._start = batches.start_of_process(plan)
-        require("Argument workers needs", "study", "loky")
-        self.restart()
-
-    def restart(self) -> None:
-        from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
-
-        prepare = batches.prepare_process
-        self._pool = ProcessPoolExecutor(self._workers, initializer=prepare, initargs=self._start, env=_ENVIRONMENT)
-
-    def submit(self, task: Task) -> Future[Outcome]:
-        try:
-            with _no_interrupts():
-                return self._pool.submit(batches.perform_in_process, task)
-        except BrokenExecutor as error:  # a worker died while there was nothing to do
-            future: Future[Outcome] = Future()
-            future.set_exception(error)
-            return future
-
-    def result(self, task: Task, future: Future[Outcome]) -> Outcome:
-        try:
-            return future.result()
-        except (BrokenExecutor, CancelledError) as error:
-            self.close(wait=False)  # the whole pool breaks
-            raise WorkerDiedError(str(error).partition("\n")[0], others=True) from error
-
-    def close(self, *, wait: bool) -> None:
-        self._pool.shutdown(wait=True, kill_workers=not wait)
+    options: dict[str, Any] = {"initializer": prepare, "initargs": start, "env": _ENVIRONMENT}
+    return Executor(number, functools.partial(ProcessPoolExecutor, number, **options), batches.perform_in_process)
 
 
 @contextmanager
@@ -194,7 +177,7 @@ class DaskCluster(Executor):
                 "Argument executor must be a dask.distributed.Client that waits for answers, but one with "
                 "asynchronous=True was given; make it without, outside of coroutines."
             )
-        super().__init__(1)
+        self._workers = 1
         self._client: Any = client  # whose annotations are those of its coroutines
         self._checked, self._sent = plan, sent(plan)
         self._store, self._shared = store, shared_folder
@@ -548,9 +531,9 @@ def _executor_for(
     if client is not None:
         return DaskCluster(plan, client, store, shared_folder)
     if workers is not None:
-        return Processes(plan, checks.whole_number("workers", workers))
+        return _processes(plan, checks.whole_number("workers", workers))
     usual = max(cores(), len(jax.local_devices()))
-    return Threads(plan, usual if threads is None else checks.whole_number("threads", threads))
+    return _threads(plan, usual if threads is None else checks.whole_number("threads", threads))
 
 
 def run_sweep(

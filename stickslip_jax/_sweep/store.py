@@ -16,7 +16,6 @@ from typing import Any, NamedTuple, TypedDict, TypeVar, cast, get_origin
 
 import numpy as np
 
-from .._dynamics.common.method import check_method
 from .._dynamics.simulate import Output
 from .._ensemble.data import Unknown
 from .._ensemble.encoding import (
@@ -36,7 +35,7 @@ from .._ensemble.encoding import (
     with_header,
     without_header,
 )
-from .._ensemble.points import Dimension, Points, SweepSetting, setting_of
+from .._ensemble.points import Points, SweepSetting, points_of, setting_of
 from .._foundation import checks
 from .._foundation.files import (
     NotAFileError,
@@ -294,20 +293,10 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
             f"its {name} is a {one.name} of your own, which is stored as text only; run your own program again with "
             "the same folder, which goes on from here."
         )
-    if not unknown:
-        check_method(objects["method"])
     setting = (SweepSetting if unknown else setting_of)(**objects)
-    dimensions = []
-    for one in body["dimensions"]:
-        parameters, values = tuple(one["parameters"]), np.array(one["values"], float)
-        if not parameters or values.ndim != 2 or values.shape[1] != len(parameters) or not len(values):
-            raise ValueError(f"the values of {', '.join(map(str, parameters))} are no points")
-        if not np.all(np.isfinite(values)):
-            raise ValueError(f"a value of {', '.join(map(str, parameters))} is not finite")
-        dimensions.append(Dimension(one["name"], parameters, values))
-    if not dimensions:
-        raise ValueError("it has no points")
-    return Plan(setting, Points(tuple(dimensions)), **fields)
+    over = {tuple(one["parameters"]): np.array(one["values"], float) for one in body["dimensions"]}
+    named = zip(points_of(over).dimensions, body["dimensions"], strict=True)
+    return Plan(setting, Points(tuple(one._replace(name=stored["name"]) for one, stored in named)), **fields)
 
 
 def _not_stored(one: object) -> float:
