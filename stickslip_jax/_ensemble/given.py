@@ -156,9 +156,7 @@ def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.nda
             raise _unfit("a number or name in every row of the column sample", "one is empty; leave out the row")
         present, number = np.unique(labels.astype(str), return_inverse=True)
         if samples is not None and samples < len(present):
-            raise ValueError(
-                f"Argument samples must be at least the {len(present)} samples in the table, but {samples} was given."
-            )
+            raise checks.refused("samples", f"be at least the {len(present)} samples in the table", samples)
         return number, len(present) if samples is None else samples
     least, most = (int(labels.min()), int(labels.max())) if len(labels) else (0, -1)
     if samples is not None:
@@ -257,10 +255,8 @@ def fields_of_sticks(
         position_unit = str(position_unit)
     sticks, unit = measured_sticks(table, float(t1), samples)
     if position_unit is not None and unit not in (None, position_unit):
-        raise ValueError(
-            f"Argument position_unit must be {unit!r}, because the table has the column 'position_{unit}', but "
-            f"{position_unit!r} was given; leave it out, or rename the column."
-        )
+        wanted = f"be {unit!r}, because the table has the column 'position_{unit}'"
+        raise checks.refused("position_unit", wanted, position_unit, "leave it out, or rename the column")
     position = Coordinate("position when the stick starts", position_unit or unit or "m", period=period)
     count = sticks.count
     starts_stuck, ends_stuck = sticks.begins_at_zero, np.zeros(len(count), bool)

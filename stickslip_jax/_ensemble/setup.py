@@ -93,10 +93,7 @@ class EnsembleSetup:
         first_sample = checks.whole_number("first_sample", first_sample, minimum=0, maximum=MOST_SAMPLES - number)
         total = samples if isinstance(samples, Design) else first_sample + number
         if isinstance(samples, Design) and first_sample:
-            raise ValueError(
-                f"Argument first_sample must be 0 with a design, whose rows are all samples, but {first_sample} was "
-                "given."
-            )
+            raise checks.refused("first_sample", "be 0 with a design, whose rows are all samples", first_sample)
         if not (correlation is None or isinstance(correlation, GaussianCopula)):
             raise checks.refused("correlation", "be a GaussianCopula(names, correlation)", correlation)
         checks.chosen("keep", keep, get_args(Keep))
@@ -109,10 +106,8 @@ class EnsembleSetup:
         inputs = inputs.with_start(first.y0)
         random = inputs.are_random or is_random(first.law)
         if random and key is None:
-            raise ValueError(
-                "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
-                "was given."
-            )
+            wanted = "be a key such as jax.random.key(0) where law, system or y0 are random"
+            raise checks.refused("key", wanted, key)
         # The engine of all samples, and which of its leaves differ; the method with every option filled in, but those
         # that differ from sample to sample as they were given.
         law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law

@@ -168,10 +168,8 @@ class DaskCluster(Executor):
 
     def __init__(self, plan: Plan, client: "distributed.Client", store: Store, shared_folder: bool):
         if not all(callable(getattr(client, name, None)) for name in ("submit", "nthreads")):
-            raise ValueError(
-                "Argument executor must be a dask.distributed.Client, but "
-                f"{checks.show(client)} was given; threads and workers need no client."
-            )
+            hint = "threads and workers need no client"
+            raise checks.refused("executor", "be a dask.distributed.Client", client, hint)
         if getattr(client, "asynchronous", False):
             raise ValueError(
                 "Argument executor must be a dask.distributed.Client that waits for answers, but one with "

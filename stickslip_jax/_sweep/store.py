@@ -462,21 +462,17 @@ class Store:
         for batch in itertools.chain.from_iterable(self._all().values()):
             try:
                 sweep_id, name, _ = parts_of_file(read_regular(batch.path, LONGEST_HEADER))
+                if sweep_id != self.sweep_id:
+                    self.read(batch)  # raises an error for any
+                is_any_ours = True
+                if name != batch.path.name:
+                    self.remove(batch, f"it is {name}, under another name")
             except NotAFileError:
                 self.read(batch)  # says so
+            except SweepError as error:
+                foreign = foreign or error
+            except (DamagedFileError, OSError):
                 continue
-            except OSError:
-                continue
-            if sweep_id != self.sweep_id:
-                try:
-                    self.read(batch)
-                except (DamagedFileError, FileNotFoundError):
-                    continue
-                except SweepError as error:
-                    foreign = foreign or error
-            elif name != batch.path.name:
-                self.remove(batch, f"it is {name}, under another name")
-            is_any_ours |= sweep_id == self.sweep_id
         if foreign is not None and not is_any_ours:
             raise SweepError(
                 f"{self.folder} has batches of another sweep than its {MANIFEST}; put their manifest back, or choose "
