@@ -35,7 +35,7 @@ from .._ensemble.encoding import (
     with_header,
     without_header,
 )
-from .._ensemble.points import Points, SweepSetting, points_of, setting_of
+from .._ensemble.points import Dimension, Points, SweepSetting, points_of, setting_of
 from .._foundation import checks
 from .._foundation.files import (
     NotAFileError,
@@ -296,7 +296,8 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
     setting = (SweepSetting if unknown else setting_of)(**objects)
     over = {tuple(one["parameters"]): np.array(one["values"], float) for one in body["dimensions"]}
     named = zip(points_of(over).dimensions, body["dimensions"], strict=True)
-    return Plan(setting, Points(tuple(one._replace(name=stored["name"]) for one, stored in named)), **fields)
+    points = Points(tuple(Dimension(stored["name"], one.parameters, one.values) for one, stored in named))
+    return Plan(setting, points, **fields)
 
 
 def _not_stored(one: object) -> float:
