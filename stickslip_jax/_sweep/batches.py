@@ -275,7 +275,7 @@ class Performer:
     def __init__(self, plan: Plan):
         self._plan, self._number = plan, itertools.count()
         self._devices = [(device, threading.Lock()) for device in jax.local_devices()]
-        self._compiled: set[jax.Device] = set()
+        self._compiled: set[object] = set()
 
     def perform(self, task: Task) -> bytes:
         """Do a task. Raises ValueError for a point that cannot be simulated."""
