@@ -294,10 +294,11 @@ def check_fields(fields: Mapping[str, Any]) -> None:
     is_system, is_method = isinstance(fields["system"], System), isinstance(fields["method"], _METHODS)
     is_law = not isinstance(fields["law"], (str, bytes, int, float, dict, list, np.ndarray))
     for name, fits in (("system", is_system), ("method", is_method), ("law", is_law)):
-        _demand(fits, f"its {name} is {checks.show(fields[name])}")
+        if not fits:  # shown only then, for it may be large
+            raise ValueError(f"its {name} is {checks.show(fields[name])}")
     for value in y0 if isinstance(y0, tuple) else (None,):
-        drawn = isinstance(value, (RandomNumber, Unknown))
-        _demand(drawn or np.all(np.isfinite(np.asarray(value, float))), f"its trajectories start at {checks.show(y0)}")
+        if not isinstance(value, (RandomNumber, Unknown)) and not np.all(np.isfinite(np.asarray(value, float))):
+            raise ValueError(f"its trajectories start at {checks.show(y0)}")
     _check_sums(fields)
     _check_samples(fields)
 
@@ -314,8 +315,8 @@ def _check_sums(fields: Mapping[str, Any]) -> None:
     are_finite = np.all(np.isfinite(moments.mean)) and np.all(np.isfinite(moments.scatter))
     of_samples = f"of {moments.number} samples, of which {finished} finished, or are not finite"
     _demand(moments.number == finished and are_finite, f"its sums are {of_samples}")
-    are_known = isinstance(accumulator, (StickAccumulator, type(None)))
-    _demand(are_known, f"its histograms are {checks.show(accumulator)}")
+    if not isinstance(accumulator, (StickAccumulator, type(None))):
+        raise ValueError(f"its histograms are {checks.show(accumulator)}")
     if accumulator is not None:
         number = int(accumulator.samples.number)
         fits = np.all(np.asarray(accumulator.endings) >= 0) and number == finished
