@@ -5,48 +5,28 @@
 import dataclasses
 import itertools
 import os
-import threading
-import time
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._compiler import Layout, packed
-from .._dynamics.common.lanes import BLOCK, Engine, SampleTotals
 from .._dynamics.common.method import EXACT, Exact, Regularized
-from .._dynamics.engine_choice import compiled_for, solve_chunk
-from .._dynamics.regularized.engine import AdaptiveBatch
-from .._dynamics.regularized.solve import ADAPTIVE_STEPS, MORE, numbers_as_arrays
 from .._dynamics.simulate import Output, Outputs, checked_outputs
-from .._dynamics.sticks import StickCollector
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.processes import cores, require_threads_of_jax
+from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState, Status
 from .._statistics.accumulator import Numbering
 from .._systems.system import System, WithContacts
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, StochasticModel
-from .data import Fields, Keep, Origin, Realization, Unknown, UnknownSystem, check_extendable, origins_of, same_object
+from .data import Fields, Keep, Origin, Realization, Unknown, UnknownSystem, same_object
 from .dataset import fields_of_file
-from .parts import EnsembleAccumulator, EnsemblePart, prepare, progress_bar
+from .parts import EnsembleAccumulator
 from .result import Ensemble
-from .setup import MOST_SAMPLES, NO_OUTPUTS, TAKEN, EnsembleSetup, fields_of_outputs, only, outputs_of, runner_for
+from .setup import NO_OUTPUTS, TAKEN, EnsembleSetup, fields_of_outputs, found_by, found_here
 
 # `simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics.
-
-
-_Simulate = Callable[[int, int], tuple[EnsemblePart, ...]]
-"""Of samples ``first .. first + number - 1``: the part of each track."""
-_ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
-_ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
-_RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
 
 
 def simulate_ensemble(
@@ -122,68 +102,6 @@ def simulate_ensemble(
     return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(wanted))
 
 
-def found_by(
-    setup: EnsembleSetup, first: int, accumulators: Sequence[EnsembleAccumulator], threads: int | None,
-    chunk: int | None, progress: bool | None, outputs: Mapping[str, Output],
-) -> list[Fields]:  # fmt: skip
-    """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives.
-
-    `accumulators`: of each track, one where there is one contact. They are given as many samples as they lack.
-    """
-    samples = accumulators[0].missing
-    threads = checks.whole_number("threads", threads) if threads is not None else cores()
-    plan = _Plan.of(setup, samples, threads, chunk)
-    started = time.perf_counter()
-    numbers_of, finished = runner_for(setup, outputs), []
-    simulate = _simulator(setup, plan, accumulators)
-    # Compiled before the threads start, so that not each of them compiles the same code.
-    with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
-        prepared = pool.submit(prepare, setup.dtype) if accumulators[0].keep != "totals" else None
-        simulate(0, 0)
-        if prepared is not None:
-            prepared.result()
-    compiled = time.perf_counter()
-    with progress_bar(progress, samples) as bar:
-        for number, parts in _in_order(simulate, plan, first, samples):
-            for accumulator, part in zip(accumulators, parts, strict=True):
-                accumulator.add(part)
-            finished.append(np.equal(parts[0].results.status, Status.FINISHED) if outputs else ())
-            bar.advance(number)
-    values = only(np.concatenate(finished), numbers_of(first, samples, threads))
-    for accumulator in accumulators:
-        accumulator.add_outputs(values)
-    shared = {
-        "threads": min(plan.threads, -(-samples // plan.samples_per_task)),
-        "compile_seconds": compiled - started,
-        "run_seconds": time.perf_counter() - compiled,
-    }
-    return [accumulator.found() | shared for accumulator in accumulators]
-
-
-def _extended(
-    ensemble: Ensemble, samples: int, threads: int | None, chunk: int | None, progress: bool | None
-) -> Ensemble:
-    """`ensemble` with more samples; see `Ensemble.extended`."""
-    require_threads_of_jax()
-    check_extendable(ensemble)
-    first = ensemble.first_sample + ensemble.samples
-    samples = checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
-    model = StochasticModel(ensemble.system, ensemble.law, ensemble.y0)
-    assert isinstance(ensemble.method, (Exact, Regularized))  # `check_extendable` saw to it
-    options = (ensemble.copula, ensemble.method, ensemble.keep, ensemble.numbering)
-    outputs = outputs_of(ensemble)
-    setup = EnsembleSetup.checked(model, ensemble.t1, samples, first, ensemble._key, *options)
-    accumulator = EnsembleAccumulator(ensemble.samples + samples, ensemble.keep)
-    accumulator.add_ensemble(ensemble)
-    (found,) = found_by(setup, first, (accumulator,), threads, chunk, progress, outputs)
-    for name in ("compile_seconds", "run_seconds"):
-        found[name] += getattr(ensemble, name)
-    return dataclasses.replace(ensemble, samples=ensemble.samples + samples, **found)
-
-
-Ensemble._extend = staticmethod(_extended)
-
-
 def simulate_batch(
     setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int,
     outputs: Mapping[str, Output] = NO_OUTPUTS,
@@ -193,168 +111,8 @@ def simulate_batch(
     `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any batch of the whole
     has; programs compiled for one batch fit all others with the same `fewest`.
     """
-    size = (fewest, 1, None) if isinstance(setup.engine, AdaptiveBatch) else (_ONE_SIZE, 1, _ONE_SIZE)
-    plan = _Plan.of(setup, *size)
-    accumulator, started = EnsembleAccumulator(samples, keep, retained), time.perf_counter()
-    simulate = _simulator(setup, plan, (accumulator,))
-    numbers_of, finished = runner_for(setup, outputs), []
-    for begin, number in plan.tasks(first, samples):
-        (part,) = simulate(begin, number)
-        accumulator.add(part)
-        finished.append(np.equal(part.results.status, Status.FINISHED))
-    accumulator.add_outputs(only(np.concatenate(finished), numbers_of(first, samples)))
-    spent = time.perf_counter() - started
-    return Ensemble(
-        **setup.fields(), samples=samples, first_sample=first, **accumulator.found(), threads=1, compile_seconds=0.0,
-        run_seconds=spent, **fields_of_outputs(outputs),
-    )  # fmt: skip
-
-
-class _Plan(NamedTuple):
-    """Division of the samples into tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
-
-    lanes: int
-    rows: int
-    samples_per_task: int
-    threads: int
-
-    @classmethod
-    def of(cls, setup: EnsembleSetup, samples: int, threads: int, chunk: int | None) -> "_Plan":
-        if chunk is not None:
-            chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
-        if isinstance(setup.engine, AdaptiveBatch):
-            # Every sample of a task has its own lane. The number of lanes is always the same, though some may be idle:
-            # how the compiler orders the operations of a lane, and so the last digits, depends on it, and errors of
-            # adaptive steps grow from there.
-            most = -(-samples // threads) if chunk is None else chunk
-            return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
-        # The arrays of 256 lanes stay in the cache (benchmarks/README.md).
-        lanes, rows = 256, 32
-        if chunk is not None:
-            # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
-            chunk = min(chunk, max(samples, 4096))
-            lanes = min(lanes, 1 << (chunk - 1).bit_length())
-            return cls(lanes, -(-chunk // lanes), chunk, threads)
-        # Small runs are divided into smaller tasks, so that every thread has work.
-        fair = -(-samples // (4 * threads * lanes)) * lanes
-        return cls(lanes, rows, min(fair, lanes * rows), threads)
-
-    def tasks(self, first: int, samples: int) -> list[tuple[int, int]]:
-        """The first sample of each task and their number, for samples `first`, ``first + 1``, ..."""
-        size, end = self.samples_per_task, first + samples
-        return [(begin, min(size, end - begin)) for begin in range(first, end, size)]
-
-
-def _simulator(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
-    """A function that simulates samples ``first .. first + number - 1`` and records what the `accumulators` keep."""
-    if isinstance(setup.engine, AdaptiveBatch):
-        return _solver(setup, setup.engine, plan, accumulators[0])
-    if accumulators[0].keep != "totals":
-        return _recorder(setup, plan, accumulators)
-    assert isinstance(setup.engine, Engine)
-    summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
-
-    def simulate(first: int, number: int) -> tuple[EnsemblePart, ...]:
-        job = setup.job(first, -(-number // plan.lanes), plan.lanes * plan.rows)
-        results = summarize(job, lanes=plan.lanes, rows=plan.rows, dtype=setup.dtype)
-        results = SampleTotals(*(np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:number] for leaf in results))
-        return tuple(EnsemblePart(results.of_track(track)) for track in setup.tracks)
-
-    return simulate
-
-
-def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, plan: _Plan, accumulator: EnsembleAccumulator) -> _Simulate:
-    """The same as `_simulator`, for adaptive steps."""
-    dtype, sizes = setup.dtype, tuple(int(size) for size in batch.sizes)
-    arrays = numbers_as_arrays(batch._replace(sizes=()), dtype)._replace(method=batch.method)
-    how = {"samples": plan.lanes, "leaf_numbers": setup.leaf_numbers, "sizes": sizes,
-           "keep": accumulator.keep != "totals", "dtype": dtype}  # fmt: skip
-
-    def simulate(first: int, number: int) -> tuple[EnsemblePart]:
-        varying = tuple(jnp.asarray(column) for column in setup.varying_leaves(first, plan.lanes))
-        numbers = jnp.asarray(setup.inputs.realization_numbers(first, plan.lanes))
-        given, lanes = (varying, setup.key_data, numbers, jnp.uint32(number)), np.arange(plan.lanes)
-        results, records = solve_chunk(arrays, *given, **how, most=batch.method.max_steps or ADAPTIVE_STEPS)
-        results, kept = SampleTotals(*map(np.asarray, results)), [(records, lanes >= 0)]
-        short = (results.status == Status.OUT_OF_STEPS) & (lanes < number)
-        if batch.method.max_steps is None and np.any(short):  # the others stay as they are
-            more, records = solve_chunk(arrays, *given, **how, most=MORE * ADAPTIVE_STEPS)
-            results = SampleTotals(*(np.where(short, new, old) for new, old in zip(more, results, strict=True)))
-            kept = [(kept[0][0], ~short), (records, short)]
-        results = SampleTotals(*(leaf[:number] for leaf in results))
-        if records is None:
-            return (EnsemblePart(results),)
-        sticks = StickCollector()
-        sticks.restart(number)
-        for found, of_lanes in kept:
-            assert found is not None
-            values = np.stack([np.asarray(column).T for column in found.columns.values()], axis=1)
-            sticks.add(values, np.where(of_lanes, np.asarray(found.ending).T, np.int8(-1)), lanes[None, :])
-        part = EnsemblePart.of(
-            results, sticks.sticks, setup.t1, setup.numbering, accumulator.wants_sticks, setup.period
-        )
-        return (part,)
-
-    return simulate
-
-
-def _recorder(setup: EnsembleSetup, plan: _Plan, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
-    """The same as `_simulator`, with every stick recorded and accumulated."""
-    assert isinstance(setup.engine, Engine)
-    _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
-    of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
-    blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * plan.lanes)), setup.dtype
-    lane, track = np.arange(plan.lanes)[:, None], np.arange(len(setup.tracks))
-
-    def simulate(first: int, number: int) -> tuple[EnsemblePart, ...]:
-        if not hasattr(of_thread, "sticks"):
-            of_thread.sticks = StickCollector()
-        rows = -(-number // plan.lanes)
-        job = jax.tree.map(jnp.asarray, setup.job(first, rows, plan.lanes * plan.rows))
-        now, task, layout = begin(job, lanes=plan.lanes, dtype=dtype), packed(job), Layout.of(job)
-        of_thread.sticks.restart(number * len(track))
-        ended, unfinished = [], True
-        while unfinished:
-            now, buffer, progress = record(task, now, layout=layout, lanes=plan.lanes, blocks=blocks, dtype=dtype)
-            progress = jax.tree.map(np.asarray, progress)
-            sample = progress.row[..., None] * plan.lanes + lane
-            # The sticks of each track of a sample are collected as if they were those of a sample.
-            whose = (sample * len(track) + track).reshape(len(sample), -1)
-            of_thread.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), whose)
-            ended.append((sample[progress.ended, 0], *(column[progress.ended] for column in progress.results)))
-            unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
-        # Samples and their results come in the order in which they ended, and are put in that of their numbers.
-        sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
-        ordered = [np.empty((rows * plan.lanes, *column.shape[1:]), column.dtype) for column in columns]
-        for to, column in zip(ordered, columns, strict=True):
-            to[sample] = column
-        results, sticks = SampleTotals(*(column[:number] for column in ordered)), of_thread.sticks.sticks
-
-        def part(track: int | None, keeps: bool) -> EnsemblePart:
-            of_it = sticks if track is None else sticks.of_track(track, len(setup.tracks))
-            return EnsemblePart.of(results.of_track(track), of_it, setup.t1, setup.numbering, keeps, setup.period)
-
-        return tuple(part(one, to.wants_sticks) for one, to in zip(setup.tracks, accumulators, strict=True))
-
-    return simulate
-
-
-def _in_order(
-    simulate: _Simulate, plan: _Plan, first: int, samples: int
-) -> Iterator[tuple[int, tuple[EnsemblePart, ...]]]:
-    """Simulate all tasks in threads, a few at a time, and yield the parts in order of the samples."""
-    tasks = deque(plan.tasks(first, samples))
-    waiting: deque[tuple[int, Future]] = deque()
-    with ThreadPoolExecutor(min(plan.threads, len(tasks))) as pool:
-        try:
-            while tasks or waiting:
-                while tasks and len(waiting) < 2 * plan.threads:
-                    begin, number = tasks.popleft()
-                    waiting.append((number, pool.submit(simulate, begin, number)))
-                number, future = waiting.popleft()
-                yield number, future.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    found = found_here(setup, first, EnsembleAccumulator(samples, keep, retained), fewest, outputs)
+    return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(outputs))
 
 
 # `simulate_contacts`: many samples of a system with several contacts, with the statistics of each contact.
@@ -546,15 +304,17 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
     """
     if not isinstance(ensembles, Sequence) or not ensembles or not all(isinstance(one, Ensemble) for one in ensembles):
         raise checks.refused("ensembles", "be a list of results of simulate_ensemble", ensembles)
-    for what in ("t1", "keep", "numbering", "dtype"):
-        _check_same(what, [getattr(one, what) for one in ensembles])
-    _check_same("outputs", [dict(sorted(one.output_units.items())) for one in ensembles])
-    _check_same("counted", [getattr(one.system, "counted_contact", None) for one in ensembles])
-    _check_same("position", [one.system.stick_position[1::2] for one in ensembles])
+    for what, of in _SAME.items():
+        for number, one in enumerate(ensembles):
+            if of(one) != of(ensembles[0]):
+                raise ValueError(
+                    f"Argument ensembles must have the same {what}, but the first has {checks.show(of(ensembles[0]))} "
+                    f"and ensembles[{number}] has {checks.show(of(one))}."
+                )
     accumulator = EnsembleAccumulator(sum(one.samples for one in ensembles), ensembles[0].keep)
     for one in ensembles:
         accumulator.add_ensemble(one)
-    origins = _joined([origin for one in ensembles for origin in origins_of(one)])
+    origins = _joined([origin for one in ensembles for origin in one._origins])
     # What its origins give; `Unknown` for what differs among them.
     given: Fields = {**origins[0]._asdict(), "origins": ()}
     if len(origins) > 1:
@@ -582,21 +342,16 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
     )
 
 
-_WORDS = {
-    "t1": "duration t1",
-    "outputs": "names and units of outputs",
-    "position": "unit and period of the position",
-    "counted": "contact whose sticks are counted",
+_SAME: dict[str, Callable[[Ensemble], object]] = {
+    "duration t1": lambda one: one.t1,
+    "keep": lambda one: one.keep,
+    "numbering": lambda one: one.numbering,
+    "dtype": lambda one: one.dtype,
+    "names and units of outputs": lambda one: dict(sorted(one.output_units.items())),
+    "contact whose sticks are counted": lambda one: getattr(one.system, "counted_contact", None),
+    "unit and period of the position": lambda one: one.system.stick_position[1::2],
 }
-
-
-def _check_same(what: str, values: Sequence[object]) -> None:
-    for number, value in enumerate(values):
-        if value != values[0]:
-            raise ValueError(
-                f"Argument ensembles must have the same {_WORDS.get(what, what)}, but the first has "
-                f"{checks.show(values[0])} and ensembles[{number}] has {checks.show(value)}."
-            )
+"""In what ensembles that are joined must be the same, in words."""
 
 
 def _joined(origins: list[Origin]) -> tuple[Origin, ...]:

@@ -1,9 +1,9 @@
 """What an ensemble holds, and where its parts come from; stand-ins for what it does not know."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar
+from typing import Any, Literal, NamedTuple, NoReturn, TypeAlias
 
 import equinox as eqx
 import jax
@@ -150,6 +150,14 @@ def single(entry: npt.ArrayLike) -> Array | int | float | bool:
     return jnp.asarray(entry) if np.ndim(entry) else np.asarray(entry).item()
 
 
+class Realization(NamedTuple):
+    """What `simulate` takes to repeat a sample: ``simulate(system, base, y0=y0, t1=...)``."""
+
+    system: System
+    base: Any
+    y0: tuple[float, ...]
+
+
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class EnsembleData:
     """The fields of an `Ensemble`, which says what they are, and what follows from them alone."""
@@ -247,108 +255,83 @@ class EnsembleData:
         """Number of the others by `Status`, where there are any."""
         return {status: count for status, count in self.status_counts.items() if status and count}
 
+    # Where its samples come from: parts that were joined, and realisations that were given.
 
-# Where the samples of an ensemble come from: parts that were joined, and realisations that were given.
+    @property
+    def _origins(self) -> tuple[Origin, ...]:
+        """The origins of all parts, one if it was not joined."""
+        return self.origins or (Origin(*(getattr(self, name) for name in Origin._fields)),)
 
+    @cached_property
+    def _parts(self) -> "list[EnsembleData]":
+        """Ensembles that draw again what the samples of each part were simulated from; one if it was not joined."""
+        return [dataclasses.replace(self, **origin._asdict(), origins=()) for origin in self._origins]
 
-Data = TypeVar("Data", bound=EnsembleData)
+    def _require_whole(self) -> None:
+        """Raise ValueError unless the base motion and the start are known."""
+        require_known("base motion", self.law)
+        for value in self.y0:
+            require_known("initial state", value)
 
+    def _check_dtype(self) -> None:
+        """Raise ValueError if JAX is set to another floating dtype, in which other random numbers would be drawn."""
+        if str(jnp.result_type(float)) != self.dtype:
+            raise ValueError(
+                f"This ensemble was simulated in {self.dtype}, and JAX is set to {jnp.result_type(float)}, which draws "
+                f"other numbers; call jax.config.update('jax_enable_x64', {self.dtype == 'float64'}) before anything "
+                "else."
+            )
 
-class Realization(NamedTuple):
-    """What `simulate` takes to repeat a sample: ``simulate(system, base, y0=y0, t1=...)``."""
+    def _check_extendable(self) -> None:
+        """Raise ValueError unless more samples can be simulated."""
+        if self.origins:
+            raise ValueError(
+                f"This ensemble was joined from {len(self.origins)} parts of different origin, which cannot be "
+                "extended; extend the last part, and concatenate then."
+            )
+        for what in ("system", "law", "method"):
+            require_known(what, getattr(self, what))
+        for index, value in enumerate(self.y0):
+            require_known(f"y0[{index}]", value)
+        if isinstance(self.law, GivenMotions):
+            raise ValueError(
+                "This ensemble was made of given simulations, which cannot be extended; simulate more of them, and "
+                "concatenate."
+            )
+        if self.design is not None or not all(entry.is_random for entry in self.inputs.entries):
+            raise ValueError(
+                "This ensemble has a design or arrays with one number for each sample, which cannot be extended; "
+                "simulate more samples with other arrays, and concatenate."
+            )
+        self._check_dtype()
 
-    system: System
-    base: Any
-    y0: tuple[float, ...]
+    def _values_by_name(self) -> dict[str, np.ndarray]:
+        """The values of the numbers that differ from sample to sample, the same ones in each part, by name."""
+        found = [part.inputs.values(jnp.dtype(part.dtype), part.first_sample) for part in self._parts]
+        return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
 
+    def _known_inputs(self) -> dict[str, tuple[np.ndarray, str]]:
+        """The numbers that differ from sample to sample, (samples,), and their units, by name.
 
-def origins_of(ensemble: EnsembleData) -> tuple[Origin, ...]:
-    """The origins of all parts of an ensemble, one if it was not joined."""
-    return ensemble.origins or (Origin(*(getattr(ensemble, name) for name in Origin._fields)),)
+        None where it is not known what was simulated, or where different numbers differ in joined parts.
+        """
+        parts = self._parts
+        try:
+            for part in parts:
+                part._require_whole()
+                _ = part.inputs  # a design may name numbers of a system that is not known
+        except ValueError:
+            return {}
+        if any(isinstance(part.law, GivenMotions) for part in parts) or len({part.inputs.names for part in parts}) > 1:
+            return {}
+        units = [entry.about.unit if entry.about else "" for entry in parts[0].inputs.entries]
+        found = self._values_by_name()
+        return {name: (values, unit) for (name, values), unit in zip(found.items(), units, strict=True)}
 
+    def _flat_slips(self) -> FlatSlips:
+        """The slips of all samples that finished: what lies between their sticks.
 
-def check_dtype(dtype: str) -> None:
-    """Raise ValueError if JAX is set to another floating dtype, in which other random numbers would be drawn."""
-    if str(jnp.result_type(float)) != dtype:
-        raise ValueError(
-            f"This ensemble was simulated in {dtype}, and JAX is set to {jnp.result_type(float)}, which draws other "
-            f"numbers; call jax.config.update('jax_enable_x64', {dtype == 'float64'}) before anything else."
-        )
-
-
-def parts_of(ensemble: Data) -> list[Data]:
-    """Ensembles that draw again what the samples of each part were simulated from; one if it was not joined."""
-    return [dataclasses.replace(ensemble, **origin._asdict(), origins=()) for origin in origins_of(ensemble)]
-
-
-def part_with(ensemble: Data, number: int) -> tuple[Data, int]:
-    """The one of `parts_of` with sample `number`, and the number that it has there."""
-    for part in parts_of(ensemble):
-        if number < part.samples:
-            return part, number + part.first_sample
-        number -= part.samples
-    raise IndexError(number)
-
-
-def check_extendable(ensemble: EnsembleData) -> None:
-    """Raise ValueError unless more samples of `ensemble` can be simulated."""
-    if ensemble.origins:
-        raise ValueError(
-            f"This ensemble was joined from {len(ensemble.origins)} parts of different origin, which cannot be "
-            "extended; extend the last part, and concatenate then."
-        )
-    for what in ("system", "law", "method"):
-        require_known(what, getattr(ensemble, what))
-    for index, value in enumerate(ensemble.y0):
-        require_known(f"y0[{index}]", value)
-    if isinstance(ensemble.law, GivenMotions):
-        raise ValueError(
-            "This ensemble was made of given simulations, which cannot be extended; simulate more of them, and "
-            "concatenate."
-        )
-    if ensemble.design is not None or not all(entry.is_random for entry in ensemble.inputs.entries):
-        raise ValueError(
-            "This ensemble has a design or arrays with one number for each sample, which cannot be extended; simulate "
-            "more samples with other arrays, and concatenate."
-        )
-    check_dtype(ensemble.dtype)
-
-
-def known_inputs(ensemble: EnsembleData) -> dict[str, tuple[np.ndarray, str]]:
-    """The numbers that differ from sample to sample, (samples,), and their units, by name.
-
-    None where it is not known what was simulated, or where different numbers differ in joined parts.
-    """
-    parts = parts_of(ensemble)
-    try:
-        for part in parts:
-            require_whole(part)
-            _ = part.inputs  # a design may name numbers of a system that is not known
-    except ValueError:
-        return {}
-    if any(isinstance(part.law, GivenMotions) for part in parts) or len({part.inputs.names for part in parts}) > 1:
-        return {}
-    units = [entry.about.unit if entry.about else "" for entry in parts[0].inputs.entries]
-    return {name: (values, unit) for (name, values), unit in zip(values_of(parts).items(), units, strict=True)}
-
-
-def values_of(parts: Sequence[EnsembleData]) -> dict[str, np.ndarray]:
-    """The values of the numbers that differ from sample to sample in `parts`, the same ones in each, by name."""
-    found = [part.inputs.values(jnp.dtype(part.dtype), part.first_sample) for part in parts]
-    return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
-
-
-def require_whole(ensemble: EnsembleData) -> None:
-    """Raise ValueError unless the base motion and the start of `ensemble` are known."""
-    require_known("base motion", ensemble.law)
-    for value in ensemble.y0:
-        require_known("initial state", value)
-
-
-# The slips of an ensemble that kept its sticks: what lies between the sticks of the samples that finished.
-
-
-def flat_slips(ensemble: EnsembleData) -> FlatSlips:
-    """The slips of all samples that finished. Raises ValueError unless ``keep="sticks"``."""
-    sticks, totals = ensemble.require_sticks(), ensemble.totals
-    return slips_among(sticks, ensemble.t1, np.asarray(totals.status) == Status.FINISHED)
+        Raises ValueError unless ``keep="sticks"``.
+        """
+        sticks, totals = self.require_sticks(), self.totals
+        return slips_among(sticks, self.t1, np.asarray(totals.status) == Status.FINISHED)

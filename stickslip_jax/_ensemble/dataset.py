@@ -27,7 +27,7 @@ from .._statistics.accumulator import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._systems.system import Coordinate, System
 from .._uncertainty.families import RandomNumber
-from .data import EnsembleData, Fields, Retained, Unknown, UnknownSystem, flat_slips, known_inputs
+from .data import EnsembleData, Fields, Retained, Unknown, UnknownSystem
 from .encoding import DamagedFileError, Decoder, Encoder
 from .setup import MOST_SAMPLES
 
@@ -161,6 +161,19 @@ SAMPLE = {"sticks": "sample", "statistics": "finished_sample"}
 """The dimension of samples by what was kept: with "statistics" only sticks of the first samples that finished are."""
 
 
+_ATTRIBUTES = {
+    "t1": ("t1", float),
+    "samples": ("samples", int),
+    "first_sample": ("first_sample", int),
+    "dtype": ("dtype", str),
+    "near_grazing_samples": ("samples_near_grazing", int),
+    "threads": ("threads_used", int),
+    "compile_seconds": ("compile_seconds", float),
+    "run_seconds": ("run_seconds", float),
+}
+"""Fields of an ensemble that are attributes: what they are called there, and their kind."""
+
+
 def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     """Sticks (CF contiguous ragged arrays along ``stick``) and totals (along ``sample``), with units and long names.
 
@@ -173,7 +186,7 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     totals, retained, first = ensemble.sample_totals, ensemble.retained, ensemble.first_sample
     samples = variable("sample", first + np.arange(ensemble.samples), "number of the sample")
     if ensemble.flat_sticks is not None:
-        slips = flat_slips(ensemble)
+        slips = ensemble._flat_slips()
         variables |= _sticks(ensemble, ensemble.flat_sticks, SAMPLE["sticks"])
         variables["slip_sample"] = variable("slip", first + slips.sample, "sample of the slip")
         variables |= slip_variables(slips.start, slips.end, slips.censored)
@@ -190,7 +203,7 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
         variables["stick_time"] = variable("sample", totals.stick_time, "total stick time", "s")
         variables["near_grazing_count"] = variable("sample", totals.near_grazing_count, near)
         variables["status"] = variable("sample", totals.status, "whether the sample reached t1", **flags(Status))
-        for name, (column, unit) in known_inputs(ensemble).items():
+        for name, (column, unit) in ensemble._known_inputs().items():
             variables[f"input_{name}"] = variable("sample", column, name, unit or "1")
     units = {name: ensemble.output_units.get(name, "1") for name in ensemble.output_values}
     if units:
@@ -226,22 +239,12 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
         "system": json.dumps(shown.encoded(ensemble.system)),
         "law": json.dumps(shown.encoded(ensemble.law)),
         "y0": json.dumps([shown.encoded(value) for value in ensemble.y0]),
-        "t1": float(ensemble.t1),
-        "samples": ensemble.samples,
-        "first_sample": ensemble.first_sample,
+        **{name: kind(getattr(ensemble, field)) for field, (name, kind) in _ATTRIBUTES.items()},
         "orders": ensemble.numbering.orders,
         "count_initial_rest": int(ensemble.numbering.count_initial_rest),
-        "dtype": ensemble.dtype,
-        "samples_finished": ensemble.finished,
-        "samples_near_grazing": ensemble.near_grazing_samples,
-        "compile_seconds": ensemble.compile_seconds,
-        "run_seconds": ensemble.run_seconds,
-        "threads_used": ensemble.threads,
+        **{f"samples_{status.name.lower()}": ensemble.status_counts[status] for status in Status},
         **method_attributes(ensemble.method),
     }
-    for status in Status:
-        if status is not Status.FINISHED:
-            attributes[f"samples_{status.name.lower()}"] = ensemble.status_counts[status]
     if ensemble.key_data is not None:
         attributes["key_data"] = np.array(ensemble.key_data, np.uint32)
     return labeled_dataset(variables, {}, attributes)
@@ -266,7 +269,14 @@ def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Variable
 # Checks of an ensemble that was read: it must be one that a simulation could have given.
 
 
+_METHODS = (Exact, Regularized, Unknown, type(None))
 _SLACK = 1e-5  # of t1: sticks of single precision may end so much later, and a few sum to so much more
+
+
+def _demand(fits: object, otherwise: str) -> None:
+    """Raise ValueError, with a few words as its message, unless what an ensemble holds `fits` together."""
+    if not fits:
+        raise ValueError(otherwise)
 
 
 def check_fields(fields: Mapping[str, Any]) -> None:
@@ -278,42 +288,39 @@ def check_fields(fields: Mapping[str, Any]) -> None:
     checks.whole_number("threads_used", fields["threads"])
     for name in ("compile_seconds", "run_seconds"):
         checks.non_negative(name, fields[name])
-    if fields["dtype"] not in ("float32", "float64"):
-        raise ValueError(f"its numbers have the type {checks.show(fields['dtype'])}")
-    if words is not None and (len(words) != 2 or not all(0 <= word < 2**32 for word in words)):
-        raise ValueError(f"its key is {checks.show(words)}")
-    if not isinstance(fields["system"], System):
-        raise ValueError(f"its system is {checks.show(fields['system'])}")
-    if not isinstance(fields["method"], (Exact, Regularized, Unknown, type(None))):
-        raise ValueError(f"its method is {checks.show(fields['method'])}")
-    if isinstance(fields["law"], (str, bytes, int, float, dict, list, np.ndarray)):
-        raise ValueError(f"its law is {checks.show(fields['law'])}")
+    _demand(fields["dtype"] in ("float32", "float64"), f"its numbers have the type {checks.show(fields['dtype'])}")
+    is_key = words is None or (len(words) == 2 and all(0 <= word < 2**32 for word in words))
+    _demand(is_key, f"its key is {checks.show(words)}")
+    is_system, is_method = isinstance(fields["system"], System), isinstance(fields["method"], _METHODS)
+    is_law = not isinstance(fields["law"], (str, bytes, int, float, dict, list, np.ndarray))
+    for name, fits in (("system", is_system), ("method", is_method), ("law", is_law)):
+        if not fits:  # shown only then, for it may be large
+            raise ValueError(f"its {name} is {checks.show(fields[name])}")
     for value in y0 if isinstance(y0, tuple) else (None,):
         if not isinstance(value, (RandomNumber, Unknown)) and not np.all(np.isfinite(np.asarray(value, float))):
             raise ValueError(f"its trajectories start at {checks.show(y0)}")
-
     _check_sums(fields)
     _check_samples(fields)
 
 
 def _check_sums(fields: Mapping[str, Any]) -> None:
     """The sums over all samples."""
-    samples, counts = fields["samples"], fields["status_counts"]
-    if min(counts.values()) < 0 or sum(counts.values()) != samples:
-        raise ValueError(f"it tells the endings of {sum(counts.values())} of {samples} samples")
-    if not 0 <= fields["near_grazing_samples"] <= samples:
-        raise ValueError(f"it has {fields['near_grazing_samples']} samples near grazing")
+    samples, counts, near = fields["samples"], fields["status_counts"], fields["near_grazing_samples"]
+    total = sum(counts.values())
+    _demand(min(counts.values()) >= 0 and total == samples, f"it tells the endings of {total} of {samples} samples")
+    _demand(0 <= near <= samples, f"it has {near} samples near grazing")
     moments, accumulator, finished, d = fields["moments"], fields["accumulator"], counts[Status.FINISHED], len(TOTALS)
-    if not isinstance(moments, Moments) or np.shape(moments.mean) != (d,) or np.shape(moments.scatter) != (d, d):
-        raise ValueError("it lacks the sums of its samples")
-    if moments.number != finished or not (np.all(np.isfinite(moments.mean)) and np.all(np.isfinite(moments.scatter))):
-        raise ValueError(f"its sums are of {moments.number} samples, of which {finished} finished, or are not finite")
+    are_sums = isinstance(moments, Moments) and np.shape(moments.mean) == (d,) and np.shape(moments.scatter) == (d, d)
+    _demand(are_sums, "it lacks the sums of its samples")
+    are_finite = np.all(np.isfinite(moments.mean)) and np.all(np.isfinite(moments.scatter))
+    of_samples = f"of {moments.number} samples, of which {finished} finished, or are not finite"
+    _demand(moments.number == finished and are_finite, f"its sums are {of_samples}")
     if not isinstance(accumulator, (StickAccumulator, type(None))):
         raise ValueError(f"its histograms are {checks.show(accumulator)}")
-    if accumulator is not None and (
-        np.any(np.asarray(accumulator.endings) < 0) or int(accumulator.samples.number) != finished
-    ):
-        raise ValueError(f"its histograms are of {accumulator.samples.number} samples, of which {finished} finished")
+    if accumulator is not None:
+        number = int(accumulator.samples.number)
+        fits = np.all(np.asarray(accumulator.endings) >= 0) and number == finished
+        _demand(fits, f"its histograms are of {number} samples, of which {finished} finished")
 
 
 def _check_samples(fields: Mapping[str, Any]) -> None:
@@ -323,16 +330,16 @@ def _check_samples(fields: Mapping[str, Any]) -> None:
     if retained is not None:
         check_sticks(retained.sticks, retained.totals[:, 0], np.ones(len(retained.totals), bool), fields["t1"])
     if totals is not None:
-        if {len(column) for column in totals} != {samples}:
-            raise ValueError(f"it has totals of {len(totals.sticks)} of {samples} samples")
+        are_whole = {len(column) for column in totals} == {samples}
+        _demand(are_whole, f"it has totals of {len(totals.sticks)} of {samples} samples")
         present = np.bincount(_codes(totals.status, Status, "status"), minlength=len(counts))
-        if any(present[status] != counts[status] for status in Status):
-            raise ValueError("the endings of its samples are not those that it counts")
-        if np.any(totals.slips < 0) or np.any(totals.near_grazing_count < 0):
-            raise ValueError("it has negative numbers of slips, or of instants decided by round-off")
+        are_counted = all(present[status] == counts[status] for status in Status)
+        _demand(are_counted, "the endings of its samples are not those that it counts")
+        are_numbers = np.all(totals.slips >= 0) and np.all(totals.near_grazing_count >= 0)
+        _demand(are_numbers, "it has negative numbers of slips, or of instants decided by round-off")
     for name, values in fields["output_values"].items():
-        if values.shape != (samples,) or values.dtype.kind != "f":
-            raise ValueError(f"it has outputs {checks.show(name)} of {len(values)} of {samples} samples")
+        are_outputs = values.shape == (samples,) and values.dtype.kind == "f"
+        _demand(are_outputs, f"it has outputs {checks.show(name)} of {len(values)} of {samples} samples")
     if flat is not None and totals is not None:
         check_sticks(flat, totals.stick_time, totals.status == Status.FINISHED, fields["t1"])
 
@@ -350,15 +357,14 @@ def check_sticks(sticks: FlatSticks, stick_time: np.ndarray, finished: np.ndarra
     if np.any(wrong):
         at = int(np.argmax(wrong))
         raise ValueError(f"it has a stick from {start[at]:g} to {end[at]:g} s, which cannot be with t1 = {t1:g} s")
-    if any(np.any(np.isinf(getattr(sticks, name)[live])) for name in NUMBERS):
-        raise ValueError("it has sticks at infinite positions")
+    are_infinite = any(np.any(np.isinf(getattr(sticks, name)[live])) for name in NUMBERS)
+    _demand(not are_infinite, "it has sticks at infinite positions")
     sums = np.zeros(len(sticks.count))
     np.add.at(sums, sticks.sample, end - start)
     # In single precision each of many sticks adds round-off of t1, of either sign.
     single = 8 * np.finfo(np.float32).eps if sticks.start.dtype == np.float32 else 0.0
     slack = (_SLACK + single * np.sqrt(sticks.count)) * t1
-    if not np.all((np.abs(sums - stick_time) <= slack)[finished]):
-        raise ValueError("its sticks do not last for its stick times")
+    _demand(np.all((np.abs(sums - stick_time) <= slack)[finished]), "its sticks do not last for its stick times")
 
 
 def _codes(values: np.ndarray, kind: type[IntEnum], name: str) -> np.ndarray:
@@ -444,20 +450,18 @@ def _fields(dataset: "xarray.Dataset") -> Fields:
     attributes = dataset.attrs
     decoder = Decoder(dataset[FLOATS].to_numpy(), dataset[INTEGERS].to_numpy())
     state = {name: decoder.decoded(value) for name, value in json.loads(str(dataset[STATE].item())).items()}
-    if state["totals"] != TOTALS:
-        raise ValueError(f"it sums {state['totals']}")
+    _demand(state["totals"] == TOTALS, f"it sums {state['totals']}")
     position = Coordinate(*state["position"])
     numbering = Numbering.checked(int(attributes["orders"]), bool(attributes["count_initial_rest"]))
     key_data = attributes.get("key_data")
     counts = {one: int(attributes.get(f"samples_{one.name.lower()}", 0)) for one in Status}
     keep = str(attributes["keep"])
-    if keep not in ("totals", "statistics", "sticks") or (keep == "totals") != (state["accumulator"] is None):
-        raise ValueError(f"it kept {checks.show(keep)}")
+    fits = keep in ("totals", "statistics", "sticks") and (keep == "totals") == (state["accumulator"] is None)
+    _demand(fits, f"it kept {checks.show(keep)}")
     kept: Fields = {"retained": None, "sample_totals": None, "flat_sticks": None}
     if keep == "sticks":
         sticks, found = _flat_sticks(dataset, SAMPLE[keep]), state["sticks"]
-        if len(found) != len(sticks.count):
-            raise ValueError(f"it has {len(sticks.count)} of {len(found)} samples")
+        _demand(len(found) == len(sticks.count), f"it has {len(sticks.count)} of {len(found)} samples")
         totals = _stored_totals(dataset, found)
         own = (totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks))
         finished = np.asarray(totals.status) == Status.FINISHED
@@ -469,26 +473,17 @@ def _fields(dataset: "xarray.Dataset") -> Fields:
         kept["retained"] = Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
     elif "stick_count" in dataset:
         kept["sample_totals"] = _stored_totals(dataset, dataset["stick_count"].to_numpy())
-    if sum(counts.values()) != int(attributes["samples"]):
-        raise ValueError(f"it has {sum(counts.values())} of {attributes['samples']} samples")
     return {
         "system": _system(state["system"], position),
         **{name: state[name] for name in ("law", "method", "y0", "moments", "accumulator", "design", "copula")},
         "origins": tuple(one._replace(system=_system(one.system, position)) for one in state["origins"]),
-        "t1": float(attributes["t1"]),
+        **{field: kind(attributes[name]) for field, (name, kind) in _ATTRIBUTES.items()},
         "numbering": numbering,
-        "samples": int(attributes["samples"]),
-        "first_sample": int(attributes["first_sample"]),
         "key_data": None if key_data is None else tuple(int(word) for word in np.asarray(key_data)),
-        "dtype": str(attributes["dtype"]),
         "status_counts": counts,
-        "near_grazing_samples": int(attributes["samples_near_grazing"]),
         **kept,
         "output_units": dict(state.get("outputs", ())),
         "output_values": {name: dataset[f"output_{name}"].to_numpy() for name, _ in state.get("outputs", ())},
-        "threads": int(attributes["threads_used"]),
-        "compile_seconds": float(attributes["compile_seconds"]),
-        "run_seconds": float(attributes["run_seconds"]),
     }
 
 
@@ -503,8 +498,9 @@ def _flat_sticks(dataset: "xarray.Dataset", sample: str) -> FlatSticks:
     columns = {name: dataset[f"stick_{name}"].to_numpy() for name in names}
     sticks = FlatSticks.of(dataset["stick_count"].to_numpy(), **columns)
     owner, first = dataset["stick_sample"].to_numpy(), dataset[sample].to_numpy()
-    if int(sticks.count.sum()) != len(sticks.start) or not np.array_equal(first[sticks.sample], owner):
-        raise ValueError(f"it has {len(sticks.start)} of {int(sticks.count.sum())} sticks")
+    number = int(sticks.count.sum())
+    fits = number == len(sticks.start) and np.array_equal(first[sticks.sample], owner)
+    _demand(fits, f"it has {len(sticks.start)} of {number} sticks")
     return sticks
 
 

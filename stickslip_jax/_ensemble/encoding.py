@@ -89,7 +89,7 @@ class DamagedFileError(ValueError):
 
 
 class ForeignFileError(Exception):
-    """A file that is whole, and of another calculation."""
+    """A file that is whole, and of another calculation or program."""
 
 
 def versions() -> dict[str, str]:

@@ -4,7 +4,7 @@ under ``vmap``.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -43,31 +43,23 @@ def measured_sticks(table: object, t1: float, samples: int | None) -> tuple[Flat
     order = np.lexsort((start, number))
     number, start, end = number[order], start[order], end[order]
     end = np.where(np.abs(end - t1) <= _ROUND_OFF * t1, t1, end)
+    duration = _numbers("duration", columns)[order] if "duration" in columns else end - start
     # Sticks lie in [0, t1], have a duration, and do not overlap.
     same, again = number[1:] == number[:-1], np.zeros(len(start), bool)
     again[1:] = same & (start[1:] < end[:-1] - _ROUND_OFF * t1)
-    for wrong, demand in (
-        (start < 0, "starts of 0 s or later"),
-        (end > t1, f"ends of at most t1 = {t1:g} s"),
-        (~(end > start), "sticks that end after they start"),
-        (again, "sticks of a sample that do not overlap"),
-    ):
-        if np.any(wrong):
-            at = int(np.argmax(wrong))
-            raise ValueError(
-                f"Argument table must have {demand}, but its row {order[at]} has a stick from {start[at]:g} to "
-                f"{end[at]:g} s."
-            )
-    if "end" in columns and "duration" in columns:
-        duration = _numbers("duration", columns)[order]
-        wrong = np.abs(start + duration - end) > _ROUNDED * t1
-        if np.any(wrong):
-            at = int(np.argmax(wrong))
-            raise ValueError(
-                f"Argument table must have ends that are start + duration, but its row {order[at]} has a stick from "
-                f"{start[at]:g} to {end[at]:g} s with a duration of {duration[at]:g} s; leave out the column that is "
-                "wrong."
-            )
+
+    def stick(at: int) -> str:
+        return f"its row {order[at]} has a stick from {start[at]:g} to {end[at]:g} s"
+
+    _refuse(start < 0, "starts of 0 s or later", stick)
+    _refuse(end > t1, f"ends of at most t1 = {t1:g} s", stick)
+    _refuse(~(end > start), "sticks that end after they start", stick)
+    _refuse(again, "sticks of a sample that do not overlap", stick)
+    _refuse(
+        np.abs(start + duration - end) > _ROUNDED * t1,
+        "ends that are start + duration",
+        lambda at: f"{stick(at)} with a duration of {duration[at]:g} s; leave out the column that is wrong",
+    )
     # An end within round-off of the next start is that start.
     late = np.flatnonzero(same & (end[:-1] > start[1:]))
     end[late] = start[late + 1]
@@ -75,16 +67,24 @@ def measured_sticks(table: object, t1: float, samples: int | None) -> tuple[Flat
     ending = np.where(end == t1, Ending.HORIZON, 0)
     if "ending" in columns:  # codes or names
         known = {str(key): int(ending) for ending in Ending for key in (ending.name, int(ending))}
-        codes = [known.get(str(entry)) for entry in columns["ending"].tolist()]
-        if None in codes:
-            wrong = codes.index(None)
-            raise ValueError(
-                f"Argument table must have {checks.one_of(Ending.__members__)} in the column ending, but its row "
-                f"{wrong} has {checks.show(columns['ending'][wrong])}."
-            )
-        ending = np.array(codes, np.int8)[order]
+        given = columns["ending"]
+        codes = np.array([known.get(str(entry), -1) for entry in given.tolist()], np.int8)
+        allowed = f"{checks.one_of(Ending.__members__)} in the column ending"
+        _refuse(codes < 0, allowed, lambda at: f"its row {at} has {checks.show(given[at])}")
+        ending = codes[order]
     count = np.bincount(number, minlength=samples)
     return FlatSticks.of(count, start, end, ending.astype(np.int8), **others), unit
+
+
+def _unfit(demand: str, found: str) -> ValueError:
+    """The error of a table that lacks what it must have."""
+    return ValueError(f"Argument table must have {demand}, but {found}.")
+
+
+def _refuse(wrong: np.ndarray, demand: str, found: Callable[[int], str]) -> None:
+    """Raises ValueError where an entry is `wrong`, with what is `found` at the first."""
+    if np.any(wrong):
+        raise _unfit(demand, found(int(np.argmax(wrong))))
 
 
 def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
@@ -101,21 +101,18 @@ def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
         if short is None or (short in found and name != short):
             continue
         if short in ("start", "end", "duration") and name not in (short, f"{short}_s"):
-            raise ValueError(f"Argument table must have times in s, but it has a column {name!r}; convert it.")
+            raise _unfit("times in s", f"it has a column {name!r}; convert it")
         if short == "position" and name != short:
             unit = name.removeprefix("position_")
         found[short] = column
     missing = [name for name in ("sample", "start") if name not in found]
     if missing or not {"end", "duration"} & set(found):
         names = ", ".join(map(repr, given)) or "none"
-        raise ValueError(
-            "Argument table must have the columns sample, start (s), and end (s) or duration (s), but its columns are "
-            f"{names}."
-        )
+        raise _unfit("the columns sample, start (s), and end (s) or duration (s)", f"its columns are {names}")
     lengths = {name: np.shape(column) for name, column in found.items()}
     if any(len(shape) != 1 for shape in lengths.values()) or len(set(lengths.values())) > 1:
         shown = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
-        raise ValueError(f"Argument table must have columns of the same length, but their shapes are {shown}.")
+        raise _unfit("columns of the same length", f"their shapes are {shown}")
     for name in _OPTIONAL:  # all empty: not measured
         if name in found and found[name].dtype.kind == "f" and len(found[name]) and np.all(np.isnan(found[name])):
             del found[name]
@@ -139,14 +136,10 @@ def _column(given: Any) -> np.ndarray:
 def _numbers(name: str, columns: dict[str, np.ndarray]) -> np.ndarray:
     column = columns[name]
     if column.dtype.kind not in "iuf":
-        raise ValueError(f"Argument table must have numbers in the column {name}, but its type is {column.dtype}.")
-    wrong = ~np.isfinite(column)
-    if np.any(wrong):
-        at = int(np.argmax(wrong))
-        raise ValueError(
-            f"Argument table must have finite numbers in the column {name}, but its row {at} has {column[at]}; leave "
-            "out the row, or a column that was not measured."
-        )
+        raise _unfit(f"numbers in the column {name}", f"its type is {column.dtype}")
+    todo = "leave out the row, or a column that was not measured"
+    finite = f"finite numbers in the column {name}"
+    _refuse(~np.isfinite(column), finite, lambda at: f"its row {at} has {column[at]}; {todo}")
     return column.astype(np.float64)
 
 
@@ -158,27 +151,18 @@ def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.nda
         labels = labels.astype(np.int64)
     if labels.dtype.kind not in "iu":
         if labels.dtype.kind not in "OUST":
-            raise ValueError(
-                f"Argument table must have whole numbers or names in the column sample, but its type is {labels.dtype}."
-            )
+            raise _unfit("whole numbers or names in the column sample", f"its type is {labels.dtype}")
         if any(label is None or (isinstance(label, float) and math.isnan(label)) for label in labels.tolist()):
-            raise ValueError(
-                "Argument table must have a number or name in every row of the column sample, but one is empty; leave "
-                "out the row."
-            )
+            raise _unfit("a number or name in every row of the column sample", "one is empty; leave out the row")
         present, number = np.unique(labels.astype(str), return_inverse=True)
         if samples is not None and samples < len(present):
-            raise ValueError(
-                f"Argument samples must be at least the {len(present)} samples in the table, but {samples} was given."
-            )
+            raise checks.refused("samples", f"be at least the {len(present)} samples in the table", samples)
         return number, len(present) if samples is None else samples
     least, most = (int(labels.min()), int(labels.max())) if len(labels) else (0, -1)
     if samples is not None:
         if least < 0 or most >= samples:
-            raise ValueError(
-                f"Argument table must have sample numbers from 0 to {samples - 1}, because samples = {samples}, but "
-                f"they are from {least} to {most}; renumber them from 0."
-            )
+            allowed = f"sample numbers from 0 to {samples - 1}, because samples = {samples}"
+            raise _unfit(allowed, f"they are from {least} to {most}; renumber them from 0")
         return labels.astype(np.int64), samples
     if not len(labels):
         raise ValueError(
@@ -271,10 +255,8 @@ def fields_of_sticks(
         position_unit = str(position_unit)
     sticks, unit = measured_sticks(table, float(t1), samples)
     if position_unit is not None and unit not in (None, position_unit):
-        raise ValueError(
-            f"Argument position_unit must be {unit!r}, because the table has the column 'position_{unit}', but "
-            f"{position_unit!r} was given; leave it out, or rename the column."
-        )
+        wanted = f"be {unit!r}, because the table has the column 'position_{unit}'"
+        raise checks.refused("position_unit", wanted, position_unit, "leave it out, or rename the column")
     position = Coordinate("position when the stick starts", position_unit or unit or "m", period=period)
     count = sticks.count
     starts_stuck, ends_stuck = sticks.begins_at_zero, np.zeros(len(count), bool)

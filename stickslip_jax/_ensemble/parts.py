@@ -189,7 +189,7 @@ class EnsembleAccumulator:
         self._merge(Moments.of(_totals_of(part)), part.accumulator)
         self._keep_totals(part.results)
         if part.sticks is not None:
-            self._keep(part, part.sticks)
+            self._keep(part._replace(accumulator=None), part.sticks)
 
     def add_ensemble(self, other: EnsembleData) -> None:
         """Add all samples of an `Ensemble` that kept the same."""
@@ -203,16 +203,12 @@ class EnsembleAccumulator:
             self._keep(EnsemblePart(other.totals, rest=other.numbering.rest(sticks)), sticks)
         elif other.retained is not None and self._space > 0:
             totals = other.retained.totals
-            none = np.zeros(len(totals), int)
-            time, sticks, slips, *rest = totals.T
-            self._keep(
-                EnsemblePart(SampleTotals(sticks, slips, time, none, none), rest=tuple(rest)), other.retained.sticks
-            )
+            none, (time, sticks, slips, *rest) = np.zeros(len(totals), int), totals.T
+            part = EnsemblePart(SampleTotals(sticks, slips, time, none, none), rest=tuple(rest))
             # Samples that did not finish took space, too, when they were simulated. Where some that did finish are not
             # retained, there was none left.
-            self._retained_samples += other.samples - other.finished
-            left = self._space - (other.samples - other.finished) if len(totals) == other.finished else 0
-            self._space = max(left, int(self._retained_samples < FEWEST))
+            is_whole = len(totals) == other.finished
+            self._keep(part, other.retained.sticks, unfinished=other.samples - other.finished, is_whole=is_whole)
 
     def add_outputs(self, values: Mapping[str, np.ndarray]) -> None:
         """Add the outputs of the next samples, by name."""
@@ -230,22 +226,24 @@ class EnsembleAccumulator:
         elif self._totals is not None:
             self._totals.append(totals)
 
-    def _keep(self, part: EnsemblePart, sticks: FlatSticks) -> None:
-        """Keep the `sticks` of a part, or those of as many of its first samples as there is space for."""
-        part = part._replace(sticks=sticks)
+    def _keep(self, part: EnsemblePart, sticks: FlatSticks, unfinished: int = 0, is_whole: bool = True) -> None:
+        """Keep the `sticks` of a part, or those of as many of its first samples as there is space for.
+
+        `unfinished`: of samples that are not in it and take space. `is_whole`: whether it has all that finished.
+        """
         if self.keep == "sticks":
-            self._kept.append(part._replace(accumulator=None))
+            self._kept.append(part._replace(sticks=sticks))
             _check_memory(self._kept, self.samples)
         elif self._space > 0:
             # A sample takes the space of its sticks and one more, so that samples without sticks are limited too.
             fits = int(np.searchsorted(np.cumsum(sticks.count + 1), self._space, side="right"))
             fits = max(fits, min(FEWEST - self._retained_samples, len(sticks.count)))
-            self._retained_samples += fits
+            self._retained_samples += fits + unfinished
             results = SampleTotals(*(column[:fits].copy() for column in part.results))
             rest = tuple(column[:fits].copy() for column in part.rest)
-            whole = fits == len(sticks.count)
-            self._kept.append(EnsemblePart(results, sticks if whole else sticks.head(fits), rest=rest))
-            left = self._space - len(sticks.start) - fits if fits == len(part.results.status) else 0
+            fit_all = fits == len(sticks.count)
+            self._kept.append(EnsemblePart(results, sticks if fit_all else sticks.head(fits), rest=rest))
+            left = self._space - len(sticks.start) - fits - unfinished if fit_all and is_whole else 0
             self._space = max(left, int(self._retained_samples < FEWEST))
 
     def found(self) -> Fields:

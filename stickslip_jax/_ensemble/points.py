@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from .._dynamics.common.method import Exact, Regularized, entries_of
+from .._dynamics.common.method import Exact, Regularized, check_method, entries_of
 from .._excitation.excitation import BaseMotion, excitation_of, law_of
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity, described, modules_in, varies
@@ -202,8 +202,9 @@ class SweepSetting(NamedTuple):
 
 def setting_of(system: object, law: BaseMotion, y0: InitialState | None, method: Exact | Regularized) -> SweepSetting:
     """The setting; with the initial values that are zero by default. Raises ValueError for what is no system, and for
-    a start that is none.
+    a start or a method that is none.
     """
+    check_method(method)
     system = checked_system(system)
     if y0 is None or checks.dimensions(y0) != 2 or isinstance(y0, (tuple, list)):  # else a row for each sample
         y0 = entries_of(system, y0)
@@ -401,31 +402,30 @@ def _suspicious(setter: Setter, values: np.ndarray) -> np.ndarray:
         if next(modules_in(module), None) is not module:  # a tuple, such as the initial state
             continue
         inside = {path[len(depth) :]: column for path, column in columns.items() if path[: len(depth)] == depth}
-        if not isinstance(module, Checked):
-            wrong |= _refused(number_at(setter.setting, depth), inside)
-            continue
-        abouts = described(type(module))
-        for path, column in inside.items():
-            about = abouts.get(str(path[0]))
-            if len(path) == 1 and isinstance(about, Quantity):
-                wrong |= about.outside(column)
-        wrong |= _unrelated(module, number_at(setter.setting, depth), inside)
+        wrong |= _unfit(module, number_at(setter.setting, depth), inside)
     return wrong
 
 
-def _unrelated(module: Checked, single: Checked, inside: dict[NumberPath, np.ndarray]) -> np.ndarray:
-    """For which points the numbers of `module` do not fit together; `single`: the module of the setting."""
-    kind = type(module)
-    if kind.__check_init__ is not Checked.__check_init__:
+def _unfit(module: object, single: object, inside: dict[NumberPath, np.ndarray]) -> np.ndarray:
+    """For which points numbers of `module` are out of bounds, or do not fit together; `single`: that of the setting."""
+    if not isinstance(module, Checked):
         return _refused(single, inside)
+    kind = type(module)
+    wrong, abouts = np.zeros(len(next(iter(inside.values()))), bool), described(kind)
+    for (name, *rest), column in inside.items():
+        about = abouts.get(str(name))
+        if not rest and isinstance(about, Quantity):
+            wrong |= about.outside(column)
+    if kind.__check_init__ is not Checked.__check_init__:
+        return wrong | _refused(single, inside)
     # What is drawn anew for every sample is checked when it is drawn.
-    if not any(varies(getattr(single, name), about) for name, about in described(kind).items()):
+    if not any(varies(getattr(single, name), about) for name, about in abouts.items()):
         try:
             with np.errstate(all="ignore"):
                 kind.check_relations(module)  # made for single numbers, but comparisons may hold for arrays
         except (TypeError, ValueError):
-            return _refused(single, inside)
-    return np.zeros(len(next(iter(inside.values()))), bool)
+            wrong |= _refused(single, inside)
+    return wrong
 
 
 def _refused(module: object, inside: dict[NumberPath, np.ndarray]) -> np.ndarray:

@@ -2,16 +2,16 @@
 
 import dataclasses
 import os
-from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.simulation import Simulation
 from .._dynamics.stick_tables import stick_columns, time_columns, write_table
 from .._dynamics.sticks import Slips, Sticks, in_slots
@@ -25,24 +25,12 @@ from .._statistics.distribution import BINS, Clusters, Distribution, Summary, sh
 from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
 from .._statistics.estimate import origin_of
 from .._statistics.totals import STATISTICS, TOTALS
-from .data import (
-    EnsembleData,
-    GivenMotions,
-    Realization,
-    Unknown,
-    UnknownSystem,
-    check_dtype,
-    flat_slips,
-    known_inputs,
-    part_with,
-    parts_of,
-    require_known,
-    require_whole,
-    single,
-    values_of,
-)
+from .._uncertainty.inputs import StochasticModel
+from .data import EnsembleData, GivenMotions, Realization, Unknown, UnknownSystem, require_known, single
 from .dataset import dataset_of, fields_of_dataset, write_dataset
 from .given import fields_of_simulations, fields_of_sticks
+from .parts import EnsembleAccumulator
+from .setup import MOST_SAMPLES, EnsembleSetup, found_by, outputs_of
 
 if TYPE_CHECKING:
     import xarray
@@ -80,8 +68,6 @@ class Ensemble(EnsembleData):
     - `keep`: "totals", "statistics" or "sticks".
     - `threads`: number of worker threads used. `compile_seconds`, `run_seconds`: time spent, s.
     """
-
-    _extend: ClassVar[Callable[..., "Ensemble"]]  # `call.py`, which imports this module, puts it here
 
     @classmethod
     def from_simulations(cls, result: Simulation, *, orders: int = 10, count_initial_rest: bool = False) -> "Ensemble":
@@ -161,7 +147,21 @@ class Ensemble(EnsembleData):
         Raises:
             ValueError: For an ensemble that was not simulated by `simulate_ensemble`, or that was joined.
         """
-        return type(self)._extend(self, samples, threads, chunk, progress)
+        require_threads_of_jax()
+        self._check_extendable()
+        first = self.first_sample + self.samples
+        samples = checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
+        model = StochasticModel(self.system, self.law, self.y0)
+        assert isinstance(self.method, (Exact, Regularized))  # `_check_extendable` saw to it
+        options = (self.copula, self.method, self.keep, self.numbering)
+        outputs = outputs_of(self)
+        setup = EnsembleSetup.checked(model, self.t1, samples, first, self._key, *options)
+        accumulator = EnsembleAccumulator(self.samples + samples, self.keep)
+        accumulator.add_ensemble(self)
+        (found,) = found_by(setup, first, (accumulator,), threads, chunk, progress, outputs)
+        for name in ("compile_seconds", "run_seconds"):
+            found[name] += getattr(self, name)
+        return dataclasses.replace(self, samples=self.samples + samples, **found)
 
     @cached_property
     def input_values(self) -> dict[str, np.ndarray]:
@@ -171,16 +171,16 @@ class Ensemble(EnsembleData):
             ValueError: For an ensemble that was joined from parts with different ones, or that holds objects which were
                 stored as text only.
         """
-        parts = parts_of(self)
+        parts = self._parts
         for part in parts:
-            require_whole(part)
+            part._require_whole()
             require_known("system", part.system)
         if len({part.inputs.names for part in parts}) > 1:
             raise ValueError(
                 f"This ensemble was joined from {len(parts)} parts in which different numbers differ from sample to "
                 "sample; ask each part."
             )
-        return values_of(parts)
+        return self._values_by_name()
 
     @cached_property
     def statistics(self) -> EnsembleStatistics:
@@ -205,11 +205,17 @@ class Ensemble(EnsembleData):
             )
         return found
 
-    def _without_value(self) -> dict[str, int]:
-        """For each output how many of the finished samples have no finite value, where there are any."""
-        columns = self.output_values.items()
-        counts = {name: self.finished - int(np.count_nonzero(np.isfinite(column))) for name, column in columns}
-        return {name: count for name, count in counts.items() if count}
+    def _warnings(self) -> list[tuple[str, str]]:
+        """What a reader must know of samples that did not finish, or have no value of an output: what, and how many."""
+        valued = {name: int(np.count_nonzero(np.isfinite(column))) for name, column in self.output_values.items()}
+        missing = {name: self.finished - number for name, number in valued.items() if number < self.finished}
+        found = [(f"NO VALUE of {name}", f"in {count:,} finished samples") for name, count in missing.items()]
+        for status, count in self._unfinished.items():
+            found.append(("NOT FINISHED:", f"{count:,} samples, because {status.meaning}; they are in no statistic"))
+        if self.near_grazing_samples:
+            count = self.near_grazing_samples
+            found.append(("near-grazing:", f"{count:,} samples, in which round-off decided if there was an event"))
+        return found
 
     def summary(self) -> Summary:
         """The statistics as a readable table, for text and notebooks. Raises ValueError if ``keep="totals"``."""
@@ -232,17 +238,10 @@ class Ensemble(EnsembleData):
         retained = len(statistics.totals)
         if retained < statistics.samples:
             notes.append(f"Standard errors were measured on the first {retained:,} samples.")
-        for status, count in self._unfinished.items():
-            notes.append(f"NOT FINISHED, in no number above: {count:,} samples, because {status.meaning}.")
-        if self.near_grazing_samples:
-            notes.append(f"Decided by round-off (near-grazing), counted above: {self.near_grazing_samples:,} samples.")
+        notes += [f"{what} {text}." for what, text in self._warnings()]
         summary = statistics._summary
-        tables, outputs = summary.tables, list(self.outputs.values())
-        if outputs:
-            tables = (*tables, table_of("Outputs", outputs))
-            missing = self._without_value()
-            notes += [f"NO VALUE of {name} in {count:,} finished samples." for name, count in missing.items()]
-        return dataclasses.replace(summary, tables=tables, notes=tuple(notes))
+        outputs = [table_of("Outputs", list(self.outputs.values()))] if self.outputs else []
+        return dataclasses.replace(summary, tables=(*summary.tables, *outputs), notes=tuple(notes))
 
     @cached_property
     def sticks(self) -> Sticks:
@@ -256,7 +255,7 @@ class Ensemble(EnsembleData):
         Raises:
             ValueError: Unless ``keep="sticks"``.
         """
-        slips = flat_slips(self)
+        slips = self._flat_slips()
         columns = {"start": (slips.start, np.nan), "end": (slips.end, np.nan), "censored": (slips.censored, False)}
         mask, filled = in_slots(np.bincount(slips.sample, minlength=self.samples), columns)
         return Slips(**filled, mask=mask)
@@ -272,8 +271,11 @@ class Ensemble(EnsembleData):
         require_threads_of_jax()
         if checks.whole_number("number", number, minimum=0) >= self.samples:
             raise checks.refused("number", f"be below the {self.samples} samples", number)
-        part, number = part_with(self, number)
-        require_whole(part)
+        ends = np.cumsum([part.samples for part in self._parts])
+        which = int(np.searchsorted(ends, number, side="right"))
+        part = self._parts[which]
+        number += part.first_sample + part.samples - int(ends[which])
+        part._require_whole()
         if isinstance(part.law, GivenMotions):
             samples = part.samples
 
@@ -284,7 +286,7 @@ class Ensemble(EnsembleData):
             return Realization(jax.tree.map(own, part.system), part.law.base(number), y0)
 
         if part.key_data is not None:
-            check_dtype(self.dtype)
+            self._check_dtype()
         system, law, y0 = part.inputs.of_sample(number, jnp.dtype(self.dtype))
         base = part.inputs.realization_of(number, law, self.t1) if is_random(law) else law
         return Realization(system, base, y0)
@@ -346,7 +348,7 @@ class Ensemble(EnsembleData):
             FileExistsError, FileNotFoundError, OSError: As `save`.
         """
         sticks = self.require_sticks()
-        inputs = {name: values[sticks.sample] for name, (values, _) in known_inputs(self).items()}
+        inputs = {name: values[sticks.sample] for name, (values, _) in self._known_inputs().items()}
         order, position = self.numbering.order_of(sticks), self.system.stick_position
         columns = {"sample": sticks.sample, **stick_columns(sticks, order, position, inputs)}
         return write_table(columns, path, overwrite)
@@ -356,7 +358,7 @@ class Ensemble(EnsembleData):
 
         `path`, `overwrite`, the value returned and errors as in `write_sticks`.
         """
-        slips = flat_slips(self)
+        slips = self._flat_slips()
         columns = {"sample": slips.sample, **time_columns(slips.start, slips.end), "is_censored": slips.censored}
         return write_table(columns, path, overwrite)
 
@@ -364,12 +366,7 @@ class Ensemble(EnsembleData):
         rows = [(name, _brief(getattr(self, name))) for name in ("system", "law", "method")]
         rows += [(of.label, of(self).without_name().replace("+-", "±")) for of in STATISTICS.values()]
         rows += [(f"mean of {one.name}", one.mean.without_name().replace("+-", "±")) for one in self.outputs.values()]
-        for name, count in self._without_value().items():
-            rows.append((f"NO VALUE of {name}", f"{count:,} finished samples"))
-        for status, count in self._unfinished.items():
-            rows.append(("NOT FINISHED, in no number above", f"{count:,} samples, because {status.meaning}"))
-        if self.near_grazing_samples:
-            rows.append(("decided by round-off (near-grazing)", f"{self.near_grazing_samples:,} samples"))
+        rows += self._warnings()
         rows.append(("time", f"{self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile"))
         title = f"Ensemble of {self.samples:,} samples on [0, {self.t1:g}] s"
         figure = "" if self.retained is None else html.small_figure(self)
@@ -387,13 +384,8 @@ class Ensemble(EnsembleData):
             lines.append(f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile")
         if self.output_values:
             lines.append(f"  outputs   {', '.join(self.output_values)}")
-        lines += [f"  NO VALUE of {name} in {count} finished samples" for name, count in self._without_value().items()]
-        failed = self._unfinished
-        lines += [f"  NOT FINISHED: {count} samples, because {status.meaning}" for status, count in failed.items()]
-        if self.near_grazing_samples:
-            count = self.near_grazing_samples
-            lines.append(f"  near-grazing: {count} samples, in which round-off decided if there was an event")
-        return "\n".join(lines if failed else [*lines, "  finished  all samples"])
+        lines += [f"  {what} {text}" for what, text in self._warnings()]
+        return "\n".join(lines if self._unfinished else [*lines, "  finished  all samples"])
 
 
 def _brief(module: object) -> str:

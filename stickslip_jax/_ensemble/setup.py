@@ -1,9 +1,13 @@
-"""The checked arguments of an ensemble, the engine that simulates its samples, and the user's outputs of them."""
+"""The checked arguments of an ensemble; its samples simulated in chunks and threads; the user's outputs of them."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from typing import get_args
+import itertools
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple, get_args
 
 import equinox as eqx
 import jax
@@ -11,15 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from .._dynamics.common.lanes import Engine, Job, VaryingEngine, with_leaves
+from .._compiler import Layout, packed
+from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
-from .._dynamics.engine_choice import engines_of_all, lanes_for, sample_engines
+from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines, solve_chunk
 from .._dynamics.regularized.engine import AdaptiveBatch, FixedEngine
+from .._dynamics.regularized.solve import ADAPTIVE_STEPS, MORE, numbers_as_arrays
 from .._dynamics.simulate import Output, simulate
 from .._dynamics.simulation import Simulation
-from .._dynamics.sticks import ALL
+from .._dynamics.sticks import ALL, StickCollector, StickStream
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._foundation import checks
+from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, Status
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import DISTRIBUTIONS
@@ -28,6 +35,7 @@ from .._systems.system import require_system
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
 from .data import EnsembleData, Fields, Keep
+from .parts import EnsembleAccumulator, EnsemblePart, prepare, progress_bar
 
 # The checked arguments of an ensemble, and the engine that simulates its samples.
 
@@ -85,10 +93,7 @@ class EnsembleSetup:
         first_sample = checks.whole_number("first_sample", first_sample, minimum=0, maximum=MOST_SAMPLES - number)
         total = samples if isinstance(samples, Design) else first_sample + number
         if isinstance(samples, Design) and first_sample:
-            raise ValueError(
-                f"Argument first_sample must be 0 with a design, whose rows are all samples, but {first_sample} was "
-                "given."
-            )
+            raise checks.refused("first_sample", "be 0 with a design, whose rows are all samples", first_sample)
         if not (correlation is None or isinstance(correlation, GaussianCopula)):
             raise checks.refused("correlation", "be a GaussianCopula(names, correlation)", correlation)
         checks.chosen("keep", keep, get_args(Keep))
@@ -101,10 +106,8 @@ class EnsembleSetup:
         inputs = inputs.with_start(first.y0)
         random = inputs.are_random or is_random(first.law)
         if random and key is None:
-            raise ValueError(
-                "Argument key must be a key such as jax.random.key(0) where law, system or y0 are random, but None "
-                "was given."
-            )
+            wanted = "be a key such as jax.random.key(0) where law, system or y0 are random"
+            raise checks.refused("key", wanted, key)
         # The engine of all samples, and which of its leaves differ; the method with every option filled in, but those
         # that differ from sample to sample as they were given.
         law = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
@@ -258,11 +261,6 @@ class OutputRunner:
         return one.status, *(output.number(one, dtype) for output in self._outputs.values())
 
 
-def only(finished: np.ndarray, values: Values) -> Values:
-    """The values of the samples that `finished`, (samples,), and NaN for the others."""
-    return {name: np.where(finished, column, np.nan) for name, column in values.items()}
-
-
 def fields_of_outputs(outputs: Mapping[str, Output]) -> Fields:
     """The fields of an `Ensemble` that say what its outputs are."""
     return {
@@ -291,3 +289,234 @@ def runner_for(setup: EnsembleSetup, outputs: Mapping[str, Output]) -> Callable[
     if not outputs:
         return lambda first, samples, threads=1: {}
     return OutputRunner(setup, outputs).values
+
+
+# The samples cut into tasks, which are simulated a few at a time, in threads or in this one.
+
+
+_Parts = tuple[EnsemblePart, ...]
+"""Of the same samples: the part of each track."""
+_Simulate = Callable[[int, int], _Parts]
+"""Of samples ``first .. first + number - 1``: their parts."""
+_Run = Callable[[int, int], tuple[SampleTotals, StickStream | None]]
+"""Of the same samples: their totals, and, unless only these are kept, their sticks, each track as a sample."""
+_ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
+_ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
+_RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
+
+
+def found_by(
+    setup: EnsembleSetup, first: int, accumulators: Sequence[EnsembleAccumulator], threads: int | None,
+    chunk: int | None, progress: bool | None, outputs: Mapping[str, Output],
+) -> list[Fields]:  # fmt: skip
+    """The fields of an `Ensemble` that simulating samples `first`, ``first + 1``, ... and adding them gives.
+
+    `accumulators`: of each track, one where there is one contact. They are given as many samples as they lack.
+    """
+    samples = accumulators[0].missing
+    threads = checks.whole_number("threads", threads) if threads is not None else cores()
+    tasks, started = _Tasks.of(setup, samples, threads, chunk), time.perf_counter()
+    numbers_of, simulate = runner_for(setup, outputs), _simulator(setup, tasks, accumulators)
+    # Compiled before the threads start, so that not each of them compiles the same code.
+    with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
+        prepared = pool.submit(prepare, setup.dtype) if accumulators[0].keep != "totals" else None
+        simulate(0, 0)
+        if prepared is not None:
+            prepared.result()
+    compiled = time.perf_counter()
+    with progress_bar(progress, samples) as bar:
+        _add_all(accumulators, first, _in_order(simulate, tasks, first, samples), bar.advance, numbers_of, threads)
+    shared = {
+        "threads": min(tasks.threads, -(-samples // tasks.samples_per_task)),
+        "compile_seconds": compiled - started,
+        "run_seconds": time.perf_counter() - compiled,
+    }
+    return [accumulator.found() | shared for accumulator in accumulators]
+
+
+def found_here(
+    setup: EnsembleSetup, first: int, accumulator: EnsembleAccumulator, fewest: int, outputs: Mapping[str, Output]
+) -> Fields:
+    """As `found_by`, simulated in this thread.
+
+    `fewest`: of samples that any batch of the whole has; programs compiled for one batch fit all others with the same
+    `fewest`.
+    """
+    size = (fewest, 1, None) if isinstance(setup.engine, AdaptiveBatch) else (_ONE_SIZE, 1, _ONE_SIZE)
+    tasks, started, samples = _Tasks.of(setup, *size), time.perf_counter(), accumulator.missing
+    numbers_of, simulate = runner_for(setup, outputs), _simulator(setup, tasks, (accumulator,))
+    done = itertools.starmap(simulate, tasks.of_samples(first, samples))
+    _add_all((accumulator,), first, done, lambda number: None, numbers_of, 1)
+    spent = time.perf_counter() - started
+    return accumulator.found() | {"threads": 1, "compile_seconds": 0.0, "run_seconds": spent}
+
+
+def _add_all(
+    accumulators: Sequence[EnsembleAccumulator], first: int, done: Iterable[_Parts], advance: Callable[[int], object],
+    numbers_of: Callable[..., Values], threads: int,
+) -> None:  # fmt: skip
+    """Add the parts that are `done`, of samples `first`, ``first + 1``, ..., and then the outputs of these samples."""
+    samples, finished = accumulators[0].missing, []
+    for parts in done:
+        for accumulator, part in zip(accumulators, parts, strict=True):
+            accumulator.add(part)
+        finished.append(np.equal(parts[0].results.status, Status.FINISHED))
+        advance(len(finished[-1]))
+    is_finished = np.concatenate(finished)
+    values = numbers_of(first, samples, threads)
+    for accumulator in accumulators:
+        accumulator.add_outputs({name: np.where(is_finished, column, np.nan) for name, column in values.items()})
+
+
+class _Tasks(NamedTuple):
+    """Division of the samples into tasks of `samples_per_task`, simulated in `rows` of `lanes`."""
+
+    lanes: int
+    rows: int
+    samples_per_task: int
+    threads: int
+
+    @classmethod
+    def of(cls, setup: EnsembleSetup, samples: int, threads: int, chunk: int | None) -> "_Tasks":
+        if chunk is not None:
+            chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
+        if isinstance(setup.engine, AdaptiveBatch):
+            # Every sample of a task has its own lane. The number of lanes is always the same, though some may be idle:
+            # how the compiler orders the operations of a lane, and so the last digits, depends on it, and errors of
+            # adaptive steps grow from there.
+            most = -(-samples // threads) if chunk is None else chunk
+            return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
+        # The arrays of 256 lanes stay in the cache (benchmarks/README.md).
+        lanes, rows = 256, 32
+        if chunk is not None:
+            # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
+            chunk = min(chunk, max(samples, 4096))
+            lanes = min(lanes, 1 << (chunk - 1).bit_length())
+            return cls(lanes, -(-chunk // lanes), chunk, threads)
+        # Small runs are divided into smaller tasks, so that every thread has work.
+        fair = -(-samples // (4 * threads * lanes)) * lanes
+        return cls(lanes, rows, min(fair, lanes * rows), threads)
+
+    def of_samples(self, first: int, samples: int) -> list[tuple[int, int]]:
+        """The first sample of each task and their number, for samples `first`, ``first + 1``, ..."""
+        size, end = self.samples_per_task, first + samples
+        return [(begin, min(size, end - begin)) for begin in range(first, end, size)]
+
+
+def _simulator(setup: EnsembleSetup, tasks: _Tasks, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
+    """A function that simulates samples ``first .. first + number - 1`` and records what the `accumulators` keep."""
+    keeps_sticks = accumulators[0].keep != "totals"
+    if isinstance(setup.engine, AdaptiveBatch):
+        run = _solver(setup, setup.engine, tasks, keeps_sticks)
+    else:
+        run = _recorder(setup, tasks) if keeps_sticks else _summarizer(setup, tasks)
+
+    def simulate(first: int, number: int) -> _Parts:
+        totals, sticks = run(first, number)
+
+        def part(track: int | None, to: EnsembleAccumulator) -> EnsemblePart:
+            results = totals.of_track(track)
+            if sticks is None:
+                return EnsemblePart(results)
+            own = sticks if track is None else sticks.of_track(track, len(setup.tracks))
+            return EnsemblePart.of(results, own, setup.t1, setup.numbering, to.wants_sticks, setup.period)
+
+        return tuple(map(part, setup.tracks, accumulators))
+
+    return simulate
+
+
+def _summarizer(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
+    """Simulates samples, of which only the totals are kept."""
+    assert isinstance(setup.engine, Engine)
+    summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
+
+    def run(first: int, number: int) -> tuple[SampleTotals, None]:
+        job = setup.job(first, -(-number // tasks.lanes), tasks.lanes * tasks.rows)
+        results = summarize(job, lanes=tasks.lanes, rows=tasks.rows, dtype=setup.dtype)
+        return SampleTotals(*(np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:number] for leaf in results)), None
+
+    return run
+
+
+def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, tasks: _Tasks, keeps_sticks: bool) -> _Run:
+    """Simulates samples by adaptive steps."""
+    dtype, sizes = setup.dtype, tuple(int(size) for size in batch.sizes)
+    arrays = numbers_as_arrays(batch._replace(sizes=()), dtype)._replace(method=batch.method)
+    how = {"samples": tasks.lanes, "leaf_numbers": setup.leaf_numbers, "sizes": sizes,
+           "keep": keeps_sticks, "dtype": dtype}  # fmt: skip
+
+    def run(first: int, number: int) -> tuple[SampleTotals, StickStream | None]:
+        varying = tuple(jnp.asarray(column) for column in setup.varying_leaves(first, tasks.lanes))
+        numbers = jnp.asarray(setup.inputs.realization_numbers(first, tasks.lanes))
+        given, lanes = (varying, setup.key_data, numbers, jnp.uint32(number)), np.arange(tasks.lanes)
+        results, records = solve_chunk(arrays, *given, **how, most=batch.method.max_steps or ADAPTIVE_STEPS)
+        results, kept = SampleTotals(*map(np.asarray, results)), [(records, lanes >= 0)]
+        short = (results.status == Status.OUT_OF_STEPS) & (lanes < number)
+        if batch.method.max_steps is None and np.any(short):  # the others stay as they are
+            more, records = solve_chunk(arrays, *given, **how, most=MORE * ADAPTIVE_STEPS)
+            results = SampleTotals(*(np.where(short, new, old) for new, old in zip(more, results, strict=True)))
+            kept = [(kept[0][0], ~short), (records, short)]
+        results = SampleTotals(*(leaf[:number] for leaf in results))
+        if records is None:
+            return results, None
+        sticks = StickCollector()
+        sticks.restart(number)
+        for found, of_lanes in kept:
+            assert found is not None
+            values = np.stack([np.asarray(column).T for column in found.columns.values()], axis=1)
+            sticks.add(values, np.where(of_lanes, np.asarray(found.ending).T, np.int8(-1)), lanes[None, :])
+        return results, sticks.sticks
+
+    return run
+
+
+def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
+    """Simulates samples, with every stick recorded."""
+    assert isinstance(setup.engine, Engine)
+    _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
+    of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
+    blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * tasks.lanes)), setup.dtype
+    lane, track = np.arange(tasks.lanes)[:, None], np.arange(len(setup.tracks))
+
+    def run(first: int, number: int) -> tuple[SampleTotals, StickStream]:
+        if not hasattr(of_thread, "sticks"):
+            of_thread.sticks = StickCollector()
+        rows = -(-number // tasks.lanes)
+        job = jax.tree.map(jnp.asarray, setup.job(first, rows, tasks.lanes * tasks.rows))
+        now, task, layout = begin(job, lanes=tasks.lanes, dtype=dtype), packed(job), Layout.of(job)
+        of_thread.sticks.restart(number * len(track))
+        ended, unfinished = [], True
+        while unfinished:
+            now, buffer, progress = record(task, now, layout=layout, lanes=tasks.lanes, blocks=blocks, dtype=dtype)
+            progress = jax.tree.map(np.asarray, progress)
+            sample = progress.row[..., None] * tasks.lanes + lane
+            # The sticks of each track of a sample are collected as if they were those of a sample.
+            whose = (sample * len(track) + track).reshape(len(sample), -1)
+            of_thread.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), whose)
+            ended.append((sample[progress.ended, 0], *(column[progress.ended] for column in progress.results)))
+            unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
+        # Samples and their results come in the order in which they ended, and are put in that of their numbers.
+        sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
+        ordered = [np.empty((rows * tasks.lanes, *column.shape[1:]), column.dtype) for column in columns]
+        for to, column in zip(ordered, columns, strict=True):
+            to[sample] = column
+        return SampleTotals(*(column[:number] for column in ordered)), of_thread.sticks.sticks
+
+    return run
+
+
+def _in_order(simulate: _Simulate, tasks: _Tasks, first: int, samples: int) -> Iterator[_Parts]:
+    """Simulate all tasks in threads, a few at a time, and yield the parts in order of the samples."""
+    left = tasks.of_samples(first, samples)
+    waiting: deque[Future[_Parts]] = deque()
+    with ThreadPoolExecutor(min(tasks.threads, len(left))) as pool:
+        try:
+            for begin, number in left:
+                waiting.append(pool.submit(simulate, begin, number))
+                if len(waiting) == 2 * tasks.threads:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

@@ -18,7 +18,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from typing import Any, NamedTuple, TextIO, TypeAlias, TypedDict
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import jax
 import numpy as np
@@ -26,7 +26,7 @@ import numpy as np
 from .._dynamics.sticks import FlatSticks
 from .._ensemble.call import simulate_batch
 from .._ensemble.data import Retained
-from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, versions
+from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, SweepError, versions
 from .._ensemble.parts import EnsembleAccumulator
 from .._ensemble.result import Ensemble
 from .._foundation import compilation_cache
@@ -72,13 +72,10 @@ def warnings_by_thread() -> Iterator[None]:
             warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # the sweep says so once
             show = warnings.showwarning
 
-            def show_or_collect(
-                message: Warning | str, category: type[Warning], filename: str, lineno: int,
-                file: TextIO | None = None, line: str | None = None,
-            ) -> None:  # fmt: skip
+            def show_or_collect(message: Warning | str, *where: Any, **more: Any) -> None:
                 texts = getattr(_local, "texts", None)
                 if texts is None:
-                    show(message, category, filename, lineno, file, line)
+                    show(message, *where, **more)
                 else:
                     texts.append(str(message))
 
@@ -97,27 +94,6 @@ def warnings_by_thread() -> Iterator[None]:
 
 
 _SUMS = ("moments", "accumulator", "near_grazing_samples")
-
-
-class Head(TypedDict):
-    """What a batch of samples says of itself, and its sums as an `Encoder` writes them."""
-
-    samples: int
-    first_sample: int
-    status_counts: list[int]
-    run_seconds: float
-    moments: object
-    accumulator: object
-    near_grazing_samples: object
-
-
-class Derivatives(TypedDict):
-    """The derivatives of a statistic from samples ``0 .. end - 1``, by parameter, and the warnings about them."""
-
-    end: int
-    by: dict[str, dict[str, object]]
-    warnings: list[str]
-    seconds: float
 
 
 def perform(plan: Plan, task: Task) -> bytes:
@@ -144,7 +120,7 @@ def perform(plan: Plan, task: Task) -> bytes:
     assert isinstance(found, Sensitivities)  # as `wrt` is a tuple
     numbers = {parameter: {name: getattr(one, name) for name in names} for parameter, one in found.items()}
     spent = time.perf_counter() - started
-    return json.dumps(Derivatives(end=task.end, by=numbers, warnings=texts, seconds=spent)).encode()
+    return json.dumps({"end": task.end, "by": numbers, "warnings": texts, "seconds": spent}).encode()
 
 
 def packed(ensemble: Ensemble) -> bytes:
@@ -177,57 +153,73 @@ _UNFIT = (
     RecursionError, TypeError, ValueError,
 )  # fmt: skip
 """What reading bytes raises that `packed` did not make."""
+_Read = TypeVar("_Read", bound=Callable[..., Any])
 
 
+def _damage_told(read: _Read) -> _Read:
+    """`read`, a function of bytes, with a DamagedFileError for those that `perform` did not make."""
+
+    @functools.wraps(read)
+    def told(*arguments: Any) -> Any:
+        try:
+            return read(*arguments)
+        except _UNFIT as error:
+            raise DamagedFileError(str(error)) from error
+
+    return cast(_Read, told)
+
+
+@_damage_told
 def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensemble:
     """The ensemble of the batch of samples ``first .. end - 1`` that `perform` made.
 
     `fields`: from `Plan.fields_at`. Raises DamagedFileError for other bytes, and for those of other samples.
     """
-    try:
-        head = head_of(data, first, end)
-        arrays = unpacked_arrays(data, _MOST_UNPACKED + 16 * (end - first) * (1 + len(fields["output_units"])))
-        decoder = Decoder(arrays["floats"], arrays["integers"])
-        found = {name: decoder.decoded(head[name]) for name in _SUMS}
-        sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}
-        retained = Retained(FlatSticks.of(**sticks), arrays["totals"]) if sticks else None
-        outputs = {name: arrays[f"output_{name}"] for name in fields["output_units"]}
-        if any(len(column) != end - first for column in outputs.values()):
-            raise ValueError("its outputs are of other samples")
-        counts = dict(zip(Status, head["status_counts"], strict=True))
-        numbers: dict[str, Any] = {name: head[name] for name in ("samples", "first_sample", "run_seconds")}
-    except _UNFIT as error:
-        raise DamagedFileError(str(error)) from error
+    head = head_of(data, first, end)
+    arrays = unpacked_arrays(data, _MOST_UNPACKED + 16 * (end - first) * (1 + len(fields["output_units"])))
+    decoder = Decoder(arrays["floats"], arrays["integers"])
+    sticks = {name.removeprefix("stick_"): column for name, column in arrays.items() if name.startswith("stick_")}
+    outputs = {name: arrays[f"output_{name}"] for name in fields["output_units"]}
+    if any(len(column) != end - first for column in outputs.values()):
+        raise ValueError("its outputs are of other samples")
     return Ensemble(
-        **fields, **found, **numbers, status_counts=counts, retained=retained, sample_totals=None, flat_sticks=None,
+        **fields,
+        **{name: decoder.decoded(head[name]) for name in _SUMS},
+        **{name: head[name] for name in ("samples", "first_sample", "run_seconds")},
+        status_counts=dict(zip(Status, head["status_counts"], strict=True)),
+        retained=Retained(FlatSticks.of(**sticks), arrays["totals"]) if sticks else None,
+        sample_totals=None,
+        flat_sticks=None,
         output_values=outputs,
-        threads=1, compile_seconds=0.0,
-    )  # fmt: skip
+        threads=1,
+        compile_seconds=0.0,
+    )
 
 
-def head_of(data: bytes, first: int, end: int) -> Head:
-    """The head of the batch of samples ``first .. end - 1``. Raises DamagedFileError as `unpacked`."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if archive.getinfo("head.json").file_size > _MOST_UNPACKED:
-                raise ValueError("its head is too long")
-            head = json.loads(archive.read("head.json"))
-        samples = end - first
-        if (head["first_sample"], head["samples"], sum(head["status_counts"])) != (first, samples, samples):
-            raise ValueError(f"it holds {head['samples']} samples from {head['first_sample']} on")
-    except _UNFIT as error:
-        raise DamagedFileError(str(error)) from error
+@_damage_told
+def head_of(data: bytes, first: int, end: int) -> dict[str, Any]:
+    """What the batch of samples ``first .. end - 1`` says of itself, as `packed` wrote it: their numbers, how many have
+    each status, and their sums. Raises DamagedFileError as `unpacked`.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if archive.getinfo("head.json").file_size > _MOST_UNPACKED:
+            raise ValueError("its head is too long")
+        head = json.loads(archive.read("head.json"))
+    samples = end - first
+    if (head["first_sample"], head["samples"], sum(head["status_counts"])) != (first, samples, samples):
+        raise ValueError(f"it holds {head['samples']} samples from {head['first_sample']} on")
     return head
 
 
-def derivatives_of(data: bytes, end: int) -> Derivatives:
-    """The derivatives that `perform` found from samples ``0 .. end - 1``. Raises DamagedFileError for other bytes."""
-    try:
-        found = json.loads(data)
-        if found["end"] != end or not found["by"].keys():
-            raise ValueError(f"it holds derivatives from {found['end']} samples")
-    except _UNFIT as error:
-        raise DamagedFileError(str(error)) from error
+@_damage_told
+def derivatives_of(data: bytes, end: int) -> dict[str, Any]:
+    """The derivatives that `perform` found from samples ``0 .. end - 1``: `by` parameter, with `warnings` about them.
+
+    Raises DamagedFileError for other bytes.
+    """
+    found = json.loads(data)
+    if found["end"] != end or not found["by"].keys():
+        raise ValueError(f"it holds derivatives from {found['end']} samples")
     return found
 
 
@@ -243,10 +235,6 @@ def joined(batches: list[Ensemble]) -> Ensemble:
 
 
 # Doing tasks in a process: this one, a worker process of this machine, or a worker of a cluster.
-
-
-class UnfitWorkerError(RuntimeError):
-    """A worker that cannot do tasks of a sweep; the message is a sentence that says what to do."""
 
 
 class Failed(NamedTuple):
@@ -281,38 +269,23 @@ def outcome_of(error: Exception) -> Failed | NoMemory:
     return Failed(said)
 
 
-def attempted(perform: Callable[[Task], bytes], task: Task) -> Outcome:
-    """Do a task. Raises errors that have other causes than its point or the memory."""
-    try:
-        return perform(task)
-    except Exception as error:
-        outcome = outcome_of(error)
-        if isinstance(error, ValueError) or isinstance(outcome, NoMemory):
-            return outcome
-        raise
-
-
 class Performer:
     """Does tasks of a plan in any threads of this process, spread over the devices that JAX has here."""
 
     def __init__(self, plan: Plan):
-        self._plan, self._devices, self._number = plan, jax.local_devices(), itertools.count()
-        self._compiling = [threading.Lock() for _ in self._devices]
-        self._compiled: set[int] = set()
+        self._plan, self._number = plan, itertools.count()
+        self._devices = [(device, threading.Lock()) for device in jax.local_devices()]
+        self._compiled: set[object] = set()
 
     def perform(self, task: Task) -> bytes:
         """Do a task. Raises ValueError for a point that cannot be simulated."""
-        device = next(self._number) % len(self._devices)
-        if device not in self._compiled:  # the first task compiles what all need, while the others wait
-            with self._compiling[device]:
+        device, compiling = self._devices[next(self._number) % len(self._devices)]
+        with jax.default_device(device) if len(self._devices) > 1 else nullcontext():
+            with compiling:  # the first task compiles what all need, while the others wait
                 if device not in self._compiled:
-                    done = self._on(device, task)
+                    done = perform(self._plan, task)
                     self._compiled.add(device)
                     return done
-        return self._on(device, task)
-
-    def _on(self, device: int, task: Task) -> bytes:
-        with jax.default_device(self._devices[device]) if len(self._devices) > 1 else nullcontext():
             return perform(self._plan, task)
 
 
@@ -347,11 +320,20 @@ def sent(plan: Plan) -> Sent:
 
 
 def perform_sent(plan: Sent, task: Task) -> Outcome:
-    """Do a task of a plan that was sent. Raises UnfitWorkerError where this process cannot."""
+    """Do a task of a plan that was sent.
+
+    Raises SweepError where this process cannot, and errors that have other causes than the point or the memory.
+    """
     with _precision.of(plan.double), warnings_by_thread():
         with _reading:  # one performer for all threads, whose compilations they share
             performer = _performer(plan)
-        return attempted(performer.perform, task)
+        try:
+            return performer.perform(task)
+        except Exception as error:
+            outcome = outcome_of(error)
+            if isinstance(error, ValueError) or isinstance(outcome, NoMemory):
+                return outcome
+            raise
 
 
 _reading = threading.Lock()
@@ -365,13 +347,13 @@ def _performer(plan: Sent) -> Performer:
     differing = [(name, version) for name, version in plan.versions if here.get(name) != version]
     other = [f"{name} {here.get(name)} instead of {version}" for name, version in differing]
     if other:
-        raise UnfitWorkerError(
+        raise SweepError(
             f"A worker has {', '.join(other)}, which may give other numbers; install the same versions everywhere."
         )
     try:
         return Performer(pickle.loads(plan.plan))
     except Exception as error:  # unpickling a user's object may raise anything
-        raise UnfitWorkerError(
+        raise SweepError(
             f"A worker cannot read the sweep ({error}); the modules that define its system and law must be installed "
             "where the workers run."
         ) from error

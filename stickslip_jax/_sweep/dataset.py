@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Hashable, Iterator
 from pathlib import Path
 from tempfile import SpooledTemporaryFile, gettempdir
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from .._statistics.quantities import BY_NAME as STICK_BY_NAME
 from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import require_system
-from .batches import Derivatives, Head, derivatives_of, head_of, joined, packed, unpacked
+from .batches import derivatives_of, head_of, joined, packed, unpacked
 from .plan import Plan, Task
 from .store import DATA, Batch, Store, derivative_name
 
@@ -100,7 +100,7 @@ class Work:
                 missing.append(Task(point, at, after))
                 at = after
             at = end
-        if not (self.plan.is_adaptive and missing):
+        if not (self.plan.standard_errors and missing):
             return missing
         ensemble, errors = self.ensemble(point), self.plan.standard_errors
         is_precise = ensemble is not None and all(
@@ -134,7 +134,7 @@ class Work:
         more = []
         if task.derivative is None:
             self.done[task.point] += task.samples
-            more = self._missing(task.point) if self.plan.is_adaptive else []
+            more = self._missing(task.point) if self.plan.standard_errors else []
             self._left[task.point] += len(more)
         if not self._left[task.point]:
             self.complete += 1
@@ -154,14 +154,13 @@ class Work:
                 self._cache.put(point, read)
         found, fields = [], self.plan.fields_at(point)
         for batch, data in read:
-            try:
+            with self._damage_removed(point, batch):
                 found.append(unpacked(data, fields, batch.first, batch.end))
-            except DamagedFileError as error:
-                self._remove(point, batch, str(error))
-                break
+                continue
+            break
         return joined(found) if len(found) > 1 else found[0] if found else None
 
-    def heads(self, point: int) -> list[Head]:
+    def heads(self, point: int) -> list[dict[str, Any]]:
         """The heads of the batches of samples of a point."""
         found = []
         for batch, data in self._read(point, is_gap_allowed=True):
@@ -189,7 +188,7 @@ class Work:
         self._batches = self.store.batches()
         self.damaged += 1
 
-    def derivatives(self, point: int) -> dict[str, Derivatives]:
+    def derivatives(self, point: int) -> dict[str, dict[str, Any]]:
         """The results of the derivatives of a point that are there, by name."""
         found, names = {}, {derivative_name(self.plan, number) for number in range(len(self.plan.derivatives))}
         for batch in list(self._batches_at(point)):
@@ -521,10 +520,9 @@ def status_of(folder: Path) -> SweepStatus:
     for _ in work.tasks():  # counts what is done, after damaged batches were left out above
         pass
     points = plan.points.number
-    return SweepStatus(
-        points, points if is_finished else work.complete, sum(work.done), points * plan.samples, plan.is_adaptive,
-        endings, seconds, is_running, is_finished,
-    )  # fmt: skip
+    complete, most = points if is_finished else work.complete, points * plan.samples
+    how_far = (points, complete, sum(work.done), most, bool(plan.standard_errors))
+    return SweepStatus(*how_far, endings, seconds, is_running, is_finished)
 
 
 def stored_dataset(folder: Path) -> "xarray.Dataset":

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, cast, get_args
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +20,7 @@ from .._numerics.elementary import key_data_of
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import DISTRIBUTIONS
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
-from .._uncertainty.numbers import (
-    parameters_of,
-)
+from .._uncertainty.numbers import parameters_of
 
 # What a sweep simulates, checked: its setting, points and options, and the tasks into which its work is divided.
 
@@ -134,11 +132,6 @@ class Plan:
         except ValueError as error:
             raise ValueError(f"The point {self.points.described(0)} cannot be simulated: {error}") from error
 
-    @property
-    def is_adaptive(self) -> bool:
-        """Whether a point may need fewer samples than there are at most."""
-        return bool(self.standard_errors)
-
 
 def usual_batch(points: int, samples: int) -> int:
     """How many samples make a batch: few batches are too coarse for several threads, many cost time for each."""
@@ -201,11 +194,10 @@ def checked_errors(standard_error: object, statistics: tuple[str, ...]) -> dict[
 def checked_keep(keep: object) -> Keep:
     """`keep`, "statistics" or "totals". Raises ValueError for anything else."""
     allowed = [name for name in get_args(Keep) if name != "sticks"]
-    for name in allowed:
-        if isinstance(keep, str) and keep == name:
-            return name
-    hint = "every stick of a point comes from sweep.ensemble_at(mu=...)"
-    raise checks.refused("keep", f"be one of {', '.join(map(repr, allowed))}", keep, hint)
+    if not isinstance(keep, str) or keep not in allowed:
+        hint = "every stick of a point comes from sweep.ensemble_at(mu=...)"
+        raise checks.refused("keep", f"be one of {', '.join(map(repr, allowed))}", keep, hint)
+    return cast(Keep, keep)
 
 
 def key_data_in(key: Array | None) -> tuple[int, ...] | None:

@@ -5,6 +5,7 @@ Executors do it: threads, processes of this machine, or a cluster of dask.distri
 
 import contextlib
 import functools
+import math
 import os
 import queue
 import signal
@@ -14,15 +15,14 @@ import threading
 import time
 import uuid
 import warnings
-from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ from .._foundation.extras import require
 from .._foundation.files import write_whole
 from .._foundation.processes import cores
 from . import batches
-from .batches import Failed, NoMemory, Outcome, Performer, Sent, UnfitWorkerError, outcome_of, perform_sent, sent
+from .batches import Failed, NoMemory, Outcome, Performer, Sent, outcome_of, perform_sent, sent
 from .dataset import Work, dataset_of, require_packages, write_dataset
 from .plan import Plan, Task
 from .store import LOG, Store, opened
@@ -51,12 +51,6 @@ if TYPE_CHECKING:
 _ENVIRONMENT = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e15"}
 
 
-class Written(NamedTuple):
-    """The result of a task whose worker has written the batch into the folder of the sweep. `size`: in bytes."""
-
-    size: int
-
-
 class WorkerDiedError(Exception):
     """The worker of a task died. `others`: whether all other tasks under way are lost too."""
 
@@ -65,105 +59,80 @@ class WorkerDiedError(Exception):
         self.others = others
 
 
-@runtime_checkable
-class Pending(Protocol):
-    """The outcome of a task that is under way: a future of the standard library, or of dask."""
+class Executor:
+    """Does tasks in a pool, as many at a time as it has `workers`, and is closed at the end of a ``with`` block.
 
-    def add_done_callback(self, fn: Callable[[Any], object], /) -> None: ...
+    - `new_pool`: makes it, a `ThreadPoolExecutor` or one of processes of loky. `perform`: does a task there.
+    """
 
-    def result(self) -> Any: ...
-
-
-class Executor(ABC):
-    """Does tasks somewhere, as many at a time as there are `workers`."""
-
-    def __init__(self, workers: int):
-        self._workers = workers
+    def __init__(self, workers: int, new_pool: Callable[[], Any], perform: Callable[[Task], Outcome]):
+        self._workers, self._new_pool, self._perform = workers, new_pool, perform
+        self._pool = new_pool()
 
     @property
     def at_once(self) -> int:
         """How many tasks are worth submitting before the first is done."""
         return 2 * self._workers
 
-    @abstractmethod
-    def submit(self, task: Task) -> Pending:
-        """Begin a task."""
-
-    def result(self, task: Task, future: Pending) -> Outcome | Written:
-        """The outcome of a task that is done.
-
-        Raises WorkerDiedError, SweepError where the sweep cannot continue, and the error of the task.
-        """
-        return future.result()
-
-    @abstractmethod
-    def close(self, *, wait: bool) -> None:
-        """Close it; tasks that have not begun are cancelled. `wait`: whether to wait for those that have."""
-
-    def restart(self) -> None:  # noqa: B027 - threads have nothing to do
-        """Start it again after all tasks under way were lost."""
-
-    def check(self) -> None:  # noqa: B027 - only connections are lost
-        """Raises SweepError if futures can no longer become done."""
-
-
-class Threads(Executor):
-    """Threads of this process."""
-
-    def __init__(self, plan: Plan, threads: int):
-        super().__init__(threads)
-        self._performer = Performer(plan)
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="stickslip sweep")
-
-    def submit(self, task: Task) -> Future[Outcome]:
-        return self._pool.submit(batches.attempted, self._performer.perform, task)
-
-    def close(self, *, wait: bool) -> None:
-        self._pool.shutdown(wait=wait, cancel_futures=True)
-
-
-class Processes(Executor):
-    """Processes of this machine, each with one thread. They are spawned: JAX does not survive a fork.
-
-    Those of loky do not run the user's program again, as those of the standard library and of dask do.
-    """
-
-    def __init__(self, plan: Plan, processes: int):
-        super().__init__(processes)
-        self._start = batches.start_of_process(plan)
-        self._pool = self._new()
-
-    def _new(self) -> Any:
-        require("Argument workers needs", "study", "loky")
-        from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
-
-        prepare = batches.prepare_process
-        return ProcessPoolExecutor(self._workers, initializer=prepare, initargs=self._start, env=_ENVIRONMENT)
-
-    def submit(self, task: Task) -> Future[Outcome]:
+    def submit(self, task: Task) -> Any:
+        """Begin a task; its future, of the standard library or of dask."""
         try:
             with _no_interrupts():
-                return self._pool.submit(batches.perform_in_process, task)
+                return self._pool.submit(self._perform, task)
         except BrokenExecutor as error:  # a worker died while there was nothing to do
             future: Future[Outcome] = Future()
             future.set_exception(error)
             return future
 
-    def result(self, task: Task, future: Pending) -> Outcome:
+    def result(self, task: Task, future: Any) -> Outcome | int:
+        """The outcome of a task that is done; the size (bytes) of a batch that the worker has written into the folder.
+
+        Raises WorkerDiedError, SweepError where the sweep cannot continue, and the error of the task.
+        """
         try:
             return future.result()
-        except (BrokenExecutor, CancelledError) as error:
-            reason = str(error).partition("\n")[0]
-            raise WorkerDiedError(reason, others=True) from error  # the whole pool breaks
-        except batches.UnfitWorkerError as error:
-            raise SweepError(str(error)) from error
+        except (BrokenExecutor, CancelledError) as error:  # the whole pool breaks
+            raise WorkerDiedError(str(error).partition("\n")[0], others=True) from error
 
     def restart(self) -> None:
+        """Start it again after all tasks under way were lost."""
         self.close(wait=False)
-        self._pool = self._new()
+        self._pool = self._new_pool()
 
     def close(self, *, wait: bool) -> None:
-        self._pool.shutdown(wait=True, kill_workers=not wait)
+        """Close it; tasks that have not begun are cancelled. `wait`: whether to wait for those that have."""
+        if isinstance(self._pool, ThreadPoolExecutor):
+            self._pool.shutdown(wait=wait, cancel_futures=True)
+        else:
+            self._pool.shutdown(wait=True, kill_workers=not wait)
+
+    def check(self) -> None:
+        """Raises SweepError if futures can no longer become done, as where a connection is lost."""
+
+    def __enter__(self) -> "Executor":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.close(wait=kind is None)
+
+
+def _threads(plan: Plan, number: int) -> Executor:
+    """Threads of this process."""
+    new_pool = functools.partial(ThreadPoolExecutor, number, thread_name_prefix="stickslip sweep")
+    return Executor(number, new_pool, Performer(plan).perform)
+
+
+def _processes(plan: Plan, number: int) -> Executor:
+    """Processes of this machine, each with one thread. They are spawned: JAX does not survive a fork.
+
+    Those of loky do not run the user's program again, as those of the standard library and of dask do.
+    """
+    start, prepare = batches.start_of_process(plan), batches.prepare_process
+    require("Argument workers needs", "study", "loky")
+    from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
+
+    options: dict[str, Any] = {"initializer": prepare, "initargs": start, "env": _ENVIRONMENT}
+    return Executor(number, functools.partial(ProcessPoolExecutor, number, **options), batches.perform_in_process)
 
 
 @contextmanager
@@ -199,16 +168,14 @@ class DaskCluster(Executor):
 
     def __init__(self, plan: Plan, client: "distributed.Client", store: Store, shared_folder: bool):
         if not all(callable(getattr(client, name, None)) for name in ("submit", "nthreads")):
-            raise ValueError(
-                "Argument executor must be a dask.distributed.Client, but "
-                f"{checks.show(client)} was given; threads and workers need no client."
-            )
+            hint = "threads and workers need no client"
+            raise checks.refused("executor", "be a dask.distributed.Client", client, hint)
         if getattr(client, "asynchronous", False):
             raise ValueError(
                 "Argument executor must be a dask.distributed.Client that waits for answers, but one with "
                 "asynchronous=True was given; make it without, outside of coroutines."
             )
-        super().__init__(1)
+        self._workers = 1
         self._client: Any = client  # whose annotations are those of its coroutines
         self._checked, self._sent = plan, sent(plan)
         self._store, self._shared = store, shared_folder
@@ -238,16 +205,15 @@ class DaskCluster(Executor):
 
     def submit(self, task: Task) -> "distributed.Future":
         self.check()
-
         shared = (str(self._path_of(task).resolve()), self._store.sweep_id) if self._shared else ()
         future = self._begun("-".join(map(str, task)), _perform, self._plan, tuple(task), *shared)
         self._futures[task] = future
         return future
 
-    def result(self, task: Task, future: Pending) -> Outcome | Written:
+    def result(self, task: Task, future: "distributed.Future") -> Outcome | int:
         from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
 
-        mine = self._futures.pop(task)
+        del self._futures[task]
         self._came = time.monotonic()
         try:
             found = future.result()
@@ -257,8 +223,6 @@ class DaskCluster(Executor):
                 f"{error.last_worker.address}; what is done is kept. Perhaps memory ran out: give the workers more, or "
                 "fewer threads, and run again."
             ) from error
-        except UnfitWorkerError as error:
-            raise SweepError(str(error)) from error
         except CancelledError as error:  # by a restart of the cluster, with all others
             self.check()
             raise WorkerDiedError(f"the cluster cancelled its tasks: {error}", others=True) from error
@@ -273,9 +237,9 @@ class DaskCluster(Executor):
                 "stickslip_jax, dask and distributed in the same versions there."
             ) from error
         finally:
-            mine.release()
-        if isinstance(found, Written):
-            self._check_visible(self._path_of(task), found.size)
+            future.release()
+        if isinstance(found, int):
+            self._check_visible(self._path_of(task), found)
         return found
 
     def _path_of(self, task: Task) -> Path:
@@ -350,10 +314,10 @@ def _assembled(parts: list[bytes], double: bool, versions: tuple[tuple[str, str]
     return Sent(b"".join(parts), double, versions, caches)
 
 
-def _perform(plan: Sent, task: tuple, path: str = "", sweep_id: bytes = b"") -> Outcome | Written:
-    """Do a task; where there is a `path`, write its batch there, into the folder of the sweep.
+def _perform(plan: Sent, task: tuple, path: str = "", sweep_id: bytes = b"") -> Outcome | int:
+    """Do a task; where there is a `path`, write its batch there, into the folder of the sweep, and return its size.
 
-    Raises UnfitWorkerError where that is not here.
+    Raises SweepError where that is not here.
     """
     folder = Path(path).parent.parent
     if path:
@@ -365,8 +329,8 @@ def _perform(plan: Sent, task: tuple, path: str = "", sweep_id: bytes = b"") -> 
     try:
         write_whole(Path(path), whole)
     except OSError as error:
-        raise UnfitWorkerError(f"{_where()}: {cannot_write(folder, error)}") from error
-    return Written(len(whole))
+        raise SweepError(f"{_where()}: {cannot_write(folder, error)}") from error
+    return len(whole)
 
 
 @functools.lru_cache(maxsize=4)
@@ -377,7 +341,7 @@ def _check_shared(folder: Path, sweep_id: bytes) -> None:
         reason = "holds another sweep"
     except SweepError as error:
         reason = f"cannot be used ({error})"
-    raise UnfitWorkerError(
+    raise SweepError(
         f"{_where()}: {folder} {reason} there; leave shared_folder out unless the folder is the same everywhere."
     )
 
@@ -392,60 +356,55 @@ def _where() -> str:
 _DEATHS = 3  # of workers while a task was under way, after which the sweep ends
 
 
-class Stopping:
-    """Whether the sweep is to stop. `requested`: after the batches under way."""
+@contextmanager
+def stoppable() -> Iterator[threading.Event]:
+    """Handles SIGINT while the block runs, where signals can be handled: in the main thread, unless it is ignored.
 
-    def __init__(self) -> None:
-        self.requested = False
+    The event is set by the first one: the sweep is to stop after the batches under way. The second one raises
+    KeyboardInterrupt.
+    """
+    stopping, before = threading.Event(), signal.getsignal(signal.SIGINT)
 
-    def request(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal: the first time ask to stop, the second time raise KeyboardInterrupt."""
-        if self.requested:
+    def request(number: int, frame: FrameType | None) -> None:
+        if stopping.is_set():
             raise KeyboardInterrupt
-        self.requested = True
+        stopping.set()
         # In one write: a second Ctrl-C comes between the parts that print would write.
         sys.stderr.write(
             "\nStopping after the batches under way; what is done is kept. Press Ctrl-C again to stop at once.\n"
         )
 
-
-@contextmanager
-def stoppable() -> Iterator[Stopping]:
-    """Handles SIGINT while the block runs, where signals can be handled: in the main thread, unless it is ignored."""
-    stopping = Stopping()
-    before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before in (signal.SIG_IGN, None):
         yield stopping
         return
-    signal.signal(signal.SIGINT, stopping.request)
+    signal.signal(signal.SIGINT, request)
     try:
         yield stopping
     finally:
         signal.signal(signal.SIGINT, before)
 
 
-def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress) -> None:
+def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Progress) -> None:
     """Do all tasks of `work`, a few at a time, and store each result when it comes.
 
     If there was no memory for a task it is done again, with fewer tasks at a time: a smaller batch would change the
     last digits. Stops after the tasks under way when `stopping` asks for it. Raises SweepError if the folder cannot be
     written, or the workers keep dying.
     """
-    waiting, under_way = deque(work.tasks()), _UnderWay(executor)
-    lost: Counter[Task] = Counter()  # how often each has been
+    waiting, under_way, lost = deque(work.tasks()), _UnderWay(executor), Counter[Task]()
     bar.advance(sum(work.done))
-    while (waiting and not stopping.requested) or under_way.began:
-        while waiting and not stopping.requested and under_way.has_room:
+    while (waiting and not stopping.is_set()) or under_way.tasks:
+        while waiting and not stopping.is_set() and len(under_way.tasks) < min(under_way.most, executor.at_once):
             under_way.begin(waiting.popleft())
-        task = under_way.next()
-        if task is None:
+        future = under_way.ended()
+        if future is None:
             executor.check()
             continue
-        began, alone = under_way.began[task], under_way.is_alone(task)
+        task, began = under_way.tasks.pop(future)
         try:
-            found = under_way.result(task)
+            found = executor.result(task, future)
         except WorkerDiedError as error:
-            again = [task, *(under_way.forget() if error.others else ())]
+            again = [task, *(under_way.forgotten() if error.others else ())]
             if _note_lost(work, again, lost, error) > 1:
                 under_way.narrow(began)
             if error.others:
@@ -456,7 +415,7 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
             raise
         except Exception as error:
             found = outcome_of(error)
-        if isinstance(found, NoMemory) and not alone:
+        if isinstance(found, NoMemory) and not under_way.was_alone(began):
             under_way.narrow(began)
             waiting.appendleft(task)
             work.store.log(
@@ -477,23 +436,35 @@ def run_tasks(work: Work, executor: Executor, stopping: Stopping, bar: Progress)
 
 
 class _UnderWay:
-    """The tasks that an executor has been given. `began`: when each was. `most`: how many at a time are allowed, if
-    fewer than the executor takes.
+    """The tasks that an executor has been given, by future, with the time when each began.
+
+    `most`: how many at a time are allowed, if fewer than the executor takes.
     """
 
     def __init__(self, executor: Executor):
         self._executor = executor
-        self._futures: dict[Task, Pending] = {}
-        self._ended: queue.SimpleQueue[tuple[Task, Pending]] = queue.SimpleQueue()
-        self._not_alone: set[Task] = set()
-        self.began: dict[Task, float] = {}
-        self.most: int | None = None
-        self._narrowed = 0.0
+        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.tasks: dict[Any, tuple[Task, float]] = {}
+        self.most, self._narrowed = math.inf, 0.0
 
-    @property
-    def has_room(self) -> bool:
-        """Whether another task may begin."""
-        return len(self.began) < (self._executor.at_once if self.most is None else self.most)
+    def begin(self, task: Task) -> None:
+        future = self._executor.submit(task)
+        self.tasks[future] = task, time.monotonic()
+        future.add_done_callback(lambda _: self._ended.put(future))
+
+    def ended(self) -> Any:
+        """The future of a task that is done; None if none is within a tenth of a second, in which signals come."""
+        try:
+            future = self._ended.get(timeout=0.1)
+        except queue.Empty:
+            return None
+        return future if future in self.tasks else None  # else lost, and begun again
+
+    def forgotten(self) -> list[Task]:
+        """All tasks that are under way, which are no longer."""
+        tasks = [task for task, _ in self.tasks.values()]
+        self.tasks.clear()
+        return tasks
 
     def narrow(self, began: float) -> None:
         """Allow fewer tasks at a time, because there was no memory for one that `began` then.
@@ -502,39 +473,11 @@ class _UnderWay:
         narrow it once.
         """
         if began >= self._narrowed:
-            self.most, self._narrowed = max(1, (len(self.began) + 1) // 4), time.monotonic()
+            self.most, self._narrowed = max(1, (len(self.tasks) + 1) // 4), time.monotonic()
 
-    def is_alone(self, task: Task) -> bool:
-        """Whether no other task was under way since this one began."""
-        return task not in self._not_alone
-
-    def begin(self, task: Task) -> None:
-        self._not_alone.discard(task)
-        if self.began:
-            self._not_alone |= {task, *self.began}
-        future = self._executor.submit(task)
-        self._futures[task], self.began[task] = future, time.monotonic()
-        future.add_done_callback(lambda done, task=task: self._ended.put((task, done)))
-
-    def next(self) -> Task | None:
-        """A task that is done; None if none is within a tenth of a second, so that signals are handled in between."""
-        try:
-            task, future = self._ended.get(timeout=0.1)
-        except queue.Empty:
-            return None
-        return task if self._futures.get(task) is future else None  # else lost, and begun again
-
-    def result(self, task: Task) -> Outcome | Written:
-        """The outcome of a task, which is no longer under way."""
-        del self.began[task]
-        return self._executor.result(task, self._futures.pop(task))
-
-    def forget(self) -> list[Task]:
-        """Forget all tasks that are under way, and return them."""
-        tasks = list(self.began)
-        self.began.clear()
-        self._futures.clear()
-        return tasks
+    def was_alone(self, began: float) -> bool:
+        """Whether a task that `began` then was under way without others."""
+        return self.most == 1 and began >= self._narrowed
 
 
 def _note_lost(work: Work, again: list[Task], lost: Counter[Task], error: WorkerDiedError) -> int:
@@ -565,51 +508,40 @@ def described(plan: Plan, task: Task) -> str:
 _ROUNDS = 3  # after which batches that keep coming back damaged are an error of the disk
 
 
-class ExecutorChoice(NamedTuple):
-    """The arguments of `Sweep.run` that say where to simulate."""
-
-    threads: int | None = None
-    workers: int | None = None
-    executor: "distributed.Client | None" = None
-    shared_folder: bool = False
-
-    def check(self, *, has_folder: bool) -> None:
-        """Raises ValueError for arguments that exclude each other."""
-        names = [name for name in ("threads", "workers", "executor") if getattr(self, name) is not None]
-        if len(names) > 1:
-            raise ValueError(
-                f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate."
-            )
-        checks.truth("shared_folder", self.shared_folder)
-        if self.shared_folder and (self.executor is None or not has_folder):
-            missing = "a folder" if self.executor is not None else "executor"
-            raise ValueError(
-                f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it "
-                "lets the workers of a cluster write into the folder of the sweep."
-            )
-
-    @contextmanager
-    def opened(self, plan: Plan, store: Store) -> Iterator[Executor]:
-        """The executor that was asked for, closed at the end."""
-        if self.executor is not None:
-            executor: Executor = DaskCluster(plan, self.executor, store, self.shared_folder)
-        elif self.workers is not None:
-            executor = Processes(plan, checks.whole_number("workers", self.workers))
-        else:
-            usual = max(cores(), len(jax.local_devices()))
-            executor = Threads(plan, usual if self.threads is None else checks.whole_number("threads", self.threads))
-        finished = False
-        try:
-            yield executor
-            finished = True
-        finally:
-            executor.close(wait=finished)
+def _check_choice(choice: Mapping[str, object], shared_folder: object, *, has_folder: bool) -> None:
+    """Raises ValueError for arguments of `Sweep.run` that exclude each other."""
+    names = [name for name, given in choice.items() if given is not None]
+    if len(names) > 1:
+        raise ValueError(f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate.")
+    checks.truth("shared_folder", shared_folder)
+    if shared_folder and (choice["executor"] is None or not has_folder):
+        missing = "a folder" if choice["executor"] is not None else "executor"
+        raise ValueError(
+            f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it lets "
+            "the workers of a cluster write into the folder of the sweep."
+        )
 
 
-def run_sweep(plan: Plan, folder: Path | None, choice: ExecutorChoice, progress: bool | None) -> "xarray.Dataset":
+def _executor_for(
+    plan: Plan, store: Store, threads: int | None, workers: int | None, client: Any, shared_folder: bool
+) -> Executor:
+    """The executor that was asked for."""
+    if client is not None:
+        return DaskCluster(plan, client, store, shared_folder)
+    if workers is not None:
+        return _processes(plan, checks.whole_number("workers", workers))
+    usual = max(cores(), len(jax.local_devices()))
+    return _threads(plan, usual if threads is None else checks.whole_number("threads", threads))
+
+
+def run_sweep(
+    plan: Plan, folder: Path | None, *, threads: int | None, workers: int | None,
+    executor: "distributed.Client | None", shared_folder: bool, progress: bool | None,
+) -> "xarray.Dataset":  # fmt: skip
     """Do what is left of a sweep, and return its result; see `Sweep.run`."""
     require_packages()
-    choice.check(has_folder=folder is not None)
+    choice = {"threads": threads, "workers": workers, "executor": executor}
+    _check_choice(choice, shared_folder, has_folder=folder is not None)
     if str(jnp.result_type(float)) != plan.dtype:
         raise SweepError(
             f"This sweep is in {plan.dtype}, and JAX is set to {jnp.result_type(float)}; call "
@@ -628,9 +560,10 @@ def run_sweep(plan: Plan, folder: Path | None, choice: ExecutorChoice, progress:
         store.log(f"begun: {number} points, {plan.samples} samples each")
         for _ in range(_ROUNDS):
             work = Work(plan, store)
-            with choice.opened(plan, store) as executor, progress_bar(progress, number * plan.samples) as bar:
-                run_tasks(work, executor, stopping, bar)
-            if stopping.requested:
+            tasks_by = _executor_for(plan, store, threads, workers, executor, shared_folder)
+            with tasks_by, progress_bar(progress, number * plan.samples) as bar:
+                run_tasks(work, tasks_by, stopping, bar)
+            if stopping.is_set():
                 store.log("stopped")
                 resume = f"`stickslip resume {there}`, or the same call again, goes on from here."
                 raise KeyboardInterrupt(

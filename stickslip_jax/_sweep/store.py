@@ -16,7 +16,6 @@ from typing import Any, NamedTuple, TypedDict, TypeVar, cast, get_origin
 
 import numpy as np
 
-from .._dynamics.common.method import check_method
 from .._dynamics.simulate import Output
 from .._ensemble.data import Unknown
 from .._ensemble.encoding import (
@@ -36,7 +35,7 @@ from .._ensemble.encoding import (
     with_header,
     without_header,
 )
-from .._ensemble.points import Dimension, Points, SweepSetting, setting_of
+from .._ensemble.points import Dimension, Points, SweepSetting, points_of, setting_of
 from .._foundation import checks
 from .._foundation.files import (
     NotAFileError,
@@ -63,15 +62,6 @@ _FINGERPRINT = ("objects", "deciding", "versions", "floats", "integers")
 _ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest", "output_code": "outputs"}
 """What the user calls it, where that is another name."""
 ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
-_DEEPEST = 64  # levels of parts within parts; ours have some ten
-
-
-class UnreadableError(ValueError):
-    """A text that is no manifest, or a damaged one."""
-
-
-class OtherProgramError(UnreadableError):
-    """A text that another program wrote."""
 
 
 class Manifest(TypedDict):
@@ -117,23 +107,25 @@ def _text(body: Mapping[str, object]) -> str:
     return json.dumps({"body": body, "sha256": sum_of(body)}, indent=1)
 
 
-def body_of(text: str) -> Manifest:
+def body_of(text: str | bytes) -> Manifest:
     """The manifest in a text.
 
-    Raises OtherProgramError for a text of another program, UnreadableError for a damaged one, and SweepError for
+    Raises ForeignFileError for a text of another program, DamagedFileError for a damaged one, and SweepError for
     another format.
     """
     try:
         whole = json.loads(text)
+        is_ours = isinstance(whole, dict) and bool({"body", "sha256"} & whole.keys())
+        is_whole = is_ours and isinstance(whole.get("body"), dict) and sum_of(whole["body"]) == whole.get("sha256")
     except (ValueError, RecursionError) as error:
-        raise UnreadableError(str(error)) from error
-    if not isinstance(whole, dict) or not {"body", "sha256"} & whole.keys():
-        raise OtherProgramError("it is of another program")
-    body = whole.get("body")
-    if not isinstance(body, dict) or _depth(body) > _DEEPEST or sum_of(body) != whole.get("sha256"):
-        raise UnreadableError("its check sum is wrong")
+        raise DamagedFileError(str(error)) from error
+    if not is_ours:
+        raise ForeignFileError("it is of another program")
+    if not is_whole:
+        raise DamagedFileError("its check sum is wrong")
+    body = whole["body"]
     if body.get("format") not in (FORMAT, _OLDER_FORMAT):
-        raise OtherProgramError("it is of another program")
+        raise ForeignFileError("it is of another program")
     version, writers = body.get("format_version"), body.get("versions")
     if version != FORMAT_VERSION and isinstance(version, int):
         writer = writers.get("stickslip_jax") if isinstance(writers, dict) else "of an unknown version"
@@ -145,23 +137,13 @@ def body_of(text: str) -> Manifest:
         )
     for name, kind in Manifest.__annotations__.items():
         if type(body.get(name)) is not (get_origin(kind) or kind):
-            raise UnreadableError(f"its {name} is missing")
+            raise DamagedFileError(f"its {name} is missing")
     wanted = {"versions": tuple(versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
     for part, names in wanted.items():
         there = body[part]
         for name in (*(name for name in names if name not in there), *(name for name in there if name not in names)):
-            raise UnreadableError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
+            raise DamagedFileError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
     return cast(Manifest, body)
-
-
-def _depth(value: object) -> int:
-    """How many levels of parts within parts there are, counted up to a little more than are allowed."""
-    level, depth = [value], 0
-    while level and depth <= _DEEPEST:
-        depth += 1
-        inner = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, (dict, list))]
-        level = [one for parts in inner for one in parts if isinstance(one, (dict, list))]
-    return depth
 
 
 def differences(stored: Manifest, new: Manifest) -> list[str]:
@@ -229,18 +211,17 @@ def body_in(folder: Path, *, to_write: bool = False) -> Manifest:
     for name in (MANIFEST, COPY):
         path = folder / name
         try:
-            found[name] = body_of(read_regular(path).decode())
+            found[name] = body_of(read_regular(path))
         except (FileNotFoundError, NotADirectoryError):
             continue
         except SweepError as error:
             raise SweepError(f"{folder} cannot be read: {error}") from None
-        except (UnreadableError, UnicodeDecodeError) as error:
+        except (DamagedFileError, ForeignFileError) as error:
             damage = damage or f"{path} is damaged ({error})"
-            foreign = path if isinstance(error, OtherProgramError) else foreign
-        except NotAFileError as error:
-            raise SweepError(f"{path} cannot be read ({error.strerror}); move it elsewhere, and try again.") from None
+            foreign = path if isinstance(error, ForeignFileError) else foreign
         except OSError as error:
-            raise SweepError(f"{path} cannot be read ({error.strerror}); make it readable.") from None
+            todo = "move it elsewhere, and try again" if isinstance(error, NotAFileError) else "make it readable"
+            raise SweepError(f"{path} cannot be read ({error.strerror}); {todo}.") from None
     if not found and damage:
         raise SweepError(f"{damage}, and there is no whole copy of it; run the sweep into another folder.")
     if not found:
@@ -277,27 +258,6 @@ _Known = TypeVar("_Known")
 _UNFIT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
-def plan_in(body: Manifest, *, to_run: bool = True, every_point: bool = False) -> Plan:
-    """The sweep that a manifest describes; `every_point`: whether each is checked, as by `Sweep`, or the first.
-
-    Raises SweepError where it holds objects of a user's own classes, which cannot be run (with `to_run` False these are
-    left as they are stored), and for what does not fit together. Statistics and derivatives that this version does not
-    know are left out, with a warning.
-    """
-    try:
-        plan = _plan(body, to_run)
-        if every_point:
-            plan.check()
-        elif to_run:
-            plan.setting_at(0)
-        return plan
-    except SweepError:
-        raise
-    except _UNFIT as error:
-        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise SweepError(f"its manifest cannot be used ({reason}); run the sweep into another folder.") from error
-
-
 def _plan(body: Manifest, to_run: bool) -> Plan:
     fields = body["deciding"] | body["asked"]
     if fields["dtype"] not in ("float64", "float32"):
@@ -325,27 +285,19 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
     floats = np.array([float.fromhex(value) for value in body["floats"]])
     decoder = Decoder(floats, np.array(body["integers"], np.int64))
     objects = {name: decoder.decoded(body["objects"][name]) for name in OBJECTS}
-    for name, value in objects.items():
-        for one in value if isinstance(value, tuple) else (value,):
-            if to_run and isinstance(one, Unknown):
-                raise SweepError(
-                    f"its {name} is a {one.name} of your own, which is stored as text only; run your own program again "
-                    "with the same folder, which goes on from here."
-                )
-    if to_run:
-        check_method(objects["method"])
-    setting = (setting_of if to_run else SweepSetting)(**objects)
-    dimensions = []
-    for one in body["dimensions"]:
-        parameters, values = tuple(one["parameters"]), np.array(one["values"], float)
-        if not parameters or values.ndim != 2 or values.shape[1] != len(parameters) or not len(values):
-            raise ValueError(f"the values of {', '.join(map(str, parameters))} are no points")
-        if not np.all(np.isfinite(values)):
-            raise ValueError(f"a value of {', '.join(map(str, parameters))} is not finite")
-        dimensions.append(Dimension(one["name"], parameters, values))
-    if not dimensions:
-        raise ValueError("it has no points")
-    return Plan(setting, Points(tuple(dimensions)), **fields)
+    held = {name: value if isinstance(value, tuple) else (value,) for name, value in objects.items()}
+    unknown = [(name, one) for name, parts in held.items() for one in parts if isinstance(one, Unknown)]
+    if to_run and unknown:
+        name, one = unknown[0]
+        raise SweepError(
+            f"its {name} is a {one.name} of your own, which is stored as text only; run your own program again with "
+            "the same folder, which goes on from here."
+        )
+    setting = (SweepSetting if unknown else setting_of)(**objects)
+    over = {tuple(one["parameters"]): np.array(one["values"], float) for one in body["dimensions"]}
+    named = zip(points_of(over).dimensions, body["dimensions"], strict=True)
+    points = Points(tuple(Dimension(stored["name"], one.parameters, one.values) for one, stored in named))
+    return Plan(setting, points, **fields)
 
 
 def _not_stored(one: object) -> float:
@@ -408,11 +360,26 @@ class Store:
         return cls(folder, body_in(folder))
 
     def plan(self, *, to_run: bool = True, every_point: bool = False) -> Plan:
-        """The sweep that is stored; see `plan_in`. Raises SweepError with the name of the folder."""
+        """The sweep that is stored; `every_point`: whether each is checked, as by `Sweep`, or the first.
+
+        Raises SweepError where it holds objects of a user's own classes, which cannot be run (with `to_run` False these
+        are left as they are stored), and for what does not fit together. Statistics and derivatives that this version
+        does not know are left out, with a warning.
+        """
         try:
-            return plan_in(self.body, to_run=to_run, every_point=every_point)
+            plan = _plan(self.body, to_run)
+            if every_point:
+                plan.check()
+            elif to_run:
+                plan.setting_at(0)
+            return plan
         except SweepError as error:
-            raise SweepError(f"{self.folder}: {error}") from error.__cause__
+            raise SweepError(f"{self.folder}: {error}") from None
+        except _UNFIT as error:
+            reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+            raise SweepError(
+                f"{self.folder}: its manifest cannot be used ({reason}); run the sweep into another folder."
+            ) from error
 
     @property
     def dtype(self) -> str:
@@ -496,21 +463,17 @@ class Store:
         for batch in itertools.chain.from_iterable(self._all().values()):
             try:
                 sweep_id, name, _ = parts_of_file(read_regular(batch.path, LONGEST_HEADER))
+                if sweep_id != self.sweep_id:
+                    self.read(batch)  # raises an error for any
+                is_any_ours = True
+                if name != batch.path.name:
+                    self.remove(batch, f"it is {name}, under another name")
             except NotAFileError:
                 self.read(batch)  # says so
+            except SweepError as error:
+                foreign = foreign or error
+            except (DamagedFileError, OSError):
                 continue
-            except OSError:
-                continue
-            if sweep_id != self.sweep_id:
-                try:
-                    self.read(batch)
-                except (DamagedFileError, FileNotFoundError):
-                    continue
-                except SweepError as error:
-                    foreign = foreign or error
-            elif name != batch.path.name:
-                self.remove(batch, f"it is {name}, under another name")
-            is_any_ours |= sweep_id == self.sweep_id
         if foreign is not None and not is_any_ours:
             raise SweepError(
                 f"{self.folder} has batches of another sweep than its {MANIFEST}; put their manifest back, or choose "

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._dynamics.common.method import EXACT, Exact, Regularized, check_method
+from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.simulate import Outputs, checked_outputs
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
@@ -116,10 +116,9 @@ class Sweep:
         batch: int | None = None,
         outputs: Outputs | None = None,
     ):
-        check_method(method)
         points, samples = points_of(over), checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
-        taken = (*points.parameters, *(one.name for one in points.dimensions))
         keep = plans.checked_keep(keep)
+        taken = (*points.parameters, *(one.name for one in points.dimensions))
         names = plans.checked_statistics(statistics, keep)
         self._plan = Plan(
             setting_of(system, law, y0, method),
@@ -212,11 +211,14 @@ class Sweep:
             SweepError: For a folder that holds something else or cannot be written, and if points failed.
             ImportError: Without the extra ``study``.
         """
-        from .run import ExecutorChoice, run_sweep  # noqa: PLC0415 - needs an extra
+        from .run import run_sweep  # noqa: PLC0415 - needs an extra
 
         require_threads_of_jax()
         path = None if folder is None else checks.path("folder", folder)
-        return run_sweep(self._plan, path, ExecutorChoice(threads, workers, executor, shared_folder), progress)
+        return run_sweep(
+            self._plan, path, threads=threads, workers=workers, executor=executor, shared_folder=shared_folder,
+            progress=progress,
+        )  # fmt: skip
 
     @property
     def points(self) -> int:

@@ -21,7 +21,7 @@ from support.sweep import POINTS, assert_same, small_sweep
 
 import stickslip_jax as ss
 from stickslip_jax._ensemble.encoding import versions
-from stickslip_jax._sweep.batches import Failed, UnfitWorkerError, perform_sent, sent, warnings_by_thread
+from stickslip_jax._sweep.batches import Failed, perform_sent, sent, warnings_by_thread
 from stickslip_jax._sweep.plan import Task
 
 SUPPORT = Path(__file__).parents[1]
@@ -156,14 +156,14 @@ def test_worker_with_other_versions_is_refused():
     sweep = sent(small_sweep().plan)
     assert dict(sweep.versions) == versions()
     other = sweep._replace(versions=tuple({**dict(sweep.versions), "jax": "0.0.1"}.items()))
-    with pytest.raises(UnfitWorkerError, match=r"has jax .* instead of 0\.0\.1.*install the same versions"):
+    with pytest.raises(ss.SweepError, match=r"has jax .* instead of 0\.0\.1.*install the same versions"):
         perform_sent(other, Task(0, 0, 10))
 
 
 def test_worker_without_the_users_module_is_refused():
     sweep = sent(small_sweep().plan)
     unknown = sweep._replace(plan=b"cnobody_has_this_module\nLaw\n.")
-    with pytest.raises(UnfitWorkerError, match=r"cannot read the sweep .*must be installed"):
+    with pytest.raises(ss.SweepError, match=r"cannot read the sweep .*must be installed"):
         perform_sent(unknown, Task(0, 0, 10))
 
 

@@ -85,7 +85,7 @@ def test_manifest_that_is_nested_deeply_and_has_its_check_sum(copied):
         body["objects"]["system"] = inner
 
     rewrite(folder, deepen)
-    calls_refused(folder, "is damaged (", "into another folder")
+    calls_refused(folder, "its manifest cannot be used (", "into another folder")
 
 
 EDITED = {
