@@ -112,7 +112,7 @@ class BySteps(NamedTuple):
         self.arguments.check_length()
         # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.
         most = np.int32(min(method.max_steps or 20 * steps_for(system, excitation, t1, step), _MOST_COUNTED))
-        return SwitchedEngine(system.ready(), excitation, method.solver, t1, y0, step, most)
+        return SwitchedEngine(system.ready(), excitation, t1, y0, step, most, method.solver)
 
 
 class Smoothed(NamedTuple):
@@ -145,9 +145,8 @@ class Smoothed(NamedTuple):
             return AdaptiveBatch(system, excitation, method, t1, y0, longest, tuple(np.int32(size) for size in sizes))
         # Twice the expected number, for samples with many jumps. `fixed_steps` also rejects a step that is too long.
         expected = 2 * fixed_steps(system, excitation, method, t1)
-        return FixedEngine(
-            system.ready(), excitation, method, t1, y0, np.int32(min(method.max_steps or expected, _MOST_COUNTED))
-        )
+        most = np.int32(min(method.max_steps or expected, _MOST_COUNTED))
+        return FixedEngine(system.ready(), excitation, t1, y0, method.step, most, method)
 
 
 def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:

@@ -26,7 +26,7 @@ from .._systems.switched_model import F, OneContactModel
 from .._systems.system import Coordinate, System, one_contact_model
 from .common.method import Exact, Regularized
 from .common.path import MotionPath
-from .regularized.implicit_step import Switch
+from .regularized.balances import Switch
 from .stick_tables import Columns, slip_variables, stick_columns, stick_variables, table_of, write_table
 from .sticks import NUMBERS, FlatSticks, Slips, Sticks, Totals, of_contact, slips_between
 from .switched.engine import StepBeginnings, StepPath, follow_steps, state_in_step

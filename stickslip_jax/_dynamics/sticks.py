@@ -70,15 +70,6 @@ def begin_quantities(position: FloatArray, asked: tuple[str, ...]) -> Remembered
     return {name: QUANTITIES[name].begin(position) for name in asked}
 
 
-def measured(remembered: Remembered, is_stick: BoolArray, stick: StickSpan) -> tuple[dict[str, FloatArray], Remembered]:
-    """The quantities of a stick by name, and what they remember after a step, which ended in a stick or not."""
-    values, after = {}, {}
-    for name, old in remembered.items():
-        values[name], new = QUANTITIES[name].at_end(old, stick)
-        after[name] = jax.tree.map(lambda now, before: jnp.where(is_stick, now, before), new, old)
-    return values, after
-
-
 # Sticks of trajectories and the slips between them: as engines record them, and as results return them.
 
 
@@ -129,13 +120,30 @@ def start_totals(dtype, shape: tuple[int, ...] = ()) -> Totals:
     return Totals(none, none, jnp.zeros(shape, dtype))
 
 
-def with_stick(totals: Totals, is_stick: BoolArray, censored: BoolArray, duration: FloatArray) -> Totals:
-    """The totals after a step in which a stick of this `duration` (s) ended, if one did; `censored`: by the horizon."""
-    return Totals(
+def recorded(
+    remembered: Remembered,
+    totals: Totals,
+    is_stick: BoolArray,
+    span: StickSpan,
+    ending: IntArray,
+    censored: BoolArray,
+    duration: FloatArray,
+) -> tuple[StickRecord, Remembered, Totals]:
+    """The record of a step in which a stick ended, if one did (`is_stick`, else `ending` is -1), and what its
+    quantities remember and the totals after it.
+
+    `remembered`, `totals`: before it. `censored`: by the horizon. `duration`: of the stick, s.
+    """
+    values, after = {}, {}
+    for name, old in remembered.items():
+        values[name], new = QUANTITIES[name].at_end(old, span)
+        after[name] = jax.tree.map(lambda now, before: jnp.where(is_stick, now, before), new, old)
+    totals = Totals(
         sticks=totals.sticks + is_stick,
         censored=totals.censored + (is_stick & censored),
         stick_time=totals.stick_time + jnp.where(is_stick, duration, 0),
     )
+    return StickRecord(span.start, span.end, span.position, values, ending), after, totals
 
 
 def count_slips(totals: Totals, at_start: BoolArray) -> IntArray:

@@ -4,11 +4,11 @@ the tracks of which sticks are counted, its extremes, and how it ends.
 
 import abc
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import reduce
 from itertools import islice
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -19,14 +19,16 @@ from jaxtyping import Array
 
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal, SourceVoltage
-from ..._excitation.segments import SegmentLaw, SegmentState, added, following_segment, is_invalid
-from ..._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
+from ..._excitation.segments import SegmentLaw, SegmentState, added, first_segment, following_segment, is_invalid
+from ..._foundation.types import AnyInteger, BoolArray, FloatArray, IntArray, Number, Scalar, Status
 from ..._numerics.derivatives import NotKnown, largest, without_derivatives
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
-from ..sticks import StickRecord, Sticks, Totals, sticks_in_order
+from ..sticks import StickRecord, Sticks, Totals, count_slips, sticks_in_order
+from .lanes import Engine, SampleTotals
 
 T = TypeVar("T")
+Other = TypeVar("Other")
 
 # Result of one trajectory, the same for every engine: the state along it, and the parts of a `Simulation`.
 
@@ -94,31 +96,39 @@ class Run(NamedTuple):
 # The parts of an excitation that consist of segments, as a trajectory passes through them.
 
 
-class SegmentLaws(eqx.Module):
-    """The laws of all parts of the excitation that consist of segments; a lane's `segment_states` have their order."""
+class Parts(eqx.Module, Generic[T]):
+    """What belongs to each part of the excitation that consists of segments, as in `Segments`."""
 
-    base: tuple[SegmentLaw, ...]
-    ground: tuple[SegmentLaw, ...]
-    force: tuple[SegmentLaw, ...]
-    normal: tuple[SegmentLaw, ...]
+    base: tuple[T, ...]
+    ground: tuple[T, ...]
+    force: tuple[T, ...]
+    normal: tuple[T, ...]
+
+    @property
+    def all(self) -> tuple[T, ...]:
+        return self.base + self.ground + self.force + self.normal
+
+    def parted(self, of_all: Iterable[Other]) -> Iterator[tuple[Other, ...]]:
+        """What belongs to `all` of them, for each of the four parts."""
+        remaining = iter(of_all)
+        return (tuple(islice(remaining, len(part))) for part in (self.base, self.ground, self.force, self.normal))
+
+
+class SegmentLaws(Parts[SegmentLaw]):
+    """The laws of all parts of the excitation that consist of segments; a lane's `segment_states` have their order."""
 
     @classmethod
     def of(cls, system: System, excitation: Excitation) -> "SegmentLaws":
         """The parts of excitation, force and normal forces that consist of segments."""
         return cls(excitation.base, excitation.ground, *system.recorded)
 
-    @property
-    def all(self) -> tuple[SegmentLaw, ...]:
-        return self.base + self.ground + self.force + self.normal
+    def first(self, key_data: Any, dtype) -> tuple[SegmentState, ...]:
+        """The segments at the beginning of the trajectory that `key_data`, those of the excitation, choose."""
+        return tuple(first_segment(law, key_data, dtype) for law in self.all)
 
     def segments(self, segment_states: tuple[SegmentState, ...]) -> Segments:
         """The current segments."""
-        return Segments(*self.parted([state.segment for state in segment_states]))
-
-    def parted(self, of_all: list[T]) -> Iterator[tuple[T, ...]]:
-        """What belongs to `all` laws, for each of the four parts."""
-        remaining = iter(of_all)
-        return (tuple(islice(remaining, len(part))) for part in (self.base, self.ground, self.force, self.normal))
+        return Segments(*self.parted(state.segment for state in segment_states))
 
 
 def following_segments(
@@ -154,6 +164,14 @@ def of_track(tree: T, system: System) -> T:
         if system.tracks.counted is None
         else jax.tree.map(lambda of_each: of_each[..., system.tracks.counted], tree)
     )
+
+
+def sample_totals(
+    system: System, totals: Totals, at_start: BoolArray, status: IntArray, near_grazing_count: IntArray
+) -> SampleTotals:
+    """What is recorded of samples; `totals`, `at_start` (whether a sample began with a stick): (..., tracks)."""
+    totals, at_start = of_track((totals, at_start), system)
+    return SampleTotals(totals.sticks, count_slips(totals, at_start), totals.stick_time, status, near_grazing_count)
 
 
 # The extreme of a number of the state over time, where the motion is known as a function of time inside each step.
@@ -301,3 +319,57 @@ def is_spent(lane: Any) -> BoolArray:
 def _is_finite(value: FloatArray) -> BoolArray:
     finite = jnp.isfinite(value)
     return finite if finite.ndim == 0 else jnp.all(finite)
+
+
+# Lanes in which a step is a time step.
+
+
+class StepsShared(NamedTuple):
+    """Quantities that all steps share: the laws of the excitation's segments, the horizon and the time step (s)."""
+
+    segment_laws: SegmentLaws
+    t1: Array
+    step: Array
+
+
+StepsLane = TypeVar("StepsLane")
+
+
+class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, SampleTotals]):
+    """Any system under any excitation, up to `t1`, from `y0`, in time steps of `step_length`.
+
+    A sample that needs more than `most_steps` steps, rejected ones included, is given up. `quantities` of each stick:
+    those asked for. The constant of a sample is the smooth part of its excitation.
+    """
+
+    system: System
+    excitation: Excitation
+    t1: Scalar
+    y0: tuple[Number, ...]
+    step_length: Scalar
+    most_steps: AnyInteger
+    quantities: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
+
+    @property
+    def tracks(self) -> int | None:
+        return self.system.tracks.number
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.system.traits.compiles_natively
+
+    def smooth(self, key_data: Any, dtype) -> Signal | None:
+        """The smooth part of the excitation of the sample that `key_data` choose."""
+        realized = self.excitation.realized(key_data, dtype)
+        return jax.tree.map(lambda number: jnp.asarray(number, dtype), realized)
+
+    def shared(self, dtype) -> StepsShared:
+        t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.step_length, dtype)
+        return StepsShared(SegmentLaws.of(self.system, self.excitation), t1, step)
+
+    def ended(self, motion: Any, before: Any) -> BoolArray:
+        return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
+
+    def status(self, motion: Any) -> IntArray:
+        """The `Status` of a lane that has ended or is given up."""
+        return status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))

@@ -12,26 +12,29 @@ from jaxtyping import Array
 
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal
-from ..._excitation.segments import first_segment, segment_at
-from ..._foundation.types import AnyInteger, BoolArray, DType, FloatArray, Number, Scalar
+from ..._excitation.segments import segment_at
+from ..._foundation.types import BoolArray, DType, FloatArray, Number, Scalar
 from ..._numerics.derivatives import NotKnown, largest, smallest, with_slopes
 from ..._systems.switched_model import Segments, State, SwitchedModel
 from ..._systems.system import System
-from ..common.lanes import Engine, SampleTotals
+from ..common.lanes import SampleTotals
 from ..common.method import Arguments, Exact, max_steps_advice
 from ..common.path import (
     MotionPath,
     Run,
     SegmentLaws,
+    StepsEngine,
+    StepsShared,
     has_ended,
     is_short,
     largest_in_steps,
     of_track,
     padded_length,
+    sample_totals,
     status_of_lane,
     stopping_scan,
 )
-from ..sticks import ALL, StickRecord, count_slips, no_stick
+from ..sticks import ALL, StickRecord, no_stick
 from .stepping import Lane, advance, start_lane
 
 # One trajectory of the switched engine, and its state at any time.
@@ -86,7 +89,7 @@ def lane_at_start(
     segment_laws = SegmentLaws.of(system, excitation)
     model = system.switched_model(excitation.realized(key_data, dtype), solver)
     own = excitation.segment_key_data(key_data)
-    segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
+    segment_states = segment_laws.first(own, dtype)
     if t0 is None:
         t0 = jnp.zeros((), dtype)
     else:
@@ -182,70 +185,24 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, 
 # Lanes of the switched engine: a step is a time step, accepted or rejected.
 
 
-class SwitchedShared(NamedTuple):
-    """Quantities that all steps share: the laws of the excitation's segments, the horizon and the time step (s)."""
+class SwitchedEngine(StepsEngine[Lane]):
+    """Time steps in which events are located; slips without closed forms are solved by `solver`."""
 
-    segment_laws: SegmentLaws
-    t1: Array
-    step: Array
-
-
-class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, SampleTotals]):
-    """Any system under any excitation, up to `t1`, from `y0`, in time steps.
-
-    A sample that needs more than `most_steps` steps, rejected ones included, is given up. `quantities` of each stick:
-    those asked for. The constant of a sample is the smooth part of its excitation.
-    """
-
-    system: System
-    excitation: Excitation
     solver: Any
-    t1: Scalar
-    y0: tuple[Number, ...]
-    step_length: Scalar
-    most_steps: AnyInteger
-    quantities: tuple[str, ...] = eqx.field(static=True, default=())
-
-    @property
-    def tracks(self) -> int | None:
-        return self.system.tracks.number
-
-    @property
-    def compiles_natively(self) -> bool:
-        return self.system.traits.compiles_natively
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, Lane]:
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
         step = jnp.asarray(self.step_length, dtype)
         lane = lane_at_start(self.system, self.excitation, key_data, y0, step, self.solver, self.quantities)
-        smooth = self.excitation.realized(key_data, dtype)
-        return jax.tree.map(lambda number: jnp.asarray(number, dtype), smooth), lane
+        return self.smooth(key_data, dtype), lane
 
-    def shared(self, dtype) -> SwitchedShared:
-        laws = SegmentLaws.of(self.system, self.excitation)
-        return SwitchedShared(laws, jnp.asarray(self.t1, dtype), jnp.asarray(self.step_length, dtype))
-
-    def step(
-        self, shared: SwitchedShared, sample: Signal | None, motion: Lane, drawn: None
-    ) -> tuple[Lane, StickRecord]:
+    def step(self, shared: StepsShared, sample: Signal | None, motion: Lane, drawn: None) -> tuple[Lane, StickRecord]:
         motion, record = advance(self.system.switched_model(sample, self.solver), *shared, motion)
         return motion, of_track(record, self.system)
 
-    def ended(self, motion: Lane, before: Lane) -> BoolArray:
-        return has_ended(motion, self._t1(motion), jnp.asarray(self.most_steps, jnp.int32))
-
     def results(self, sample: Signal | None, motion: Lane) -> SampleTotals:
-        totals, at_start = of_track((motion.totals, motion.at_start), self.system)
-        return SampleTotals(
-            sticks=totals.sticks,
-            slips=count_slips(totals, at_start),
-            stick_time=totals.stick_time,
-            status=status_of_lane(motion, self._t1(motion)),
-            near_grazing_count=motion.near_grazing_count,
-        )
-
-    def _t1(self, lane: Lane) -> Array:
-        return jnp.asarray(self.t1, lane.t.dtype)
+        status, near = self.status(motion), motion.near_grazing_count
+        return sample_totals(self.system, motion.totals, motion.at_start, status, near)
 
 
 # One trajectory in time steps with located events, and the state along it.

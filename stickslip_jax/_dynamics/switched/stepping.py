@@ -18,17 +18,7 @@ from ..._numerics.matrices import any_of, largest_of, sum_of
 from ..._numerics.steps import look_ahead
 from ..._systems.switched_model import NOISE_ULPS, Question, State, SwitchedModel, chosen_state
 from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
-from ..sticks import (
-    Remembered,
-    StickRecord,
-    StickSpan,
-    Totals,
-    begin_quantities,
-    ending_of,
-    measured,
-    start_totals,
-    with_stick,
-)
+from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantities, ending_of, recorded, start_totals
 
 # The state of a trajectory between two steps of the switched engine, and what counts as round-off in it.
 
@@ -226,9 +216,8 @@ def switched(
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + lane.start_error)
     now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
     stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)
-    quantities, remembered = measured(lane.remembered, over, stick)
-    ending = ending_of(over, ~at_horizon & ~(ended & jumped), at_horizon)
-    record = StickRecord(stick.start, stick.end, stick.position, quantities, ending)
+    ending, duration = ending_of(over, ~at_horizon & ~(ended & jumped), at_horizon), lane.t - lane.stick_start
+    record, remembered, totals = recorded(lane.remembered, lane.totals, over, stick, ending, at_horizon, duration)
     begins = ~was_stick & sticks
     # A stick that starts on the edge of the band, or on the end of a segment, ends at once: of no length, it is none.
     no_stick = was_stick & ~sticks & ~over
@@ -236,7 +225,7 @@ def switched(
     following = lane._replace(
         y=y,
         sign=sign,
-        totals=with_stick(lane.totals, over, at_horizon, lane.t - lane.stick_start),
+        totals=totals,
         event=jnp.where(at_rest, lax.stop_gradient(lane.t), lane.event),
         at_start=lane.at_start & ~no_stick,
         near_grazing_count=lane.near_grazing_count + undecided,
