@@ -17,7 +17,7 @@ from .._dynamics.common.path import Run, SegmentLaws
 from .._dynamics.engine_choice import BySteps, engine_for
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
-from .._dynamics.switched.engine import lane_at_start, steps_for
+from .._dynamics.switched.engine import SwitchedEngine, steps_for
 from .._ensemble.points import Points, Setter, check_points, points_of, setter_of, setting_of
 from .._excitation.excitation import BaseMotion, excitation_of, motion_of
 from .._excitation.motion import Motion, Signal, UserMotion
@@ -265,9 +265,8 @@ class Cycle(eqx.Module):
         """The rates of the state at the begin of the period, per second."""
         step = Arguments(self.system, self.base, self.method, self.duration).checked_step()[1]
         zero, excitation = jnp.zeros((), y.dtype), excitation_of(self.base)
-        lane = lane_at_start(
-            self.system, excitation, jnp.zeros(2, jnp.uint32), tuple(y), step + zero, self.method.solver, ()
-        )
+        engine = SwitchedEngine(self.system, excitation, self.duration, tuple(y), step, 0, self.method.solver)
+        lane = engine.lane(excitation.signal, np.zeros(2, np.uint32), y.dtype)
         model = self.system.switched_model(excitation.signal, self.method.solver)
         forcing = model.forcing(zero, SegmentLaws.of(self.system, excitation).segments(lane.segment_states))
         return jnp.stack(model.numbers(model.rates(forcing, zero, lane.y, lane.sign)))

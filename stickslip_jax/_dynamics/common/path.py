@@ -14,6 +14,7 @@ import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array
 
@@ -36,6 +37,8 @@ Other = TypeVar("Other")
 class MotionPath(eqx.Module):
     """The state and the base velocity of one trajectory as functions of time."""
 
+    smooth: eqx.AbstractVar[Signal | None]  # part of the excitation
+
     @property
     @abc.abstractmethod
     def times(self) -> Array:
@@ -48,11 +51,6 @@ class MotionPath(eqx.Module):
     @abc.abstractmethod
     def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
         """The largest value of `sign` times one number of the state until the time `last` (s), where it is `final`."""
-
-    @property
-    @abc.abstractmethod
-    def smooth(self) -> Signal | None:
-        """The smooth part of the excitation."""
 
     @abc.abstractmethod
     def segments(self, time: FloatArray) -> Segments:
@@ -335,6 +333,9 @@ class StepsShared(NamedTuple):
 StepsLane = TypeVar("StepsLane")
 
 
+_NO_KEY_DATA = np.zeros(2, np.uint32)  # a realisation draws nothing
+
+
 class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, SampleTotals]):
     """Any system under any excitation, up to `t1`, from `y0`, in time steps of `step_length`.
 
@@ -358,10 +359,44 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
     def compiles_natively(self) -> bool:
         return self.system.traits.compiles_natively
 
-    def smooth(self, key_data: Any, dtype) -> Signal | None:
-        """The smooth part of the excitation of the sample that `key_data` choose."""
+    @abc.abstractmethod
+    def lane(self, smooth: Signal | None, key_data: Any, dtype) -> StepsLane:
+        """The lane at the beginning of the trajectory under this smooth excitation whose segments `key_data` choose."""
+
+    @abc.abstractmethod
+    def advanced(
+        self, shared: StepsShared, smooth: Signal | None, lane: StepsLane
+    ) -> tuple[StepsLane, StickRecord, Any]:
+        """The lane after a step, the record of the stick that ended in it, and what the path keeps of the step."""
+
+    @abc.abstractmethod
+    def idle(self, lane: StepsLane) -> tuple[StickRecord, Any]:
+        """The same of a step that is not taken."""
+
+    def follow(self, dtype, **begun: Any) -> tuple[StepsLane, tuple[StickRecord, Any]]:
+        """One realisation in at most `most_steps` steps: the lane after them, and what is kept of each.
+
+        The loop idles once the trajectory has ended. `begun`: further arguments of `lane`.
+        """
+        shared, smooth = self.shared(dtype), self.excitation.signal
+
+        def one_step(lane: StepsLane, _: IntArray) -> tuple[StepsLane, tuple[StickRecord, Any]]:
+            lane, *kept = self.advanced(shared, smooth, lane)
+            return lane, tuple(kept)
+
+        start = self.lane(smooth, _NO_KEY_DATA, dtype, **begun)
+        return stopping_scan(one_step, start, int(self.most_steps), lambda lane, _: self.ended(lane, lane), self.idle)
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, StepsLane]:
         realized = self.excitation.realized(key_data, dtype)
-        return jax.tree.map(lambda number: jnp.asarray(number, dtype), realized)
+        smooth = jax.tree.map(lambda number: jnp.asarray(number, dtype), realized)
+        return smooth, self.lane(smooth, key_data, dtype)
+
+    def step(
+        self, shared: StepsShared, sample: Signal | None, motion: StepsLane, drawn: None
+    ) -> tuple[StepsLane, StickRecord]:
+        motion, record, _ = self.advanced(shared, sample, motion)
+        return motion, of_track(record, self.system)
 
     def shared(self, dtype) -> StepsShared:
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.step_length, dtype)

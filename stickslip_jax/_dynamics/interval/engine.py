@@ -391,6 +391,7 @@ class IntervalPath(MotionPath):
     base: VelocitySteps
     t1: Scalar
     beginnings: MassState
+    smooth: None = None
 
     @property
     def times(self) -> Array:
@@ -411,10 +412,6 @@ class IntervalPath(MotionPath):
         durations, velocities = (jnp.asarray(one, dtype) for one in (self.base.durations, self.base.velocities))
         found = jnp.max(jax.vmap(of_interval)(self.beginnings, durations, velocities))
         return jnp.maximum(found, sign * final)
-
-    @property
-    def smooth(self) -> None:
-        return None
 
     def segments(self, time: FloatArray) -> Segments:
         index = self._index(time)

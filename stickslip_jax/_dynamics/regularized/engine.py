@@ -29,14 +29,12 @@ from ..common.path import (
     SegmentLaws,
     StepsEngine,
     StepsShared,
-    has_ended,
     is_short,
     largest_in_steps,
     of_track,
     padded_length,
     sample_totals,
     status_of_lane,
-    stopping_scan,
 )
 from ..sticks import ALL, StickRecord
 from .balances import Switch, with_slope
@@ -63,22 +61,24 @@ from .sticks import Criterion, Cubic, hermite
 
 
 class FixedEngine(StepsEngine[FixedLane]):
-    """Fixed steps; `method`: with every option filled in (`resolved`)."""
+    """Fixed steps; `method`: with every option filled in (`resolved`), its step left to `step_length`."""
 
     method: Regularized
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
-        smooth, words = self.smooth(key_data, dtype), self.excitation.segment_key_data(key_data)
+    def lane(self, smooth: Signal | None, key_data: Any, dtype) -> FixedLane:
+        segment_laws, field = SegmentLaws.of(self.system, self.excitation), self._field(smooth)
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
-        laws = SegmentLaws.of(self.system, self.excitation)
-        return smooth, start_fixed(self._field(smooth), laws, words, y0, dtype, self.quantities)
+        words = self.excitation.segment_key_data(key_data)
+        return start_fixed(field, segment_laws, words, y0, dtype, self.quantities)
 
-    def step(
-        self, shared: StepsShared, sample: Signal | None, motion: FixedLane, drawn: None
-    ) -> tuple[FixedLane, StickRecord]:
-        most = jnp.asarray(self.most_steps, jnp.int32)
-        lane, stick, _ = advance_fixed(self._field(sample), *shared, most, motion)
-        return lane, of_track(stick, self.system)
+    def advanced(
+        self, shared: StepsShared, smooth: Signal | None, lane: FixedLane
+    ) -> tuple[FixedLane, StickRecord, PathStep]:
+        return advance_fixed(self._field(smooth), *shared, jnp.asarray(self.most_steps, jnp.int32), lane)
+
+    def idle(self, lane: FixedLane) -> tuple[StickRecord, PathStep]:
+        model = self._field(self.excitation.signal).model
+        return nothing_seen(model.numbers(lane.y), model.contacts, ALL)
 
     def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
         _, totals, at_start = motion.detector.found
@@ -175,7 +175,7 @@ class CubicPath(MotionPath):
     `t` (s) and `y` have an entry for the beginning of each step and one for the end of the last.
     """
 
-    excitation: Excitation
+    smooth: Signal | None
     tables: Tables
     t: Array
     y: State
@@ -184,7 +184,7 @@ class CubicPath(MotionPath):
 
     @classmethod
     def of(
-        cls, excitation: Excitation, tables: Tables, passages: PathStep, steps: IntArray, last: FloatArray, final: State
+        cls, smooth: Signal | None, tables: Tables, passages: PathStep, steps: IntArray, last: FloatArray, final: State
     ):
         """The path of the first `steps` passages (the others are empty), which ends at time `last` in `final`."""
         live = jnp.arange(len(passages.t)) < steps
@@ -193,7 +193,7 @@ class CubicPath(MotionPath):
             return jnp.append(jnp.where(live, values, end), end)
 
         y = tuple(closed(values, end) for values, end in zip(passages.y, final, strict=True))
-        return cls(excitation, tables, closed(passages.t, last), y, passages.rates, passages.end_rates)
+        return cls(smooth, tables, closed(passages.t, last), y, passages.rates, passages.end_rates)
 
     @property
     def times(self) -> Array:
@@ -215,10 +215,6 @@ class CubicPath(MotionPath):
             return with_slope(lambda tau: sign * hermite(tau, step[1], step[0]), tau)
 
         return largest_in_steps(inside, (cubics, lengths), sign * cubics.begin, lengths, sign * final)
-
-    @property
-    def smooth(self) -> Signal | None:
-        return self.excitation.signal
 
     def segments(self, time: FloatArray) -> Segments:
         return self.tables.at(time)
@@ -280,32 +276,11 @@ def _follow(
     else:
         # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.
         shortest = lax.stop_gradient(method.minimum_duration)
-        method = dataclasses.replace(method, atol=None, minimum_duration=shortest)
-        lane, kept = with_slopes(partial(_fixed_loop, steps), system, excitation, method, t1, y0, most=_MOST_SLOPES)
+        fixed = dataclasses.replace(method, step=None, atol=None, minimum_duration=shortest)
+        engine = FixedEngine(system, excitation, t1, y0, method.step, steps, fixed, quantities=ALL)
+        lane, kept = with_slopes(lambda engine: engine.follow(t1.dtype), engine, most=_MOST_SLOPES)
         final = system.switched_model(excitation.signal, None).numbers(lane.y)
         detector, end, status = lane.detector, (lane.steps, lane.t, final), status_of_lane(lane, t1)
     records, passages = kept
-    path = CubicPath.of(excitation, tables, passages, *end)
+    path = CubicPath.of(excitation.signal, tables, passages, *end)
     return Run.of(system, records, detector.found.totals, status, *end[1:], jnp.zeros((), jnp.int32), path)
-
-
-def _fixed_loop(
-    steps: int, system: System, excitation: Excitation, method: Regularized, t1: Array, y0: tuple[Number, ...]
-) -> tuple[FixedLane, tuple[StickRecord, PathStep]]:
-    """At most so many fixed steps: the lane after them, and what is recorded of each."""
-    segment_laws, most = SegmentLaws.of(system, excitation), jnp.asarray(steps, jnp.int32)
-    field = field_of(system, excitation.signal, method)
-    assert isinstance(field, SteppedField)
-    step = jnp.asarray(method.step)
-
-    def one_step(lane, _):
-        lane, *kept = advance_fixed(field, segment_laws, t1, step, most, lane)
-        return lane, tuple(kept)
-
-    return stopping_scan(
-        one_step,
-        start_fixed(field, segment_laws, _NO_KEY_DATA, y0, t1.dtype, ALL),
-        steps,
-        lambda lane, _: has_ended(lane, t1, most),
-        lambda lane: nothing_seen(field.model.numbers(lane.y), field.model.contacts, ALL),
-    )
