@@ -184,6 +184,30 @@ _Step = TypeVar("_Step")
 Inside = Callable[[_Step, FloatArray], tuple[FloatArray, FloatArray]]
 """The number and its slope at some time (s) after the beginning of a step."""
 
+
+class Bracket(NamedTuple):
+    """Two points between which a function falls through zero, and its values there."""
+
+    low: FloatArray
+    high: FloatArray
+    of_low: FloatArray
+    of_high: FloatArray
+
+    @property
+    def by_secant(self) -> FloatArray:
+        """Where the line through both values is zero."""
+        fall = self.of_low - self.of_high
+        share = jnp.where(fall > 0, self.of_low / jnp.where(fall > 0, fall, 1), 0.5)
+        return self.low + (self.high - self.low) * share
+
+    def narrowed(self, at: FloatArray, value: FloatArray, kept: float = 1.0) -> "Bracket":
+        """That with the `value` at a point in it; of the end that stays, so much of the value is `kept`."""
+        is_low = value >= 0
+        low, high = jnp.where(is_low, at, self.low), jnp.where(is_low, self.high, at)
+        of_low, of_high = jnp.where(is_low, value, kept * self.of_low), jnp.where(is_low, kept * self.of_high, value)
+        return Bracket(low, high, of_low, of_high)
+
+
 # Fractions of a step between which the slope's sign is looked at: fine near the beginning, where a motion may die out.
 _INSTANTS = (0.0, 2.0**-12, 2.0**-7, 2.0**-4, 0.25, 0.5, 0.75, 1.0)
 _TRIES = 12  # the value's error is that of the instant squared
@@ -210,26 +234,18 @@ def largest_in_steps(
     # Of several turns the one beside the largest value.
     beside = jnp.where(turns, jnp.maximum(values[:-1], values[1:]), -jnp.inf)
     chosen = jnp.argmax(beside, axis=0)[None]
-    low, high = (jnp.take_along_axis(ends, chosen, 0)[0] for ends in (h[:-1], h[1:]))
-    above, below = (jnp.take_along_axis(ends, chosen, 0)[0] for ends in (slopes[:-1], slopes[1:]))
+    ends = (h[:-1], h[1:], slopes[:-1], slopes[1:])
+    bracket = Bracket(*(jnp.take_along_axis(of_ends, chosen, 0)[0] for of_ends in ends))
 
-    def narrow(number: Array, bracket: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
-        low, high, above, below, _ = bracket
-        fall = above - below
-        secant = low + (high - low) * jnp.where(fall > 0, above / jnp.where(fall > 0, fall, 1), 0.5)
-        at = jnp.where(number % 4 == 3, 0.5 * (low + high), secant)  # the Illinois rule, and halving
-        _, here = of_all(fixed, at)
-        rises = here > 0
+    def narrow(number: Array, found: tuple[Bracket, FloatArray]) -> tuple[Bracket, FloatArray]:
+        bracket, _ = found
+        middle = 0.5 * (bracket.low + bracket.high)
+        at = jnp.where(number % 4 == 3, middle, bracket.by_secant)  # the Illinois rule, and halving
+        _, slope = of_all(fixed, at)
         # An end that stays has its slope halved, so that the other end moves next.
-        return (
-            jnp.where(rises, at, low),
-            jnp.where(rises, high, at),
-            jnp.where(rises, here, 0.5 * above),
-            jnp.where(rises, 0.5 * below, here),
-            at,
-        )
+        return bracket.narrowed(at, slope, kept=0.5), at
 
-    *_, found = lax.fori_loop(0, _TRIES, narrow, (low, high, above, below, 0.5 * (low + high)))
+    _, found = lax.fori_loop(0, _TRIES, narrow, (bracket, bracket.low))
     at = lax.stop_gradient(jnp.where(jnp.any(turns, axis=0), found, 0))
     values, _ = of_all(steps, at)
     return jnp.maximum(jnp.max(jnp.maximum(values, starts)), last)

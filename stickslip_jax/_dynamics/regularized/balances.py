@@ -6,7 +6,7 @@ import abc
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ from ..._numerics.derivatives import OwnDerivative, without_derivatives
 from ..._numerics.elementary import angle_of
 from ..._numerics.matrices import linear_solve, times
 from ..._systems.friction import FrictionLaw
+from ..common.path import Bracket
 
 # Smooth switches that replace the sign of the relative velocity in regularised dynamics.
 
@@ -290,33 +291,16 @@ def _share(law: ForceLaw, sigma: FloatArray, force: FloatArray, moved: FloatArra
     before, beyond = inner & (slopes >= 0), inner & (slopes < 0)
     low, high = jnp.max(jnp.where(before, edges, 0)), jnp.min(jnp.where(beyond, edges, 1))
 
-    def narrower(bracket: _Bracket, share: FloatScalar) -> _Bracket:
-        here = downhill(share)
-        is_low = here >= 0
-        low, high = jnp.where(is_low, share, bracket.low), jnp.where(is_low, bracket.high, share)
-        return _Bracket(low, high, jnp.where(is_low, here, bracket.of_low), jnp.where(is_low, bracket.of_high, here))
+    bracket = Bracket(low, high, downhill(low), downhill(high))
 
-    bracket = _Bracket(low, high, downhill(low), downhill(high))
+    def narrower(bracket: Bracket, share: FloatScalar) -> Bracket:
+        return bracket.narrowed(share, downhill(share))
+
     if not law.is_straight:  # of long tails a secant sees little
         bracket = lax.fori_loop(0, _HALVINGS, lambda _, b: narrower(b, (b.low + b.high) / 2), bracket)
     for _ in range(_SECANTS):
         bracket = narrower(bracket, bracket.by_secant)
     return jnp.where(at_end >= -_OVERSHOT * at_start, all_of_it, bracket.by_secant)
-
-
-class _Bracket(NamedTuple):
-    """Two parts of a step between which the slope along it changes its sign, and the slopes there."""
-
-    low: FloatScalar
-    high: FloatScalar
-    of_low: FloatScalar
-    of_high: FloatScalar
-
-    @property
-    def by_secant(self) -> FloatScalar:
-        total = self.of_low - self.of_high
-        share = jnp.where(total > 0, self.of_low / jnp.where(total > 0, total, 1), 0.5)
-        return self.low + (self.high - self.low) * share
 
 
 def _newton_matrix(slope: FloatArray, stiffness: FloatArray) -> FloatArray:

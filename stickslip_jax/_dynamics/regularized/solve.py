@@ -1,5 +1,6 @@
 """Regularised motion of one trajectory: its settings, steps of fixed length, and adaptive steps by diffrax."""
 
+import dataclasses
 import math
 from collections.abc import Callable
 from functools import cache, reduce
@@ -451,7 +452,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             "Argument width must be positive (in m/s), but None was given; only friction laws with an inner state, "
             "such as LuGre, need none."
         )
-    check_contacts(system, method)
+    _check_contacts(system, method)
     width = None if method.width is None else jnp.asarray(method.width, dtype)
     speed, deceleration, state_sizes = system.sizes(excitation)
     # Static friction above kinetic friction holds a mass up to one width.
@@ -487,21 +488,20 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             f"Argument atol must be one number, or one for each of the {len(scales)} states, but an array of shape "
             f"{np.shape(atol)} was given."
         )
-    return Regularized(
-        width,
-        method.shape,
+    return dataclasses.replace(
+        method,
+        width=width,
         step=None if adaptive else jnp.asarray(method.step, dtype),
         solver=diffrax.Kvaerno3() if adaptive and method.solver is None else method.solver,
         rtol=jnp.asarray(method.rtol, dtype),
         atol=jnp.asarray(atol, dtype),
-        max_steps=method.max_steps,
         threshold=jnp.asarray(threshold, dtype),
         minimum_duration=jnp.asarray(duration, dtype),
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,
     )
 
 
-def check_contacts(system: System, method: Regularized) -> None:
+def _check_contacts(system: System, method: Regularized) -> None:
     """Check what several contacts cannot have. Raises ValueError for it."""
     contacts = system.tracks.contacts
     for name in ("threshold", "minimum_duration"):

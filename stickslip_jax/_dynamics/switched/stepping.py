@@ -146,33 +146,31 @@ def _or_zero(tangent: Any, like: Any) -> Any:
 # Which mode a trajectory is in after an event or at the end of a segment: stick, or slip of either direction.
 
 
-class Stop(NamedTuple):
-    """How a time step ended: on an event of the mode (`landed`), or where a segment ends or at the horizon (`at_stop`).
-
-    `landed`: of each contact, whether its mode ended there. `brief`: its slip would end where it began, but for
-    round-off. `start_error`: by how much round-off may have moved the start of a stick that begins here, s.
-    """
-
-    landed: BoolArray
-    brief: BoolArray
-    at_stop: BoolArray
-    start_error: FloatScalar
-
-
 def switched(
-    model: SwitchedModel, segment_laws: SegmentLaws, lane: Lane, stop: Stop, t1: FloatArray
+    model: SwitchedModel,
+    segment_laws: SegmentLaws,
+    lane: Lane,
+    t1: FloatArray,
+    ends: BoolArray,
+    brief: BoolArray,
+    at_stop: BoolArray,
+    start_error: FloatScalar,
 ) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
     """The lane after an event or at the end of a segment, in its mode, and the record of the stick that ended, if any.
+
+    The step ended on an event of the modes of contacts (`ends`), or where a segment ends or at the horizon (`at_stop`).
+    `brief`: a slip would end where it began, but for round-off. `start_error`: by how much round-off may have moved the
+    start of a stick that begins here, s.
 
     Also returned: of each contact the margin, the size of the stick guard (0 where friction just holds) where it was
     decided whether the mass sticks, infinity elsewhere; and whether a jump of the base or the horizon ended the mode.
     """
-    ended = stop.at_stop & (lane.t < t1)
+    ended = at_stop & (lane.t < t1)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, lane.t, ended)
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
     was_held = lane.sign == 0
     resting = model.at_rest(forcing, lane.y)
-    sign, landed, changed = model.after(forcing, lane.y, lane.sign, stop.landed, ended)
+    sign, landed, changed = model.after(forcing, lane.y, lane.sign, ends, ended)
     # The end of a segment. A slip goes on unless the base jumps; everything else is decided as at a start.
     resolve = (ended & (was_held | jumped)) | changed
     # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
@@ -195,7 +193,7 @@ def switched(
     holds = holds | (resting & not_below & is_not_below(-guard, guard_rate, lane.t) & (guard_rate >= 0))
     # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
     # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
-    turned = jnp.where(was_held | (resting & ~stop.brief), release_sign, -sign)
+    turned = jnp.where(was_held | (resting & ~brief), release_sign, -sign)
     sign = jnp.where(landed, jnp.where(~was_held & holds, 0, turned), sign)
     held_or_released = jnp.where(holds | (not_below & goes_on), 0, release_sign)
     resolved = jnp.where(resting | goes_on, held_or_released, slips)
@@ -211,7 +209,7 @@ def switched(
         margin = jnp.where(near_rest, 0, margin)
 
     # The lane in this mode: its sticks counted, and the record of the stick that ended, if any.
-    at_horizon = stop.at_stop & ~(lane.t < t1)
+    at_horizon = at_stop & ~(lane.t < t1)
     was_stick, sticks, position = model.stuck(lane.sign), model.stuck(sign), model.stick_position(y)
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + lane.start_error)
     now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
@@ -230,7 +228,7 @@ def switched(
         at_start=lane.at_start & ~no_stick,
         near_grazing_count=lane.near_grazing_count + undecided,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
-        start_error=jnp.where(begins, lax.stop_gradient(stop.start_error), lane.start_error),
+        start_error=jnp.where(begins, lax.stop_gradient(start_error), lane.start_error),
         stick_position=jnp.where(begins, position, lane.stick_position),
         remembered=remembered,
         segment_states=segment_states,
@@ -388,8 +386,8 @@ def advance(
     moved = lane._replace(t=t, y=tuple(y), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1)
     # A slip that only round-off makes: it would end where it began, and neither reverses friction nor counts.
     brief = (trial.ends & trial.at_once) | (t - lane.event <= _LANDED[itemsize] * step + trial.clock)
-    ended = Stop(trial.ends, brief, live & at_stop, start_error)
-    following, record, margin, abrupt = switched(model, segment_laws, moved, ended, t1)
+    ended = trial.ends, brief, live & at_stop, start_error
+    following, record, margin, abrupt = switched(model, segment_laws, moved, t1, *ended)
     vanished = brief & (lane.sign != 0) & (following.sign == 0)
     near_grazing = tie | (tie_if_abrupt & abrupt) | is_tie(margin) | vanished
 
