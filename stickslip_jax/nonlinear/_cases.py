@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from .._dynamics.common.method import Arguments, Exact, check_fixed, slowest_time, state_of, working_dtype
 from .._dynamics.common.path import Run, SegmentLaws
-from .._dynamics.engine_choice import BySteps, engine_for
+from .._dynamics.engine_choice import Choice, engine_for
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
 from .._dynamics.switched.engine import SwitchedEngine, steps_for
@@ -251,7 +251,7 @@ class Cycle(eqx.Module):
 
     def by_steps(self, y: FloatArray) -> Run:
         """The same motion in time steps, also where it is known over whole intervals of the base."""
-        return BySteps(Arguments(self.system, self.base, self.method, self.duration)).follow(tuple(y), y.dtype)[1]
+        return Choice(Arguments(self.system, self.base, self.method, self.duration)).follow(tuple(y), y.dtype)[1]
 
     def lasting(self, duration: Scalar) -> "Cycle":
         """The same with another duration (s)."""
@@ -289,7 +289,7 @@ def steps_in(
     `by_steps`: time steps also where the motion is known over whole intervals of the base.
     """
     arguments = Arguments(system, base, method, duration)
-    if method.max_steps is not None or not (by_steps or isinstance(engine_for(arguments), BySteps)):
+    if method.max_steps is not None or not (by_steps or not engine_for(arguments).by_intervals):
         return None
     try:
         excitation, step = arguments.checked_step()
