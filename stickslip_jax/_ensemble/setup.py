@@ -14,7 +14,8 @@ from jaxtyping import Array, PyTree
 from .._dynamics.common.lanes import Engine, Job, VaryingEngine, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
 from .._dynamics.engine_choice import engines_of_all, lanes_for, sample_engines
-from .._dynamics.regularized.engine import AdaptiveBatch, FixedEngine
+from .._dynamics.regularized.engine import AdaptiveBatch
+from .._dynamics.regularized.solve import FixedEngine
 from .._dynamics.simulate import Output, simulate
 from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import ALL

@@ -18,17 +18,13 @@ from ..._foundation import checks
 from ..._foundation.types import AnyArray, AnyInteger, DType, FloatArray, IntArray, Number, Scalar
 from ..._numerics.derivatives import NotKnown, with_slopes
 from ..._numerics.elementary import random_words
-from ..._systems.contacts import ContactsModel
 from ..._systems.switched_model import Segments, State
-from ..._systems.system import System, one_contact_model
+from ..._systems.system import System
 from ..common.lanes import SampleTotals, with_leaves
 from ..common.method import Regularized, longest_step, max_steps_advice, step_for
 from ..common.path import (
     MotionPath,
     Run,
-    SegmentLaws,
-    StepsEngine,
-    StepsShared,
     is_short,
     largest_in_steps,
     of_track,
@@ -37,57 +33,24 @@ from ..common.path import (
     status_of_lane,
 )
 from ..sticks import ALL, StickRecord
-from .balances import Switch, with_slope
-from .field import AnyField, ContactsField, Field, InnerField, SteppedField
+from .balances import with_slope
+from .field import field_of
 from .solve import (
     ADAPTIVE_STEPS,
     MORE,
-    FixedLane,
+    FixedEngine,
     PathStep,
     Tables,
-    advance_fixed,
     fixed_steps,
     follow_adaptive,
-    nothing_seen,
     numbers_as_arrays,
     resolved,
-    start_fixed,
     status_of,
     table_sizes,
 )
-from .sticks import Criterion, Cubic, hermite
+from .sticks import Cubic, hermite
 
-# Many trajectories of regularised dynamics: lanes of fixed steps, and whole batches of adaptive ones.
-
-
-class FixedEngine(StepsEngine[FixedLane]):
-    """Fixed steps; `method`: with every option filled in (`resolved`), its step left to `step_length`."""
-
-    method: Regularized
-
-    def lane(self, smooth: Signal | None, key_data: Any, dtype) -> FixedLane:
-        segment_laws, field = SegmentLaws.of(self.system, self.excitation), self._field(smooth)
-        y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
-        words = self.excitation.segment_key_data(key_data)
-        return start_fixed(field, segment_laws, words, y0, dtype, self.quantities)
-
-    def advanced(
-        self, shared: StepsShared, smooth: Signal | None, lane: FixedLane
-    ) -> tuple[FixedLane, StickRecord, PathStep]:
-        return advance_fixed(self._field(smooth), *shared, jnp.asarray(self.most_steps, jnp.int32), lane)
-
-    def idle(self, lane: FixedLane) -> tuple[StickRecord, PathStep]:
-        model = self._field(self.excitation.signal).model
-        return nothing_seen(model.numbers(lane.y), model.contacts, ALL)
-
-    def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
-        _, totals, at_start = motion.detector.found
-        return sample_totals(self.system, totals, at_start, self.status(motion), jnp.zeros((), jnp.int32))
-
-    def _field(self, smooth: Signal | None) -> SteppedField:
-        field = field_of(self.system, smooth, self.method)
-        assert isinstance(field, SteppedField)
-        return field
+# Many trajectories of regularised dynamics in adaptive steps: whole batches.
 
 
 class AdaptiveBatch(NamedTuple):
@@ -146,20 +109,6 @@ def solve_batch(
     )
     near = jnp.zeros(statuses.shape, jnp.int32)
     return sample_totals(batch.system, found.totals, found.at_start, statuses, near), records
-
-
-def field_of(system: System, smooth: Signal | None, method: Regularized) -> AnyField:
-    """The field of `system` under a realised smooth excitation; `method`: with every option filled in."""
-    assert method.threshold is not None
-    assert method.minimum_duration is not None
-    criterion, inner = Criterion(method.threshold, method.minimum_duration), system.inner_model(smooth)
-    if inner is not None:
-        return InnerField(inner, criterion)
-    assert method.width is not None
-    model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
-    if isinstance(model, ContactsModel):
-        return ContactsField(model, criterion, switch, system.static_exceeds_kinetic)
-    return Field(one_contact_model(system, smooth, None), criterion, switch)
 
 
 # One trajectory of regularised dynamics, in fixed or adaptive steps, and the state along it.

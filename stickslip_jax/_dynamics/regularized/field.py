@@ -15,12 +15,15 @@ import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
+from ..._excitation.motion import Signal
 from ..._foundation.types import FloatArray, FloatScalar
 from ..._numerics.derivatives import without_derivatives
 from ..._numerics.matrices import largest_of, times
 from ..._systems.contacts import ContactsModel, solved
 from ..._systems.memory_models import InnerStates
 from ..._systems.switched_model import NOISE_ULPS, OneContactModel, State
+from ..._systems.system import System, one_contact_model
+from ..common.method import Regularized
 from .balances import ForceLaw, Switch, balance, balanced_forces
 from .sticks import AtContact, Criterion, Cubic, SeenStep
 
@@ -427,3 +430,17 @@ class InnerField(AnyField):
     def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
         slips = jnp.stack([jnp.asarray(law.elastic_slip, velocity.dtype) for law in self.model.laws])
         return slips if self.model.contacts else slips[0] / self.model.slip_of_law(y)
+
+
+def field_of(system: System, smooth: Signal | None, method: Regularized) -> AnyField:
+    """The field of `system` under a realised smooth excitation; `method`: with every option filled in."""
+    assert method.threshold is not None
+    assert method.minimum_duration is not None
+    criterion, inner = Criterion(method.threshold, method.minimum_duration), system.inner_model(smooth)
+    if inner is not None:
+        return InnerField(inner, criterion)
+    assert method.width is not None
+    model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
+    if isinstance(model, ContactsModel):
+        return ContactsField(model, criterion, switch, system.static_exceeds_kinetic)
+    return Field(one_contact_model(system, smooth, None), criterion, switch)

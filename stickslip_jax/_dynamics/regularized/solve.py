@@ -1,4 +1,4 @@
-"""Regularised motion of one trajectory: its settings, steps of fixed length, and adaptive steps by diffrax."""
+"""Regularised motion: its settings, lanes of steps of fixed length, and adaptive steps of one trajectory by diffrax."""
 
 import dataclasses
 import math
@@ -14,6 +14,7 @@ from jaxtyping import Array
 
 from ..._compiler import sharing
 from ..._excitation.excitation import Excitation
+from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState, SegmentTable
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
@@ -22,11 +23,22 @@ from ..._numerics.derivatives import NotKnown, largest, smallest
 from ..._numerics.matrices import any_of
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
+from ..common.lanes import SampleTotals
 from ..common.method import Regularized, accurate_step, step_for
-from ..common.path import Parts, SegmentLaws, following_segments, is_spent, stopping_scan, to_digits
-from ..sticks import StickRecord, no_stick
+from ..common.path import (
+    Parts,
+    SegmentLaws,
+    StepsEngine,
+    StepsShared,
+    following_segments,
+    is_spent,
+    sample_totals,
+    stopping_scan,
+    to_digits,
+)
+from ..sticks import ALL, StickRecord, no_stick
 from .balances import Switch
-from .field import AnyField, InnerField, SteppedField
+from .field import AnyField, InnerField, SteppedField, field_of
 from .sticks import (
     JoiningDetector,
     SeenStep,
@@ -91,7 +103,7 @@ def _share(chosen: BoolArray, one: FloatArray, other: FloatArray) -> FloatArray:
     return jnp.where(chosen, one, 0) / jnp.where(chosen, one + other, 1)
 
 
-# Regularised motion of one trajectory in steps of fixed length; the caller makes batches with ``jax.vmap``.
+# Regularised motion in steps of fixed length.
 #
 # A step ends early where a segment of the base motion or of the load ends, so that it never crosses a jump.
 
@@ -131,24 +143,8 @@ def nothing_seen(numbers: State, contacts: int | None, quantities: tuple[str, ..
     return stick, PathStep(none[0], none, none, none)
 
 
-def start_fixed(
-    field: SteppedField, segment_laws: SegmentLaws, key_data: Any, y0: tuple, dtype, quantities: tuple[str, ...]
-) -> FixedLane:
-    """The lane at the beginning of a trajectory, whose segments `key_data` choose.
-
-    `quantities` of each stick: those that are asked for.
-    """
-    segment_states = segment_laws.first(key_data, dtype)
-    zero, y = jnp.zeros((), dtype), field.model.start(y0, dtype)
-    forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
-    limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
-    seen, tracks = field.at_contact(forcing, zero, y), field.model.stick_position(y)
-    detector = start_detector(field.criterion, seen, tracks, quantities)
-    return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
-
-
 @sharing
-def advance_fixed(
+def _advance_fixed(
     field: SteppedField,
     segment_laws: SegmentLaws,
     t1: FloatArray,
@@ -196,6 +192,41 @@ def advance_fixed(
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
     record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
     return moved, record, PathStep(lane.t, *map(field.model.numbers, (lane.y, rates, end_rates)))
+
+
+class FixedEngine(StepsEngine[FixedLane]):
+    """Fixed steps; `method`: with every option filled in (`resolved`), its step left to `step_length`."""
+
+    method: Regularized
+
+    def lane(self, smooth: Signal | None, key_data: Any, dtype) -> FixedLane:
+        segment_laws, field = SegmentLaws.of(self.system, self.excitation), self._field(smooth)
+        segment_states = segment_laws.first(self.excitation.segment_key_data(key_data), dtype)
+        y = field.model.start(tuple(jnp.asarray(value, dtype) for value in self.y0), dtype)
+        zero = jnp.zeros((), dtype)
+        forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
+        limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
+        seen, tracks = field.at_contact(forcing, zero, y), field.model.stick_position(y)
+        detector = start_detector(field.criterion, seen, tracks, self.quantities)
+        return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
+
+    def advanced(
+        self, shared: StepsShared, smooth: Signal | None, lane: FixedLane
+    ) -> tuple[FixedLane, StickRecord, PathStep]:
+        return _advance_fixed(self._field(smooth), *shared, jnp.asarray(self.most_steps, jnp.int32), lane)
+
+    def idle(self, lane: FixedLane) -> tuple[StickRecord, PathStep]:
+        model = self._field(self.excitation.signal).model
+        return nothing_seen(model.numbers(lane.y), model.contacts, ALL)
+
+    def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
+        _, totals, at_start = motion.detector.found
+        return sample_totals(self.system, totals, at_start, self.status(motion), jnp.zeros((), jnp.int32))
+
+    def _field(self, smooth: Signal | None) -> SteppedField:
+        field = field_of(self.system, smooth, self.method)
+        assert isinstance(field, SteppedField)
+        return field
 
 
 # Regularised motion of one trajectory in adaptive steps, by diffrax.
