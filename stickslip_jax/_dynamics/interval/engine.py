@@ -22,8 +22,8 @@ from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..common.lanes import Engine, SampleTotals
-from ..common.path import MotionPath, Run
-from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, count_slips, start_totals, sticks_of
+from ..common.path import MotionPath, Run, sample_totals
+from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, start_totals, sticks_of
 from .arcs import Scales, sticks_from_start
 from .crossing import (
     LAST_LEFT,
@@ -98,14 +98,9 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
         return is_over(motion.motion, before.motion, self.t1)
 
     def results(self, sample: _Sample, motion: _Lane) -> SampleTotals:
-        return SampleTotals(
-            sticks=motion.totals.sticks,
-            slips=count_slips(motion.totals, sample.at_start),
-            stick_time=motion.totals.stick_time,
-            status=status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype)),
-            # Ties of other kinds (`is_tie`) are not looked for: it would cost a third of the time.
-            near_grazing_count=motion.ties,
-        )
+        status = status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype))
+        # Ties of other kinds (`is_tie`) are not looked for: it would cost a third of the time.
+        return sample_totals(self.system, motion.totals, sample.at_start, status, motion.ties)
 
 
 def is_over(motion: MassState, before: MassState, t1: Scalar) -> BoolArray:

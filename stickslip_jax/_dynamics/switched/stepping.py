@@ -63,7 +63,7 @@ class Lane(NamedTuple):
 # (the implicit function theorem). Both hold for all parameters, with `tau` and `y` functions of them: differentiated
 # again, by the same rule for `tau` and `y`, they give the second derivatives, and so on.
 #
-# All are evaluated a little before the event (`Before`), where round-off cannot have ended the mode, if friction may
+# All are evaluated a little before the event (`before`), where round-off cannot have ended the mode, if friction may
 # have a kink there: where the relative velocity is exactly zero, a force written with its absolute value may have the
 # slope of the other side. In the last step, however short it is, that is an error in second derivatives of `tau`.
 #
@@ -82,13 +82,6 @@ class HowItEnds(NamedTuple):
     idle: BoolArray
 
 
-class Before(NamedTuple):
-    """The `time` (s) before an event by which round-off cannot have ended the mode, and the `change` of state in it."""
-
-    time: FloatArray
-    change: State
-
-
 @OwnDerivative
 def carried(
     model: SwitchedModel,
@@ -97,13 +90,14 @@ def carried(
     left: FloatArray,
     sign: FloatArray,
     ends: HowItEnds,
-    before: Before | None,
+    before: tuple[FloatArray, State] | None,
     tau: FloatArray,
     reached: State,
 ) -> tuple[FloatArray, ...]:
     """The length `tau` (s) of a step from `y` and the state `reached` in it, with their derivatives of every order.
 
-    `left`: time from the beginning of the step to the end of the segment or the horizon, s. `before`: None for friction
+    `left`: time from the beginning of the step to the end of the segment or the horizon, s. `before`: the time (s)
+    before an event by which round-off cannot have ended the mode, and the change of state in it; None for friction
     without kinks. `tau` and `reached` are taken as they are; their derivatives are those of what they were found to be.
     """
     return tau, *reached
@@ -116,8 +110,8 @@ def _carried_jvp(primals, tangents):
     by = (tangents[0], tangents[1], tangents[2])
     inside, there = tau, tuple(reached)
     if before is not None:
-        inside = tau - before.time
-        there = tuple(value - change for value, change in zip(reached, before.change, strict=True))
+        time, change = before
+        inside, there = tau - time, tuple(value - less for value, less in zip(reached, change, strict=True))
 
     slips = jnp.where(ends.idle, sign * jnp.finfo(sign.dtype).tiny, sign)
 
@@ -366,7 +360,7 @@ def advance(
         falls = ends & (trial.d1 < 0)
         time = jnp.where(falls, trial.noise, 0) / jnp.where(falls, -trial.d1, 1)
         time = jnp.minimum(largest_of(time), _LANDED[itemsize] * step)
-        just_before = Before(time, tuple(jnp.where(any_of(ends), time * rate, 0) for rate in rates))
+        just_before = time, tuple(jnp.where(any_of(ends), time * rate, 0) for rate in rates)
     tau, *y = carried(*given, time_left, lane.sign, HowItEnds(~stays, first, at_stop, idle), just_before, tau, y)
     # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
     t = jnp.where(at_stop, stop, lane.t + tau)
