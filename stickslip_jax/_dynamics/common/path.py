@@ -364,7 +364,7 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
     t1: Scalar
     y0: tuple[Number, ...]
     step_length: Scalar
-    most_steps: AnyInteger
+    most_steps: AnyInteger | int
     quantities: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
 
     @property
@@ -397,8 +397,8 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         shared, smooth = self.shared(dtype), self.excitation.signal
 
         def one_step(lane: StepsLane, _: IntArray) -> tuple[StepsLane, tuple[StickRecord, Any]]:
-            lane, *kept = self.advanced(shared, smooth, lane)
-            return lane, tuple(kept)
+            lane, record, passage = self.advanced(shared, smooth, lane)
+            return lane, (record, passage)
 
         start = self.lane(smooth, _NO_KEY_DATA, dtype, **begun)
         return stopping_scan(one_step, start, int(self.most_steps), lambda lane, _: self.ended(lane, lane), self.idle)

@@ -16,6 +16,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
 from ..._compiler import computed_once, native_loop, native_loops_work
+from ..._excitation.motion import Signal
 from ..._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from ..._excitation.segments import Segment, marked
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
@@ -373,11 +374,11 @@ def _close_up(records: StickRecord, buffer: StickRecord, crossed: IntArray) -> S
 class IntervalPath(MotionPath):
     """Path given by the states at the beginnings of the base intervals."""
 
+    smooth: Signal | None
     system: MassSpring
     base: VelocitySteps
     t1: Scalar
     beginnings: MassState
-    smooth: None = None
 
     @property
     def times(self) -> Array:
@@ -420,5 +421,5 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tu
     given = Given(scales, start, durations, base.velocities.astype(dtype))
     final, totals = motion_over("final", given)
     began: IntervalBeginnings = motion_over("beginnings", given)
-    path, sticks = IntervalPath(system, base, t1, began.motion), sticks_of(motion_over("sticks", given))
+    path, sticks = IntervalPath(None, system, base, t1, began.motion), sticks_of(motion_over("sticks", given))
     return Run(sticks, totals, status_of(final, scales.t1), final.t, (final.x, final.v), began.near_grazing_count, path)

@@ -81,8 +81,8 @@ class AnyField(eqx.Module):
             return rates, self.need(forcing, tau, y, velocity[0]), velocity, position, normal
 
         (rates, need, *begin), (end_rates, end_need, *end) = at(0 * h, before), at(h, after)
-        relative, position, normal = (Cubic(*a, *b) if a else None for a, b in zip(begin, end, strict=True))
-        return SeenStep(t, h, relative, position, need, end_need, normal), rates, end_rates
+        relative, position, *normal = (Cubic(*a, *b) for a, b in zip(begin, end, strict=True) if a)
+        return SeenStep(t, h, relative, position, need, end_need, *normal), rates, end_rates
 
     def at_contact(self, forcing: Any, t: FloatArray, y: State) -> AtContact:
         """What sticks are found by, at the time `t` of the `forcing`."""
@@ -400,7 +400,8 @@ class ContactsField(SteppedField):
         return _Stage(moved(expected, 1.0, change), end_rates, force, alone, expected, columns)
 
     def terms(self, forcing: Any, tau: FloatArray, weight: FloatArray, stage: _Stage) -> tuple[State, State]:
-        now, jacobian = (of(forcing, tau, stage.expected) for of in (self.model.instant, self.model.jacobian))
+        now = self.model.instant(forcing, tau, stage.expected)
+        jacobian = self.model.jacobian(forcing, tau, stage.expected)
         rates, in_parts = ravel_pytree(now.rates)
         terms = jacobian * ravel_pytree(stage.expected)[0][None, :]
         gross = jnp.abs(rates - jnp.sum(terms, axis=1)) + jnp.sum(jnp.abs(terms), axis=1)

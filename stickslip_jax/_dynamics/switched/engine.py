@@ -135,7 +135,7 @@ class SwitchedEngine(StepsEngine[Lane]):
     def run(self, lane: Lane, kept: tuple[StickRecord, StepBeginnings]) -> Run:
         """The parts of a `Simulation` of one trajectory that `follow` gave."""
         (records, beginnings), smooth = kept, self.excitation.signal
-        path, state = StepPath(self.system, smooth, self.solver, beginnings), self._model(smooth).numbers(lane.y)
+        path, state = StepPath(smooth, self.system, self.solver, beginnings), self._model(smooth).numbers(lane.y)
         others = self.status(lane), lane.t, state, lane.near_grazing_count, path
         return Run.of(self.system, records, lane.totals, *others)
 
@@ -162,8 +162,8 @@ _MOST_DOUBLINGS = 6  # of the number of loop steps, before a trajectory is given
 class StepPath(MotionPath):
     """Path given by the states at the beginnings of time steps."""
 
-    system: System
     smooth: Signal | None
+    system: System
     solver: Any
     beginnings: StepBeginnings
 
