@@ -220,7 +220,7 @@ def _follow(
         solution, detector, kept = follow_adaptive(
             field, tables, t1, y0, method, longest, steps, ALL, lambda *found: found
         )
-        end = solution.steps, solution.time_reached, tuple(solution.y[solution.steps])
+        end = solution.steps, solution.t[solution.steps], tuple(solution.y[solution.steps])
         status = status_of(solution, detector)
     else:
         # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.

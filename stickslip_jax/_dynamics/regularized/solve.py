@@ -291,11 +291,6 @@ class Solution(NamedTuple):
     status: IntArray
 
     @property
-    def time_reached(self) -> FloatArray:
-        """Where the last step ended, s."""
-        return self.t[self.steps]
-
-    @property
     def seen_steps(self) -> IntArray:
         """How many steps `_detect_in_step` has to see: one of no length follows the last."""
         return jnp.maximum(self.steps, 1) + 1
