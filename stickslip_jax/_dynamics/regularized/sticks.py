@@ -12,16 +12,7 @@ from jaxtyping import Array
 from ..._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray, Scalar
 from ..._numerics.matrices import any_of
 from ..._numerics.steps import look_ahead
-from ..sticks import (
-    Remembered,
-    StickRecord,
-    StickSpan,
-    Totals,
-    begin_quantities,
-    ending_of,
-    recorded,
-    start_totals,
-)
+from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantities, ending_of, recorded, start_totals
 from .balances import root_of
 
 # Detection of sticks in fixed steps: the relative velocity stays below a threshold for long enough.
