@@ -11,7 +11,8 @@ from .._dynamics.common.method import Arguments, Exact, Regularized
 from .._dynamics.common.path import SegmentLaws, padded_length
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
-from .._dynamics.switched.engine import run_of, run_trajectory, steps_for
+from .._dynamics.sticks import ALL
+from .._dynamics.switched.engine import SwitchedEngine, steps_for
 from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.segments import first_segment, segment_at
 from .._foundation.fields import Quantity, modules_in
@@ -86,12 +87,10 @@ class FittedMotion(eqx.Module):
             one = simulate(system, base, t1=end, y0=tuple(y), method=self.method)
         else:
             excitation, step = Arguments(system, merged(base, end), self.method, end).checked_step()
-            solver = self.method.solver
-            done = run_trajectory(
-                system, excitation, solver, end, tuple(y), step, steps=self.steps, dtype=y.dtype, t0=begin,
-                resting=resting,
-            )  # fmt: skip
-            one = Simulation(system, base, end, self.method, *run_of(system, excitation, solver, done))
+            given = end, tuple(y), step, self.steps, self.method.solver
+            engine = SwitchedEngine(system, excitation, *given, quantities=ALL)
+            run = engine.run(*engine.follow(y.dtype, t0=begin, resting=resting))
+            one = Simulation(system, base, end, self.method, *run)
         if sensors:
             shown, late = zip(self.observers, sensors, strict=True), times - clock.delay
             seen = jnp.stack([observe(one, late - sensor.delay) + sensor.offset for observe, sensor in shown])

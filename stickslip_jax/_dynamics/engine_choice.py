@@ -24,8 +24,8 @@ from .common.lanes import Engine, Engines, engines_of, widest
 from .common.method import Arguments, Exact, Regularized, longest_step, with_memory
 from .common.path import Run
 from .interval.engine import IntervalEngine, follow_intervals
-from .regularized.engine import AdaptiveBatch, FixedEngine, follow_regularized, solve_batch
-from .regularized.solve import fixed_steps, resolved, table_sizes
+from .regularized.engine import AdaptiveBatch, follow_regularized, solve_batch
+from .regularized.solve import FixedEngine, fixed_steps, resolved, table_sizes
 from .switched.engine import SwitchedEngine, follow_steps, steps_for
 
 # Compiled functions that simulate a chunk of an ensemble: what a worker thread calls.
@@ -74,65 +74,39 @@ _MOST_COUNTED = 2**31 - 1
 _AT_ONCE = 1 << 16  # samples whose engines are made together to find the largest sizes
 
 
-class ByIntervals(NamedTuple):
-    """Closed forms over whole intervals of a piecewise-constant base velocity.
-
-    The system is a `MassSpring`, the only one with an interval form.
+class Choice(NamedTuple):
+    """What is simulated, and how: `by_intervals`, in closed forms over whole intervals of a piecewise-constant base
+    velocity; else in time steps in which every event is located, or by regularised dynamics in fixed or adaptive steps.
     """
 
     arguments: Arguments
+    by_intervals: bool = False
 
     def follow(self, y0: tuple[Number, ...], dtype: DType) -> tuple[Exact | Regularized, Run]:
         """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
         system, base, method, t1 = self.arguments
-        return method, follow_intervals(system, base, t1, y0, dtype)
-
-    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> IntervalEngine:
-        """The engine that simulates samples of the law."""
-        system, base, _, t1 = self.arguments
-        (law,) = excitation_of(base).base
-        return IntervalEngine(cast(MassSpring, system), cast(PiecewiseConstantLaw, law), t1, y0)
-
-
-class BySteps(NamedTuple):
-    """Time steps in which every event is located, for any system and excitation."""
-
-    arguments: Arguments
-
-    def follow(self, y0: tuple[Number, ...], dtype: DType) -> tuple[Exact, Run]:
-        """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
-        system, base, method, t1 = self.arguments
-        assert isinstance(method, Exact)
+        if isinstance(method, Regularized):
+            return follow_regularized(system, base, method, t1, y0, dtype)
+        if self.by_intervals:
+            return method, follow_intervals(system, base, t1, y0, dtype)
         return method, follow_steps(system, base, method, t1, y0, dtype)
 
-    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> SwitchedEngine:
-        """The engine that simulates samples of the law."""
-        system, _, method, t1 = self.arguments
-        excitation, step = self.arguments.checked_step("law")
-        self.arguments.check_length()
-        # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.
-        most = np.int32(min(method.max_steps or 20 * steps_for(system, excitation, t1, step), _MOST_COUNTED))
-        return SwitchedEngine(system.ready(), excitation, method.solver, t1, y0, step, most)
-
-
-class Smoothed(NamedTuple):
-    """Regularised dynamics, in fixed or adaptive steps."""
-
-    arguments: Arguments
-
-    def follow(self, y0: tuple[Number, ...], dtype: DType) -> tuple[Regularized, Run]:
-        """Simulate one realisation; returns the method with every option filled in, and the trajectory."""
-        system, base, method, t1 = self.arguments
-        assert isinstance(method, Regularized)
-        return follow_regularized(system, base, method, t1, y0, dtype)
-
-    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> FixedEngine | AdaptiveBatch:
+    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> Engine | AdaptiveBatch:
         """The engine that simulates samples of the law."""
         system, base, method, t1 = self.arguments
+        if self.by_intervals:
+            (law,) = excitation_of(base).base
+            # A `MassSpring` is the only system with an interval form.
+            return IntervalEngine(cast(MassSpring, system), cast(PiecewiseConstantLaw, law), t1, y0)
+        if isinstance(method, Exact):
+            excitation, step = self.arguments.checked_step("law")
+            self.arguments.check_length()
+            # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.
+            most = np.int32(min(method.max_steps or 20 * steps_for(system, excitation, t1, step), _MOST_COUNTED))
+            return SwitchedEngine(system.ready(), excitation, t1, y0, step, most, method.solver)
         excitation = excitation_of(base, "law")
         system.check_excitation(excitation)
         self.arguments.check_length()
-        assert isinstance(method, Regularized)
         method = resolved(system, excitation, method, dtype)
         if method.step is None:
             if system.tracks.number is not None:
@@ -145,30 +119,27 @@ class Smoothed(NamedTuple):
             return AdaptiveBatch(system, excitation, method, t1, y0, longest, tuple(np.int32(size) for size in sizes))
         # Twice the expected number, for samples with many jumps. `fixed_steps` also rejects a step that is too long.
         expected = 2 * fixed_steps(system, excitation, method, t1)
-        return FixedEngine(
-            system.ready(), excitation, method, t1, y0, np.int32(min(method.max_steps or expected, _MOST_COUNTED))
-        )
+        most = np.int32(min(method.max_steps or expected, _MOST_COUNTED))
+        return FixedEngine(system.ready(), excitation, t1, y0, method.step, most, method)
 
 
-def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
+def engine_for(arguments: Arguments) -> Choice:
     """The fastest engine for these arguments, whose base is a law or a realisation.
 
     The choice depends on their types and options, not on their numbers.
     """
-    system, base, method, t1 = arguments
-    base = merged(base, t1)
+    arguments = arguments._replace(base=merged(arguments.base, arguments.t1))
+    system, base, method, _ = arguments
     if isinstance(method, Regularized):
-        return Smoothed(Arguments(system, base, method, t1))
+        return Choice(arguments)
     if system.memory.laws:
         raise ValueError(
             "Argument method must be Regularized() for friction laws with an inner state, but Exact() was given: they "
             "have no exact stick. Their sticks are the times in which the relative velocity stays below a threshold."
         )
-    exact = Arguments(system, base, method, t1)
     is_steady = isinstance(base, Motion) and base.is_piecewise_constant
-    if is_steady and system.traits.has_interval_form and method.step is None and method.solver is None:
-        return ByIntervals(exact)
-    return BySteps(exact)
+    needs_steps = method.step is not None or method.solver is not None
+    return Choice(arguments, by_intervals=is_steady and system.traits.has_interval_form and not needs_steps)
 
 
 def lanes_for(

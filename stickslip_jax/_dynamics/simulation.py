@@ -25,7 +25,7 @@ from .._systems.switched_model import F, OneContactModel, Powers, Terms, require
 from .._systems.system import Coordinate, System, one_contact_model
 from .common.method import Exact, Regularized
 from .common.path import MotionPath
-from .regularized.implicit_step import Switch
+from .regularized.balances import Switch
 from .stick_tables import Columns, slip_variables, stick_columns, stick_variables, table_of, write_table
 from .sticks import NUMBERS, FlatSticks, Slips, Sticks, Totals, of_contact, slips_between
 from .switched.engine import StepBeginnings, StepPath, follow_steps, state_in_step
@@ -63,29 +63,26 @@ class Energies(NamedTuple):
     imbalance: Float[Array, "*times"]
 
 
-class _Rule(NamedTuple):
-    """Nodes and weights of Gauss's rule on [0, 1], the unit of which is a time step."""
+_Rule: TypeAlias = tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]
+"""Nodes and weights of Gauss's rule on [0, 1], the unit of which is a time step."""
 
-    nodes: Float[np.ndarray, " nodes"]
-    weights: Float[np.ndarray, " nodes"]
 
-    @classmethod
-    def of(cls, decay: Scalar, longest: Scalar) -> "_Rule":
-        """The rule for steps of at most `longest` (s), at whose beginning a motion may die out at the rate `decay`.
+def _rule_for(decay: Scalar, longest: Scalar) -> _Rule:
+    """The rule for steps of at most `longest` (s), at whose beginning a motion may die out at the rate `decay`.
 
-        No step is longer than a tenth of the shortest period, so that powers are smooth in it, unless damping is so
-        strong that a motion dies out within the step. Then the step is cut into parts, each half as long as the next.
-        """
-        if not checks.is_traced(decay) and decay == 0:
-            halves = 0
-        elif checks.is_traced(decay) or checks.is_traced(longest):
-            halves = _MOST_HALVES
-        else:
-            halves = min(math.ceil(math.log2(max(float(decay) * float(longest), 1))), _MOST_HALVES)
-        nodes, weights = np.polynomial.legendre.leggauss(8 if halves == 0 else 16)
-        bounds = np.concatenate([[0.0], 0.5 ** np.arange(halves, -1, -1)])
-        parts = np.diff(bounds)[:, None]
-        return cls((bounds[:-1, None] + parts * (nodes + 1) / 2).reshape(-1), (parts * weights / 2).reshape(-1))
+    No step is longer than a tenth of the shortest period, so that powers are smooth in it, unless damping is so strong
+    that a motion dies out within the step. Then the step is cut into parts, each half as long as the next.
+    """
+    if not checks.is_traced(decay) and decay == 0:
+        halves = 0
+    elif checks.is_traced(decay) or checks.is_traced(longest):
+        halves = _MOST_HALVES
+    else:
+        halves = min(math.ceil(math.log2(max(float(decay) * float(longest), 1))), _MOST_HALVES)
+    nodes, weights = np.polynomial.legendre.leggauss(8 if halves == 0 else 16)
+    bounds = np.concatenate([[0.0], 0.5 ** np.arange(halves, -1, -1)])
+    parts = np.diff(bounds)[:, None]
+    return (bounds[:-1, None] + parts * (nodes + 1) / 2).reshape(-1), (parts * weights / 2).reshape(-1)
 
 
 def _sum(terms: Terms) -> FloatScalar:
@@ -146,8 +143,8 @@ def _energies(
             known, y = model.without_age(y)
             return known.powers(forcing, y, known.friction_force(y, coefficient))
 
-        rates = jax.vmap(power)(jnp.asarray(rule.nodes, h.dtype))
-        return jax.tree.map(lambda values: h * jnp.dot(jnp.asarray(rule.weights, h.dtype), values), rates)
+        nodes, weights = (jnp.asarray(numbers, h.dtype) for numbers in rule)
+        return jax.tree.map(lambda values: h * jnp.dot(weights, values), jax.vmap(power)(nodes))
 
     ends = jnp.append(beginnings.t[1:], last)
     steps = jax.vmap(worked)(beginnings, ends - beginnings.t)
@@ -466,7 +463,7 @@ class Simulation(WithMethods):
         require_energy_model(known, "energies")
         known.check_energy()
         lengths = jnp.append(path.beginnings.t[1:], last) - path.beginnings.t
-        rule = _Rule.of(known.fastest_decay, jnp.max(lengths))
+        rule = _rule_for(known.fastest_decay, jnp.max(lengths))
         found = _energies(model, path.beginnings, last, times.reshape(-1), rule)
         return jax.tree.map(lambda values: values.reshape(times.shape), found)
 

@@ -58,18 +58,15 @@ def slips_among(sticks: FlatSticks, t1: float, finished: Bool[np.ndarray, " samp
     One before the first stick of a sample unless this begins at t = 0, one between two sticks unless they touch, one
     after the last unless the horizon cuts that. `sticks` holds none of samples that have not finished.
     """
-    at, has = np.arange(len(sticks.start)), sticks.count > 0
-    is_last = np.zeros(len(at), bool)
-    is_last[(sticks.first + sticks.count - 1)[has]] = True
-    is_first = np.zeros(len(at), bool)
-    is_first[sticks.first[has]] = True
+    owner, has = sticks.sample, sticks.count > 0
+    is_first, is_last = np.diff(owner, prepend=-1) != 0, np.diff(owner, append=-1) != 0
     horizon = sticks.start.dtype.type(t1)
     before = np.where(is_first, 0, np.roll(sticks.end, 1))
     leads = ~(is_first & (sticks.start == 0)) & ~sticks.touches
     trails = is_last & (sticks.ending != Ending.HORIZON)
     empty = np.flatnonzero(~has if finished is None else finished & ~has)
     none = np.zeros(len(empty))
-    sample = np.concatenate([sticks.sample[leads], sticks.sample[trails], empty])
+    sample = np.concatenate([owner[leads], owner[trails], empty])
     start = np.concatenate([before[leads], sticks.end[trails], none]).astype(sticks.start.dtype)
     end = np.concatenate([sticks.start[leads], np.full(trails.sum(), horizon), none + horizon])
     censored = np.repeat([False, True, True], [leads.sum(), trails.sum(), len(empty)])

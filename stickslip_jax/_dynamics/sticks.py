@@ -1,7 +1,7 @@
 """Sticks of trajectories and the slips between them: what is recorded of each, and in which order."""
 
 import abc
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -70,15 +70,6 @@ def begin_quantities(position: FloatArray, asked: tuple[str, ...]) -> Remembered
     return {name: QUANTITIES[name].begin(position) for name in asked}
 
 
-def measured(remembered: Remembered, is_stick: BoolArray, stick: StickSpan) -> tuple[dict[str, FloatArray], Remembered]:
-    """The quantities of a stick by name, and what they remember after a step, which ended in a stick or not."""
-    values, after = {}, {}
-    for name, old in remembered.items():
-        values[name], new = QUANTITIES[name].at_end(old, stick)
-        after[name] = jax.tree.map(lambda now, before: jnp.where(is_stick, now, before), new, old)
-    return values, after
-
-
 # Sticks of trajectories and the slips between them: as engines record them, and as results return them.
 
 
@@ -129,13 +120,30 @@ def start_totals(dtype, shape: tuple[int, ...] = ()) -> Totals:
     return Totals(none, none, jnp.zeros(shape, dtype))
 
 
-def with_stick(totals: Totals, is_stick: BoolArray, censored: BoolArray, duration: FloatArray) -> Totals:
-    """The totals after a step in which a stick of this `duration` (s) ended, if one did; `censored`: by the horizon."""
-    return Totals(
+def recorded(
+    remembered: Remembered,
+    totals: Totals,
+    is_stick: BoolArray,
+    span: StickSpan,
+    ending: IntArray,
+    censored: BoolArray,
+    duration: FloatArray,
+) -> tuple[StickRecord, Remembered, Totals]:
+    """The record of a step in which a stick ended, if one did (`is_stick`, else `ending` is -1), and what its
+    quantities remember and the totals after it.
+
+    `remembered`, `totals`: before it. `censored`: by the horizon. `duration`: of the stick, s.
+    """
+    values, after = {}, {}
+    for name, old in remembered.items():
+        values[name], new = QUANTITIES[name].at_end(old, span)
+        after[name] = jax.tree.map(lambda now, before: jnp.where(is_stick, now, before), new, old)
+    totals = Totals(
         sticks=totals.sticks + is_stick,
         censored=totals.censored + (is_stick & censored),
         stick_time=totals.stick_time + jnp.where(is_stick, duration, 0),
     )
+    return StickRecord(span.start, span.end, span.position, values, ending), after, totals
 
 
 def count_slips(totals: Totals, at_start: BoolArray) -> IntArray:
@@ -243,15 +251,22 @@ def sticks_in_order(records: StickRecord) -> Sticks:
 
 def of_contact(sticks: Sticks, contact: int) -> Sticks:
     """The sticks of one contact, of the same size."""
-    chosen = sticks.mask & (sticks.contact == contact)
+    mask, fill = _in_front(sticks.mask & (sticks.contact == contact))
+    columns = {name: fill(getattr(sticks, name)) for name in NUMBERS}
+    return Sticks(**columns, ending=fill(sticks.ending, -1), mask=mask)
+
+
+def _in_front(chosen: AnyArray) -> tuple[BoolArray, Callable[..., Any]]:
+    """Which slots are filled if those that are `chosen` move to the front, and a function that moves other columns so;
+    it takes what empty slots hold, NaN by default.
+    """
     order = jnp.argsort(~chosen, axis=-1, stable=True)
     mask = jnp.take_along_axis(chosen, order, axis=-1)
 
-    def fill(values, padding):
+    def fill(values: AnyArray, padding: float = jnp.nan) -> Any:
         return jnp.where(mask, jnp.take_along_axis(values, order, axis=-1), padding)
 
-    columns = {name: fill(getattr(sticks, name), jnp.nan) for name in NUMBERS}
-    return Sticks(**columns, ending=fill(sticks.ending, -1), mask=mask)
+    return mask, fill
 
 
 def sticks_of(ordered: StickRecord) -> Sticks:
@@ -274,16 +289,9 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
     exists = jnp.concatenate([edge, sticks.mask], axis=-1)
     is_last = exists & ~jnp.concatenate([sticks.mask, ~edge], axis=-1)
     end = jnp.where(is_last, jnp.asarray(t1, dtype)[..., None], end)
-    mask = exists & (jnp.where(exists, end, 0) > jnp.where(exists, start, 0))
     # Slips of no length are sorted to the end, so that slips fill the first slots.
-    order = jnp.argsort(~mask, axis=-1, stable=True)
-    mask = jnp.take_along_axis(mask, order, axis=-1)
-
-    def fill(values):
-        return jnp.where(mask, jnp.take_along_axis(values, order, axis=-1), jnp.nan)
-
-    censored = jnp.take_along_axis(is_last, order, axis=-1) & mask
-    return Slips(fill(start), fill(end), censored, mask)
+    mask, fill = _in_front(exists & (jnp.where(exists, end, 0) > jnp.where(exists, start, 0)))
+    return Slips(fill(start), fill(end), fill(is_last, False), mask)
 
 
 def named_column(sticks: Any, name: str) -> np.ndarray:

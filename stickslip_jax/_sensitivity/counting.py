@@ -10,12 +10,12 @@ from jax import lax
 from jaxtyping import Array, PyTree
 
 from .._dynamics.common.lanes import Engine
-from .._dynamics.common.path import SegmentLaws
+from .._dynamics.common.path import SegmentLaws, StepsShared
 from .._dynamics.interval.arcs import Scales
 from .._dynamics.interval.crossing import start_motion, status_of
 from .._dynamics.interval.engine import IntervalEngine, is_over
 from .._dynamics.sticks import StickRecord, start_totals
-from .._dynamics.switched.engine import SwitchedEngine, SwitchedShared
+from .._dynamics.switched.engine import SwitchedEngine
 from .._dynamics.switched.stepping import Lane, advance
 from .._excitation.motion import Signal
 from .._foundation.types import AnyArray, BoolArray, FloatArray, IntArray, Scalar
@@ -190,7 +190,7 @@ class _StepMotion(NamedTuple):
     sums: BoundarySums
 
 
-class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counted]):
+class StepCounting(Engine[StepsShared, StepSample, _StepMotion, Trace, Counted]):
     """Engine that counts the sticks that a `SwitchedEngine` simulates; its fields are those of `IntervalCounting`.
 
     Without distances it gives only pathwise derivatives.
@@ -210,11 +210,11 @@ class StepCounting(Engine[SwitchedShared, StepSample, _StepMotion, Trace, Counte
         begun = _StepMotion(lane, -jnp.ones((), dtype), BoundarySums.none(len(self.bandwidths), dtype))
         return StepSample(smooth, until), begun
 
-    def shared(self, dtype) -> SwitchedShared:
+    def shared(self, dtype) -> StepsShared:
         return self.engine.shared(dtype)
 
     def step(
-        self, shared: SwitchedShared, sample: StepSample, motion: _StepMotion, drawn: None
+        self, shared: StepsShared, sample: StepSample, motion: _StepMotion, drawn: None
     ) -> tuple[_StepMotion, Trace]:
         model = one_contact_model(self.engine.system, sample.smooth, self.engine.solver)
         moved, stick = advance(model, *shared, motion.lane)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._dynamics.common.lanes import BLOCK, Engine, Job
 from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, check_method, state_of
-from .._dynamics.engine_choice import ByIntervals, engine_for, engines_of_all, sample_engines
+from .._dynamics.engine_choice import engine_for, engines_of_all, sample_engines
 from .._dynamics.interval.arcs import Scales
 from .._dynamics.interval.engine import IntervalEngine
 from .._dynamics.switched.engine import steps_for
@@ -127,7 +127,7 @@ class SensitivityProblem(NamedTuple):
     @property
     def by_intervals(self) -> bool:
         """Whether the closed forms over whole base intervals hold."""
-        return isinstance(engine_for(self.arguments), ByIntervals)
+        return engine_for(self.arguments).by_intervals
 
     @property
     def arguments(self) -> Arguments:

@@ -14,10 +14,10 @@ from jaxtyping import Array
 
 from .._dynamics.common.method import Arguments, Exact, check_fixed, slowest_time, state_of, working_dtype
 from .._dynamics.common.path import Run, SegmentLaws
-from .._dynamics.engine_choice import BySteps, engine_for
+from .._dynamics.engine_choice import Choice, engine_for
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
-from .._dynamics.switched.engine import lane_at_start, steps_for
+from .._dynamics.switched.engine import SwitchedEngine, steps_for
 from .._ensemble.points import Points, Setter, check_points, points_of, setter_of, setting_of
 from .._excitation.excitation import BaseMotion, excitation_of, motion_of
 from .._excitation.motion import Motion, Signal, UserMotion
@@ -251,7 +251,7 @@ class Cycle(eqx.Module):
 
     def by_steps(self, y: FloatArray) -> Run:
         """The same motion in time steps, also where it is known over whole intervals of the base."""
-        return BySteps(Arguments(self.system, self.base, self.method, self.duration)).follow(tuple(y), y.dtype)[1]
+        return Choice(Arguments(self.system, self.base, self.method, self.duration)).follow(tuple(y), y.dtype)[1]
 
     def lasting(self, duration: Scalar) -> "Cycle":
         """The same with another duration (s)."""
@@ -265,9 +265,8 @@ class Cycle(eqx.Module):
         """The rates of the state at the begin of the period, per second."""
         step = Arguments(self.system, self.base, self.method, self.duration).checked_step()[1]
         zero, excitation = jnp.zeros((), y.dtype), excitation_of(self.base)
-        lane = lane_at_start(
-            self.system, excitation, jnp.zeros(2, jnp.uint32), tuple(y), step + zero, self.method.solver, ()
-        )
+        engine = SwitchedEngine(self.system, excitation, self.duration, tuple(y), step, 0, self.method.solver)
+        lane = engine.lane(excitation.signal, np.zeros(2, np.uint32), y.dtype)
         model = self.system.switched_model(excitation.signal, self.method.solver)
         forcing = model.forcing(zero, SegmentLaws.of(self.system, excitation).segments(lane.segment_states))
         return jnp.stack(model.numbers(model.rates(forcing, zero, lane.y, lane.sign)))
@@ -290,7 +289,7 @@ def steps_in(
     `by_steps`: time steps also where the motion is known over whole intervals of the base.
     """
     arguments = Arguments(system, base, method, duration)
-    if method.max_steps is not None or not (by_steps or isinstance(engine_for(arguments), BySteps)):
+    if method.max_steps is not None or not (by_steps or not engine_for(arguments).by_intervals):
         return None
     try:
         excitation, step = arguments.checked_step()

@@ -406,7 +406,7 @@ def _find(
         run, found = own.by_steps(carry.y), carry.found
         path = run.path
         assert isinstance(path, StepPath)
-        model, begun = path.system.switched_model(path.excitation.signal, path.solver), path.beginnings
+        model, begun = path.model, path.beginnings
         sign = begun.sign if begun.sign.ndim == 1 else begun.sign[:, event.contact]
         passages = jnp.zeros((), jnp.int32)
         if event.mode is None:

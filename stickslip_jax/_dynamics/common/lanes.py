@@ -295,11 +295,6 @@ class Records(NamedTuple):
     values: Array  # (slots, columns, lanes): the `NUMBERS` of sticks
     ending: Array  # (slots, lanes): an `Ending` code, or -1 where there is no stick
 
-    @classmethod
-    def empty(cls, slots: int, lanes: int, dtype) -> "Records":
-        """Slots without sticks."""
-        return cls(jnp.zeros((slots, len(NUMBERS), lanes), dtype), jnp.full((slots, lanes), -1, jnp.int8))
-
     def with_slot(self, slot: Array | int, sticks: Any) -> "Records":
         """A copy in which slot `slot` holds `sticks`: values (columns, lanes) and endings (lanes,); or with a further
         axis, of the tracks.
@@ -394,7 +389,8 @@ def record(
 
     results = jax.tree.map(nothing, jax.eval_shape(partial(_results, task.engine), begun))
     reports = Blocks(nothing(begun.row, task.used_rows), jnp.zeros((blocks, lanes), bool), results)
-    records = Records.empty(blocks * BLOCK, lanes * (task.engine.tracks or 1), dtype)
+    slots, columns = blocks * BLOCK, lanes * (task.engine.tracks or 1)
+    records = Records(jnp.zeros((slots, len(NUMBERS), columns), dtype), jnp.full((slots, columns), -1, jnp.int8))
     _, following, records, reports = lax.while_loop(goes_on, advance, (jnp.int32(0), begun, records, reports))
     return packed(following), records, reports
 

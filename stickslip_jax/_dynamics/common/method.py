@@ -58,10 +58,7 @@ class Exact(Module):
         if self.step is not None:
             checks.positive("step", self.step, "s")
         if self.solver is not None and not isinstance(self.solver, diffrax.AbstractERK):
-            raise ValueError(
-                "Argument solver must be an explicit Runge-Kutta solver such as diffrax.Tsit5(), but "
-                f"{checks.show(self.solver)} was given."
-            )
+            raise checks.refused("solver", "be an explicit Runge-Kutta solver such as diffrax.Tsit5()", self.solver)
 
 
 class Regularized(Module):
@@ -121,12 +118,9 @@ class Regularized(Module):
         if self.width is not None:
             checks.positive("width", self.width, "m/s")
         if not isinstance(self.shape, str) or self.shape not in SHAPES:
-            near = difflib.get_close_matches(self.shape, SHAPES, 1, 0.4) if isinstance(self.shape, str) else []
-            guess = f"; did you mean {near[0]!r}?" if near else "."
-            raise ValueError(
-                f"Argument shape must be one of {', '.join(map(repr, SHAPES))}, but {checks.show(self.shape)} was "
-                f"given{guess}"
-            )
+            near = difflib.get_close_matches(str(self.shape), SHAPES, 1, 0.4)
+            guess = f"did you mean {near[0]!r}?" if near else ""
+            raise checks.refused("shape", f"be one of {', '.join(map(repr, SHAPES))}", self.shape, guess)
         if self.step is not None:
             checks.positive("step", self.step, "s")
         bounds: dict[str, Any]
@@ -143,22 +137,17 @@ class Regularized(Module):
         if self.atol is not None:
             checks.numeric("atol", self.atol, ndim=None)
             if not checks.is_traced(self.atol) and np.any(np.asarray(self.atol) <= 0):
-                raise ValueError(f"Argument atol must be positive, but {checks.show(self.atol)} was given.")
+                raise checks.refused("atol", "be positive", self.atol)
         if self.step is not None and (self.solver is not None or self.adjoint is not None):
             raise ValueError(
                 f"Arguments solver and adjoint must be None with a fixed step, but step = {checks.show(self.step)} "
                 "was given; leave the step out for adaptive steps."
             )
         if self.solver is not None and not isinstance(self.solver, diffrax.AbstractAdaptiveSolver):
-            raise ValueError(
-                "Argument solver must be a solver of diffrax with an error estimate, such as diffrax.Kvaerno3() or "
-                f"diffrax.Tsit5(), but {checks.show(self.solver)} was given."
-            )
+            kind = "a solver of diffrax with an error estimate, such as diffrax.Kvaerno3() or diffrax.Tsit5()"
+            raise checks.refused("solver", f"be {kind}", self.solver)
         if self.adjoint is not None and not isinstance(self.adjoint, diffrax.AbstractAdjoint):
-            raise ValueError(
-                "Argument adjoint must be one of diffrax's, such as diffrax.ForwardMode(), but "
-                f"{checks.show(self.adjoint)} was given."
-            )
+            raise checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", self.adjoint)
 
 
 EXACT = Exact()
@@ -336,9 +325,7 @@ class Arguments(NamedTuple):
 def check_method(method: object) -> None:
     """Check that `method` is an `Exact` or a `Regularized`. Raises ValueError otherwise."""
     if not isinstance(method, (Exact, Regularized)):
-        raise ValueError(
-            f"Argument method must be Exact(...) or Regularized(width), but {checks.show(method)} was given."
-        )
+        raise checks.refused("method", "be Exact(...) or Regularized(width)", method)
 
 
 def entries_of(system: System, y0: InitialState | None) -> tuple[Any, ...]:

@@ -4,35 +4,40 @@ the tracks of which sticks are counted, its extremes, and how it ends.
 
 import abc
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import reduce
 from itertools import islice
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array
 
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal, SourceVoltage
-from ..._excitation.segments import SegmentLaw, SegmentState, added, following_segment, is_invalid
-from ..._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
+from ..._excitation.segments import SegmentLaw, SegmentState, added, first_segment, following_segment, is_invalid
+from ..._foundation.types import AnyInteger, BoolArray, FloatArray, IntArray, Number, Scalar, Status
 from ..._numerics.derivatives import NotKnown, largest, without_derivatives
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
-from ..sticks import StickRecord, Sticks, Totals, sticks_in_order
+from ..sticks import StickRecord, Sticks, Totals, count_slips, sticks_in_order
+from .lanes import Engine, SampleTotals
 
 T = TypeVar("T")
+Other = TypeVar("Other")
 
 # Result of one trajectory, the same for every engine: the state along it, and the parts of a `Simulation`.
 
 
 class MotionPath(eqx.Module):
     """The state and the base velocity of one trajectory as functions of time."""
+
+    smooth: eqx.AbstractVar[Signal | None]  # part of the excitation
 
     @property
     @abc.abstractmethod
@@ -46,11 +51,6 @@ class MotionPath(eqx.Module):
     @abc.abstractmethod
     def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
         """The largest value of `sign` times one number of the state until the time `last` (s), where it is `final`."""
-
-    @property
-    @abc.abstractmethod
-    def smooth(self) -> Signal | None:
-        """The smooth part of the excitation."""
 
     @abc.abstractmethod
     def segments(self, time: FloatArray) -> Segments:
@@ -94,31 +94,39 @@ class Run(NamedTuple):
 # The parts of an excitation that consist of segments, as a trajectory passes through them.
 
 
-class SegmentLaws(eqx.Module):
-    """The laws of all parts of the excitation that consist of segments; a lane's `segment_states` have their order."""
+class Parts(eqx.Module, Generic[T]):
+    """What belongs to each part of the excitation that consists of segments, as in `Segments`."""
 
-    base: tuple[SegmentLaw, ...]
-    ground: tuple[SegmentLaw, ...]
-    force: tuple[SegmentLaw, ...]
-    normal: tuple[SegmentLaw, ...]
+    base: tuple[T, ...]
+    ground: tuple[T, ...]
+    force: tuple[T, ...]
+    normal: tuple[T, ...]
+
+    @property
+    def all(self) -> tuple[T, ...]:
+        return self.base + self.ground + self.force + self.normal
+
+    def parted(self, of_all: Iterable[Other]) -> Iterator[tuple[Other, ...]]:
+        """What belongs to `all` of them, for each of the four parts."""
+        remaining = iter(of_all)
+        return (tuple(islice(remaining, len(part))) for part in (self.base, self.ground, self.force, self.normal))
+
+
+class SegmentLaws(Parts[SegmentLaw]):
+    """The laws of all parts of the excitation that consist of segments; a lane's `segment_states` have their order."""
 
     @classmethod
     def of(cls, system: System, excitation: Excitation) -> "SegmentLaws":
         """The parts of excitation, force and normal forces that consist of segments."""
         return cls(excitation.base, excitation.ground, *system.recorded)
 
-    @property
-    def all(self) -> tuple[SegmentLaw, ...]:
-        return self.base + self.ground + self.force + self.normal
+    def first(self, key_data: Any, dtype) -> tuple[SegmentState, ...]:
+        """The segments at the beginning of the trajectory that `key_data`, those of the excitation, choose."""
+        return tuple(first_segment(law, key_data, dtype) for law in self.all)
 
     def segments(self, segment_states: tuple[SegmentState, ...]) -> Segments:
         """The current segments."""
-        return Segments(*self.parted([state.segment for state in segment_states]))
-
-    def parted(self, of_all: list[T]) -> Iterator[tuple[T, ...]]:
-        """What belongs to `all` laws, for each of the four parts."""
-        remaining = iter(of_all)
-        return (tuple(islice(remaining, len(part))) for part in (self.base, self.ground, self.force, self.normal))
+        return Segments(*self.parted(state.segment for state in segment_states))
 
 
 def following_segments(
@@ -156,6 +164,14 @@ def of_track(tree: T, system: System) -> T:
     )
 
 
+def sample_totals(
+    system: System, totals: Totals, at_start: BoolArray, status: IntArray, near_grazing_count: IntArray
+) -> SampleTotals:
+    """What is recorded of samples; `totals`, `at_start` (whether a sample began with a stick): (..., tracks)."""
+    totals, at_start = of_track((totals, at_start), system)
+    return SampleTotals(totals.sticks, count_slips(totals, at_start), totals.stick_time, status, near_grazing_count)
+
+
 # The extreme of a number of the state over time, where the motion is known as a function of time inside each step.
 #
 # It is at the beginning of a step, at the end of the last, or inside a step where the slope is zero. There it is found
@@ -167,6 +183,30 @@ def of_track(tree: T, system: System) -> T:
 _Step = TypeVar("_Step")
 Inside = Callable[[_Step, FloatArray], tuple[FloatArray, FloatArray]]
 """The number and its slope at some time (s) after the beginning of a step."""
+
+
+class Bracket(NamedTuple):
+    """Two points between which a function falls through zero, and its values there."""
+
+    low: FloatArray
+    high: FloatArray
+    of_low: FloatArray
+    of_high: FloatArray
+
+    @property
+    def by_secant(self) -> FloatArray:
+        """Where the line through both values is zero."""
+        fall = self.of_low - self.of_high
+        share = jnp.where(fall > 0, self.of_low / jnp.where(fall > 0, fall, 1), 0.5)
+        return self.low + (self.high - self.low) * share
+
+    def narrowed(self, at: FloatArray, value: FloatArray, kept: float = 1.0) -> "Bracket":
+        """That with the `value` at a point in it; of the end that stays, so much of the value is `kept`."""
+        is_low = value >= 0
+        low, high = jnp.where(is_low, at, self.low), jnp.where(is_low, self.high, at)
+        of_low, of_high = jnp.where(is_low, value, kept * self.of_low), jnp.where(is_low, kept * self.of_high, value)
+        return Bracket(low, high, of_low, of_high)
+
 
 # Fractions of a step between which the slope's sign is looked at: fine near the beginning, where a motion may die out.
 _INSTANTS = (0.0, 2.0**-12, 2.0**-7, 2.0**-4, 0.25, 0.5, 0.75, 1.0)
@@ -194,26 +234,18 @@ def largest_in_steps(
     # Of several turns the one beside the largest value.
     beside = jnp.where(turns, jnp.maximum(values[:-1], values[1:]), -jnp.inf)
     chosen = jnp.argmax(beside, axis=0)[None]
-    low, high = (jnp.take_along_axis(ends, chosen, 0)[0] for ends in (h[:-1], h[1:]))
-    above, below = (jnp.take_along_axis(ends, chosen, 0)[0] for ends in (slopes[:-1], slopes[1:]))
+    ends = (h[:-1], h[1:], slopes[:-1], slopes[1:])
+    bracket = Bracket(*(jnp.take_along_axis(of_ends, chosen, 0)[0] for of_ends in ends))
 
-    def narrow(number: Array, bracket: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
-        low, high, above, below, _ = bracket
-        fall = above - below
-        secant = low + (high - low) * jnp.where(fall > 0, above / jnp.where(fall > 0, fall, 1), 0.5)
-        at = jnp.where(number % 4 == 3, 0.5 * (low + high), secant)  # the Illinois rule, and halving
-        _, here = of_all(fixed, at)
-        rises = here > 0
+    def narrow(number: Array, found: tuple[Bracket, FloatArray]) -> tuple[Bracket, FloatArray]:
+        bracket, _ = found
+        middle = 0.5 * (bracket.low + bracket.high)
+        at = jnp.where(number % 4 == 3, middle, bracket.by_secant)  # the Illinois rule, and halving
+        _, slope = of_all(fixed, at)
         # An end that stays has its slope halved, so that the other end moves next.
-        return (
-            jnp.where(rises, at, low),
-            jnp.where(rises, high, at),
-            jnp.where(rises, here, 0.5 * above),
-            jnp.where(rises, 0.5 * below, here),
-            at,
-        )
+        return bracket.narrowed(at, slope, kept=0.5), at
 
-    *_, found = lax.fori_loop(0, _TRIES, narrow, (low, high, above, below, 0.5 * (low + high)))
+    _, found = lax.fori_loop(0, _TRIES, narrow, (bracket, bracket.low))
     at = lax.stop_gradient(jnp.where(jnp.any(turns, axis=0), found, 0))
     values, _ = of_all(steps, at)
     return jnp.maximum(jnp.max(jnp.maximum(values, starts)), last)
@@ -301,3 +333,94 @@ def is_spent(lane: Any) -> BoolArray:
 def _is_finite(value: FloatArray) -> BoolArray:
     finite = jnp.isfinite(value)
     return finite if finite.ndim == 0 else jnp.all(finite)
+
+
+# Lanes in which a step is a time step.
+
+
+class StepsShared(NamedTuple):
+    """Quantities that all steps share: the laws of the excitation's segments, the horizon and the time step (s)."""
+
+    segment_laws: SegmentLaws
+    t1: Array
+    step: Array
+
+
+StepsLane = TypeVar("StepsLane")
+
+
+_NO_KEY_DATA = np.zeros(2, np.uint32)  # a realisation draws nothing
+
+
+class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, SampleTotals]):
+    """Any system under any excitation, up to `t1`, from `y0`, in time steps of `step_length`.
+
+    A sample that needs more than `most_steps` steps, rejected ones included, is given up. `quantities` of each stick:
+    those asked for. The constant of a sample is the smooth part of its excitation.
+    """
+
+    system: System
+    excitation: Excitation
+    t1: Scalar
+    y0: tuple[Number, ...]
+    step_length: Scalar
+    most_steps: AnyInteger | int
+    quantities: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
+
+    @property
+    def tracks(self) -> int | None:
+        return self.system.tracks.number
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.system.traits.compiles_natively
+
+    @abc.abstractmethod
+    def lane(self, smooth: Signal | None, key_data: Any, dtype) -> StepsLane:
+        """The lane at the beginning of the trajectory under this smooth excitation whose segments `key_data` choose."""
+
+    @abc.abstractmethod
+    def advanced(
+        self, shared: StepsShared, smooth: Signal | None, lane: StepsLane
+    ) -> tuple[StepsLane, StickRecord, Any]:
+        """The lane after a step, the record of the stick that ended in it, and what the path keeps of the step."""
+
+    @abc.abstractmethod
+    def idle(self, lane: StepsLane) -> tuple[StickRecord, Any]:
+        """The same of a step that is not taken."""
+
+    def follow(self, dtype, **begun: Any) -> tuple[StepsLane, tuple[StickRecord, Any]]:
+        """One realisation in at most `most_steps` steps: the lane after them, and what is kept of each.
+
+        The loop idles once the trajectory has ended. `begun`: further arguments of `lane`.
+        """
+        shared, smooth = self.shared(dtype), self.excitation.signal
+
+        def one_step(lane: StepsLane, _: IntArray) -> tuple[StepsLane, tuple[StickRecord, Any]]:
+            lane, record, passage = self.advanced(shared, smooth, lane)
+            return lane, (record, passage)
+
+        start = self.lane(smooth, _NO_KEY_DATA, dtype, **begun)
+        return stopping_scan(one_step, start, int(self.most_steps), lambda lane, _: self.ended(lane, lane), self.idle)
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, StepsLane]:
+        realized = self.excitation.realized(key_data, dtype)
+        smooth = jax.tree.map(lambda number: jnp.asarray(number, dtype), realized)
+        return smooth, self.lane(smooth, key_data, dtype)
+
+    def step(
+        self, shared: StepsShared, sample: Signal | None, motion: StepsLane, drawn: None
+    ) -> tuple[StepsLane, StickRecord]:
+        motion, record, _ = self.advanced(shared, sample, motion)
+        return motion, of_track(record, self.system)
+
+    def shared(self, dtype) -> StepsShared:
+        t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.step_length, dtype)
+        return StepsShared(SegmentLaws.of(self.system, self.excitation), t1, step)
+
+    def ended(self, motion: Any, before: Any) -> BoolArray:
+        return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
+
+    def status(self, motion: Any) -> IntArray:
+        """The `Status` of a lane that has ended or is given up."""
+        return status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))

@@ -1,7 +1,7 @@
 """Closed forms of the motion while the base velocity stays constant."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -276,25 +276,10 @@ class FirstArc(NamedTuple):
     arrives: BoolArray
 
 
-class _LastMeeting(NamedTuple):
-    """The last arc that begins in the interval, as seen from the base velocity: its `side` and distance `H`; the time
-    `entered` at which it meets it, or else began; and whether the mass has `arrived` inside the stick band.
-    """
-
-    side: FloatArray
-    H: FloatArray
-    entered: FloatArray
-    arrived: BoolArray
-
-
-class _Stick(NamedTuple):
-    """The stick from the last meeting on: where it begins and ends; when it is `left`; how it ends; if it is one."""
-
-    position: FloatArray
-    left_at: FloatArray
-    left: FloatArray
-    released: BoolArray
-    stuck: BoolArray
+_LastMeeting: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, BoolArray]
+"""The last arc that begins in the interval, as seen from the base velocity: its side and distance H; the time at which
+it meets it, or else began; and whether the mass has arrived inside the stick band.
+"""
 
 
 def carry_across(
@@ -307,14 +292,14 @@ def carry_across(
     mirror, x, v, q, turned, span = mirrored(x, v, base, scales, span)
     first = first_arc(x, v, q, turned, scales, span)
     given = first.side, first.H, first.time, first.arrives, q, turned, scales.deceleration, scales.spring, span
-    last = _LastMeeting(*_follow_crossings(*given))
-    stick = _stick(first, last, q, scales, span, began)
-    x, v, A, time = _last_rotation(x, first, last, stick, q, scales, span)
+    last = _follow_crossings(*given)
+    _, _, entered, arrived = last
+    position, left_at, left, released, stuck = _stick(first, last, q, scales, span, began)
+    x, v, A, time = _last_rotation(x, first, last, left_at, left, q, span)
     x_end, v_end = swung(x, v, A, time, scales.spring)
     x_end = x_end + 0 * first.excess  # a radius whose square overflows would miss its arrivals: NaN (`NOT_FINITE`)
-    position, left_at, left, released, stuck = stick
-    position, left_at, tie = mirror * position, mirror * left_at, last.arrived & ~stuck
-    return IntervalPassage(mirror * x_end, mirror * v_end, last.entered, left, position, left_at, stuck, released, tie)
+    position, left_at, tie = mirror * position, mirror * left_at, arrived & ~stuck
+    return IntervalPassage(mirror * x_end, mirror * v_end, entered, left, position, left_at, stuck, released, tie)
 
 
 @computed_once
@@ -328,8 +313,10 @@ def mirrored(x, v, base, scales, span):
 @computed_once
 def _stick(
     first: FirstArc, last: _LastMeeting, q: FloatArray, scales: Scales, span: FloatArray, began: FloatArray
-) -> _Stick:
-    """The stick from `entered` at ``w2 x = side (alpha - H)`` until the spring reaches the friction limit at alpha."""
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:
+    """The stick from the last meeting at ``w2 x = side (alpha - H)`` until the spring reaches the friction limit at
+    alpha: where it begins and ends; when it is left; whether friction gave way; if it is one.
+    """
     side, H, entered, arrived = last
     alpha, spring = scales.deceleration, scales.spring
     is_flat = first.is_flat & ~(first.arrives & is_crossed(first.H, alpha))  # and not crossed
@@ -349,7 +336,7 @@ def _stick(
     least = jnp.where(released & (side > 0), 0, speed_error)
     lasts = (lacks > 4 * few(H) * alpha) & (length * H > least)
     lasts = lasts | (length > math.sqrt(few(H)) * scales.clock)
-    return _Stick(position, left_at, left, released, arrived & lasts)
+    return position, left_at, left, released, arrived & lasts
 
 
 def is_crossed(H: FloatArray, alpha: FloatArray) -> BoolArray:
@@ -369,9 +356,9 @@ def _last_rotation(
     x: FloatArray,
     first: FirstArc,
     last: _LastMeeting,
-    stick: _Stick,
+    left_at: FloatArray,
+    left: FloatArray,
     q: FloatArray,
-    scales: Scales,
     span: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """The last motion of the interval, one rotation: position, velocity and deceleration at its beginning; its time.
@@ -380,12 +367,12 @@ def _last_rotation(
     began, which is the interval's first state or (after a crossing) distance H beyond the centre at the velocity q. A
     mass still stuck at the end is rotated for no time.
     """
-    arrived = last.arrived
+    side, H, entered, arrived = last
     crossed = first.arrives & ~arrived
-    start = jnp.where(first.arrives, stick.left_at, x)
+    start = jnp.where(first.arrives, left_at, x)
     v_start = jnp.where(first.arrives, q, first.v)
-    deceleration = jnp.where(arrived, 0, last.side * jnp.where(crossed, last.H, first.A))
-    time = span - jnp.where(arrived, stick.left, jnp.where(crossed, last.entered, 0))
+    deceleration = jnp.where(arrived, 0, side * jnp.where(crossed, H, first.A))
+    time = span - jnp.where(arrived, left, jnp.where(crossed, entered, 0))
     return start, v_start, deceleration, time
 
 

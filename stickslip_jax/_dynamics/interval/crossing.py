@@ -12,17 +12,7 @@ from jaxtyping import Array
 
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
 from ..._systems.mass_spring import MassSpring
-from ..sticks import (
-    Remembered,
-    StickRecord,
-    StickSpan,
-    Totals,
-    begin_quantities,
-    ending_of,
-    measured,
-    start_totals,
-    with_stick,
-)
+from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantities, ending_of, recorded, start_totals
 from .arcs import (
     CLOCK_ULPS,
     Scales,
@@ -87,11 +77,10 @@ def cross_interval(
     start = motion.t + passage.entered
     # A stick ends where the spring reaches the friction limit, or with the interval.
     end = jnp.where(released, motion.t + passage.left, t_end)
-    span_of_stick = StickSpan(start, end, passage.position, passage.left_at)
-    quantities, remembered = measured(motion.remembered, stuck, span_of_stick)
-    record = StickRecord(start, end, passage.position, quantities, ending_of(stuck, released, ~uncut))
+    stick, ending = StickSpan(start, end, passage.position, passage.left_at), ending_of(stuck, released, ~uncut)
     # Not end - start, whose round-off grows with the time since t = 0.
-    totals = with_stick(totals, stuck, ~released & ~uncut, passage.left - passage.entered)
+    duration = passage.left - passage.entered
+    record, remembered, totals = recorded(motion.remembered, totals, stuck, stick, ending, ~released & ~uncut, duration)
     return MassState(t_end, passage.x, passage.v, remembered), totals, record, passage.tie
 
 

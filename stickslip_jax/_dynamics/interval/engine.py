@@ -16,14 +16,15 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
 from ..._compiler import computed_once, native_loop, native_loops_work
+from ..._excitation.motion import Signal
 from ..._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from ..._excitation.segments import Segment, marked
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..common.lanes import Engine, SampleTotals
-from ..common.path import MotionPath, Run
-from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, count_slips, start_totals, sticks_of
+from ..common.path import MotionPath, Run, sample_totals
+from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, start_totals, sticks_of
 from .arcs import Scales, sticks_from_start
 from .crossing import (
     LAST_LEFT,
@@ -98,14 +99,9 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
         return is_over(motion.motion, before.motion, self.t1)
 
     def results(self, sample: _Sample, motion: _Lane) -> SampleTotals:
-        return SampleTotals(
-            sticks=motion.totals.sticks,
-            slips=count_slips(motion.totals, sample.at_start),
-            stick_time=motion.totals.stick_time,
-            status=status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype)),
-            # Ties of other kinds (`is_tie`) are not looked for: it would cost a third of the time.
-            near_grazing_count=motion.ties,
-        )
+        status = status_of(motion.motion, jnp.asarray(self.t1, motion.motion.t.dtype))
+        # Ties of other kinds (`is_tie`) are not looked for: it would cost a third of the time.
+        return sample_totals(self.system, motion.totals, sample.at_start, status, motion.ties)
 
 
 def is_over(motion: MassState, before: MassState, t1: Scalar) -> BoolArray:
@@ -122,12 +118,12 @@ def is_over(motion: MassState, before: MassState, t1: Scalar) -> BoolArray:
 # the results are sums of stored slopes, which JAX transposes for reverse mode. Derivatives with respect to the base
 # (its durations or velocities) go through `run_intervals`.
 #
-# Three functions, `final_motion`, `ordered_sticks` and `beginnings`, so that results that are not used cost nothing.
+# What of it is asked for is one of three, so that results that are not used cost nothing.
 
 
 _LANES = 256  # of a block
-_What = Literal["final", "sticks", "beginnings"]
-_ASKED: dict[_What, tuple[str, ...]] = {"final": (), "sticks": ALL, "beginnings": (LAST_LEFT,)}  # quantities of a stick
+What = Literal["final", "sticks", "beginnings"]
+_ASKED: dict[What, tuple[str, ...]] = {"final": (), "sticks": ALL, "beginnings": (LAST_LEFT,)}  # quantities of a stick
 
 
 class Given(NamedTuple):
@@ -159,26 +155,17 @@ class IntervalBeginnings(NamedTuple):
     near_grazing_count: IntArray
 
 
-def final_motion(given: Given) -> tuple[MassState, Totals]:
-    """The state at the end of one trajectory, and the sums over its sticks."""
-    return _follow("final", given)
+def motion_over(what: What, given: Given) -> Any:
+    """What is asked for of one trajectory.
 
-
-def ordered_sticks(given: Given) -> StickRecord:
-    """The sticks of one trajectory in order of time, in slots (intervals,), as `closed_up` returns them."""
-    return _follow("sticks", given)
-
-
-def beginnings(given: Given) -> IntervalBeginnings:
-    """The state at the beginning of each interval of one trajectory, (intervals,), and what `is_tie` finds in them."""
-    return _follow("beginnings", given)
-
-
-def _follow(what: _What, given: Given) -> Any:
+    - "final": its state at the end, and the `Totals` of its sticks.
+    - "sticks": a `StickRecord` in order of time, in slots (intervals,), as `closed_up` returns them.
+    - "beginnings": the `IntervalBeginnings`, (intervals,), with what `is_tie` finds in them.
+    """
     return _fast(what, given) if native_loops_work() else _plain(what, given)
 
 
-def _plain(what: _What, given: Given) -> Any:
+def _plain(what: What, given: Given) -> Any:
     """One scan over all intervals, which every transformation of JAX supports."""
     start = start_motion(given.scales, given.y0, _ASKED[what])
     motion, totals, records, began, brief = run_intervals(given.scales, start, given.durations, given.velocities)
@@ -191,12 +178,12 @@ def _plain(what: _What, given: Given) -> Any:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _fast(what: _What, given: Given) -> Any:
+def _fast(what: What, given: Given) -> Any:
     return _only_lane(_lanes_of(what)(_one_lane(given)))
 
 
 @partial(_fast.defjvp, symbolic_zeros=True)
-def _fast_jvp(what: _What, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Any, Any]:
+def _fast_jvp(what: What, primals: tuple[Given], tangents: tuple[Given]) -> tuple[Any, Any]:
     (given,), (direction,) = primals, tangents
     if not (_is_zero(direction.durations) and _is_zero(direction.velocities)):
         whole = jax.tree.map(
@@ -236,12 +223,12 @@ def _only_lane(results: Any) -> Any:
 
 
 @cache
-def _lanes_of(what: _What) -> Callable[[Given], Any]:
+def _lanes_of(what: What) -> Callable[[Given], Any]:
     return _for_any_batch(partial(_run_block, what))
 
 
 @cache
-def _lanes_with_slopes(what: _What, moved: tuple[bool, ...]) -> Callable[[Given], Any]:
+def _lanes_with_slopes(what: What, moved: tuple[bool, ...]) -> Callable[[Given], Any]:
     """Results, and a list of the slopes (lanes, numbers, ...) of the real ones with respect to the numbers `moved`."""
 
     def run(given: Given) -> Any:
@@ -306,7 +293,7 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
     return mapped
 
 
-def _run_block(what: _What, given: Given) -> Any:
+def _run_block(what: What, given: Given) -> Any:
     """The results of a block of lanes; all leaves have the lanes as their first axis."""
     durations = given.durations
     start = jax.vmap(partial(start_motion, quantities=_ASKED[what]))(given.scales, given.y0)
@@ -387,6 +374,7 @@ def _close_up(records: StickRecord, buffer: StickRecord, crossed: IntArray) -> S
 class IntervalPath(MotionPath):
     """Path given by the states at the beginnings of the base intervals."""
 
+    smooth: Signal | None
     system: MassSpring
     base: VelocitySteps
     t1: Scalar
@@ -412,10 +400,6 @@ class IntervalPath(MotionPath):
         found = jnp.max(jax.vmap(of_interval)(self.beginnings, durations, velocities))
         return jnp.maximum(found, sign * final)
 
-    @property
-    def smooth(self) -> None:
-        return None
-
     def segments(self, time: FloatArray) -> Segments:
         index = self._index(time)
         begin, velocity = self.beginnings.t[index], self.base.velocities[index].astype(time.dtype)
@@ -435,9 +419,7 @@ def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tu
     durations = marked(jnp.where(base.durations >= t1, t1, base.durations), base.velocities).astype(dtype)
     start = jnp.asarray(y0[0], dtype), jnp.asarray(y0[1], dtype)
     given = Given(scales, start, durations, base.velocities.astype(dtype))
-    final, totals = final_motion(given)
-    final_state = (final.x, final.v)
-    began = beginnings(given)
-    path = IntervalPath(system, base, t1, began.motion)
-    sticks = sticks_of(ordered_sticks(given))
-    return Run(sticks, totals, status_of(final, scales.t1), final.t, final_state, began.near_grazing_count, path)
+    final, totals = motion_over("final", given)
+    began: IntervalBeginnings = motion_over("beginnings", given)
+    path, sticks = IntervalPath(None, system, base, t1, began.motion), sticks_of(motion_over("sticks", given))
+    return Run(sticks, totals, status_of(final, scales.t1), final.t, (final.x, final.v), began.near_grazing_count, path)

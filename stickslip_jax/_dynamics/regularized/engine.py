@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,110 +15,42 @@ from jaxtyping import Array
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.motion import Signal
 from ..._foundation import checks
-from ..._foundation.types import AnyArray, AnyInteger, BoolArray, DType, FloatArray, IntArray, Number, Scalar
+from ..._foundation.types import AnyArray, AnyInteger, DType, FloatArray, IntArray, Number, Scalar
 from ..._numerics.derivatives import NotKnown, with_slopes
 from ..._numerics.elementary import random_words
-from ..._systems.contacts import ContactsModel
 from ..._systems.switched_model import Segments, State
-from ..._systems.system import System, one_contact_model
-from ..common.lanes import Engine, SampleTotals, with_leaves
+from ..._systems.system import System
+from ..common.lanes import SampleTotals, with_leaves
 from ..common.method import Regularized, longest_step, max_steps_advice, step_for
 from ..common.path import (
     MotionPath,
     Run,
-    SegmentLaws,
-    has_ended,
     is_short,
     largest_in_steps,
     of_track,
     padded_length,
+    sample_totals,
     status_of_lane,
-    stopping_scan,
 )
-from ..sticks import ALL, StickRecord, Totals, count_slips, no_stick
-from .field import AnyField, ContactsField, Field, InnerField
-from .implicit_step import Switch
+from ..sticks import ALL, StickRecord
+from .balances import with_slope
+from .field import field_of
 from .solve import (
     ADAPTIVE_STEPS,
-    CLOSING,
     MORE,
-    FixedLane,
+    FixedEngine,
     PathStep,
     Tables,
-    advance_fixed,
-    detect_in_step,
     fixed_steps,
-    nothing_seen,
+    follow_adaptive,
     numbers_as_arrays,
     resolved,
-    solve_adaptive,
-    start_detection,
-    start_fixed,
     status_of,
     table_sizes,
 )
-from .sticks import Criterion, hermite
+from .sticks import Cubic, hermite
 
-# Many trajectories of regularised dynamics: lanes of fixed steps, and whole batches of adaptive ones.
-
-
-class FixedShared(NamedTuple):
-    """Quantities that all steps share: the segment laws, the criterion of a stick, the horizon and the step (s)."""
-
-    segment_laws: SegmentLaws
-    criterion: Criterion
-    t1: Array
-    step: Array
-    most_steps: Array
-
-
-class FixedEngine(Engine[FixedShared, Signal | None, FixedLane, StickRecord, SampleTotals]):
-    """Any system under any excitation, up to `t1`, from `y0`, in fixed steps.
-
-    `method`: with every option filled in (`resolved`). A sample that needs more than `most_steps` is given up.
-    `quantities` of each stick: those asked for. The constant of a sample is the smooth part of its excitation.
-    """
-
-    system: System
-    excitation: Excitation
-    method: Regularized
-    t1: Scalar
-    y0: tuple[Number, ...]
-    most_steps: AnyInteger
-    quantities: tuple[str, ...] = eqx.field(static=True, default=())
-
-    @property
-    def tracks(self) -> int | None:
-        return self.system.tracks.number
-
-    @property
-    def compiles_natively(self) -> bool:
-        return self.system.traits.compiles_natively
-
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, FixedLane]:
-        smooth = _realized(self.excitation, key_data, dtype)
-        y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
-        words, segment_laws = self.excitation.segment_key_data(key_data), SegmentLaws.of(self.system, self.excitation)
-        field, criterion = switched_field(self.system, smooth, self.method), criterion_of(self.method)
-        return smooth, start_fixed(field, segment_laws, criterion, words, y0, dtype, self.quantities)
-
-    def shared(self, dtype) -> FixedShared:
-        laws, most = SegmentLaws.of(self.system, self.excitation), jnp.asarray(self.most_steps, jnp.int32)
-        t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.method.step, dtype)
-        return FixedShared(laws, criterion_of(self.method), t1, step, most)
-
-    def step(
-        self, shared: FixedShared, sample: Signal | None, motion: FixedLane, drawn: None
-    ) -> tuple[FixedLane, StickRecord]:
-        lane, stick, _ = advance_fixed(switched_field(self.system, sample, self.method), *shared, motion)
-        return lane, of_track(stick, self.system)
-
-    def ended(self, motion: FixedLane, before: FixedLane) -> BoolArray:
-        return has_ended(motion, jnp.asarray(self.t1, motion.t.dtype), jnp.asarray(self.most_steps, jnp.int32))
-
-    def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
-        status = status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))
-        return _results(motion.detector.totals, motion.detector.at_start, self.system, status)
+# Many trajectories of regularised dynamics in adaptive steps: whole batches.
 
 
 class AdaptiveBatch(NamedTuple):
@@ -157,73 +90,25 @@ def solve_batch(
     the others end at once. `most`: the largest number of steps of each. `varying`, `leaf_numbers`: the leaves of the
     batch that differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
     """
-    t1, quantities, tracks = jnp.asarray(batch.t1, dtype), ALL if keep else (), batch.system.tracks.number
+    t1 = jnp.asarray(batch.t1, dtype)
 
     def one(place, number, varying):
         words = random_words(key_data, number)
         here = with_leaves(batch, leaf_numbers, varying)
-        method = here.method
-        smooth = _realized(here.excitation, words, dtype)
+        smooth = jax.tree.map(partial(jnp.asarray, dtype=dtype), here.excitation.realized(words, dtype))
         tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
-        field, criterion = field_of(here.system, smooth, method), criterion_of(method)
         y0, until = tuple(jnp.asarray(value, dtype) for value in here.y0), jnp.where(place < used, t1, 0)
-        solution = solve_adaptive(field, tables, until, y0, method, here.longest_step, most)
-
-        def one_step(detector, index):
-            detector, record, _ = detect_in_step(field, tables, criterion, until, solution, detector, index)
-            return detector, of_track(record, here.system) if keep else None
-
-        start = start_detection(field, tables, criterion, solution.y[0], quantities)
-        detector, records = stopping_scan(
-            one_step,
-            start,
-            most + CLOSING,
-            lambda _, index: index >= solution.seen_steps,
-            lambda _: no_stick(dtype, quantities, () if tracks is None else (tracks,)) if keep else None,
+        given = field_of(here.system, smooth, here.method), tables, until, y0, here.method, here.longest_step
+        solution, detector, records = follow_adaptive(
+            *given, most, ALL if keep else (), lambda record, _: of_track(record, here.system) if keep else None
         )
-        return detector, status_of(solution, detector), records
+        return detector.found, status_of(solution, detector), records
 
-    detectors, statuses, records = jax.vmap(one)(
+    found, statuses, records = jax.vmap(one)(
         jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), varying
     )
-    return _results(detectors.totals, detectors.at_start, batch.system, statuses), records
-
-
-def field_of(system: System, smooth: Signal | None, method: Regularized) -> AnyField:
-    """The regularised field of `system` under a realised smooth excitation."""
-    inner = system.inner_model(smooth)
-    return switched_field(system, smooth, method) if inner is None else InnerField(inner)
-
-
-def switched_field(system: System, smooth: Signal | None, method: Regularized) -> Field | ContactsField:
-    """The same of friction laws without inner states, which fixed steps can follow too."""
-    assert method.width is not None
-    model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
-    if isinstance(model, ContactsModel):
-        return ContactsField(model, switch, criterion_of(method).threshold, system.static_exceeds_kinetic)
-    return Field(one_contact_model(system, smooth, None), switch)
-
-
-def criterion_of(method: Regularized) -> Criterion:
-    """The criterion of a stick in `method`, which has every option filled in."""
-    assert method.threshold is not None
-    assert method.minimum_duration is not None
-    return Criterion(method.threshold, method.minimum_duration)
-
-
-def _realized(excitation: Excitation, key_data: Any, dtype) -> Signal | None:
-    return jax.tree.map(lambda number: jnp.asarray(number, dtype), excitation.realized(key_data, dtype))
-
-
-def _results(totals: Totals, at_start: BoolArray, system: System, status: IntArray) -> SampleTotals:
-    totals, at_start = of_track((totals, at_start), system)
-    return SampleTotals(
-        sticks=totals.sticks,
-        slips=count_slips(totals, at_start),
-        stick_time=totals.stick_time,
-        status=status,
-        near_grazing_count=jnp.zeros(status.shape, totals.sticks.dtype),
-    )
+    near = jnp.zeros(statuses.shape, jnp.int32)
+    return sample_totals(batch.system, found.totals, found.at_start, statuses, near), records
 
 
 # One trajectory of regularised dynamics, in fixed or adaptive steps, and the state along it.
@@ -239,7 +124,7 @@ class CubicPath(MotionPath):
     `t` (s) and `y` have an entry for the beginning of each step and one for the end of the last.
     """
 
-    excitation: Excitation
+    smooth: Signal | None
     tables: Tables
     t: Array
     y: State
@@ -248,7 +133,7 @@ class CubicPath(MotionPath):
 
     @classmethod
     def of(
-        cls, excitation: Excitation, tables: Tables, passages: PathStep, steps: IntArray, last: FloatArray, final: State
+        cls, smooth: Signal | None, tables: Tables, passages: PathStep, steps: IntArray, last: FloatArray, final: State
     ):
         """The path of the first `steps` passages (the others are empty), which ends at time `last` in `final`."""
         live = jnp.arange(len(passages.t)) < steps
@@ -257,7 +142,7 @@ class CubicPath(MotionPath):
             return jnp.append(jnp.where(live, values, end), end)
 
         y = tuple(closed(values, end) for values, end in zip(passages.y, final, strict=True))
-        return cls(excitation, tables, closed(passages.t, last), y, passages.rates, passages.end_rates)
+        return cls(smooth, tables, closed(passages.t, last), y, passages.rates, passages.end_rates)
 
     @property
     def times(self) -> Array:
@@ -267,36 +152,21 @@ class CubicPath(MotionPath):
         index = jnp.clip(jnp.searchsorted(self.t, time, side="right") - 1, 0, len(self.t) - 2)
         tau, h = time - self.t[index], self.t[index + 1] - self.t[index]
         return tuple(
-            hermite(tau, h, y[index], rate[index], y[index + 1], end_rate[index])
+            hermite(tau, h, Cubic(y[index], rate[index], y[index + 1], end_rate[index]))
             for y, rate, end_rate in zip(self.y, self.rates, self.end_rates, strict=True)
         )
 
     def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
-        columns = (self.y[number][:-1], self.rates[number], self.y[number][1:], self.end_rates[number])
-        lengths = jnp.diff(self.t)
+        y, lengths = self.y[number], jnp.diff(self.t)
+        cubics = Cubic(y[:-1], self.rates[number], y[1:], self.end_rates[number])
 
-        def inside(step: tuple[State, FloatArray], tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-            return jax.jvp(lambda tau: sign * hermite(tau, step[1], *step[0]), (tau,), (jnp.ones_like(tau),))
+        def inside(step: tuple[Cubic, FloatArray], tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+            return with_slope(lambda tau: sign * hermite(tau, step[1], step[0]), tau)
 
-        return largest_in_steps(inside, (columns, lengths), sign * columns[0], lengths, sign * final)
-
-    @property
-    def smooth(self) -> Signal | None:
-        return self.excitation.signal
+        return largest_in_steps(inside, (cubics, lengths), sign * cubics.begin, lengths, sign * final)
 
     def segments(self, time: FloatArray) -> Segments:
         return self.tables.at(time)
-
-
-class _Arguments(NamedTuple):
-    """Arguments of one simulation, with numbers as arrays."""
-
-    system: System
-    excitation: Excitation
-    method: Regularized
-    t1: Array
-    y0: tuple[Number, ...]
-    longest_step: Scalar  # of adaptive steps, s
 
 
 def follow_regularized(
@@ -323,69 +193,43 @@ def follow_regularized(
     sizes = table_sizes(system, excitation, t1)
     longest = longest_step(system, excitation) if adaptive else math.inf
     system, excitation, t1, y0, longest = numbers_as_arrays((system, excitation, t1, y0, longest), dtype)
-    setting = _Arguments(system, excitation, method, jnp.asarray(t1), y0, longest)
+    setting = system, excitation, method, jnp.asarray(t1), y0, longest
+    run: Run = _follow(*setting, steps, sizes)
     if not adaptive:
-        return method, _follow_fixed(setting, steps, sizes)
-    run: Run = _follow_adaptive(setting, steps, sizes)
+        return method, run
     while given.max_steps is None and steps < ADAPTIVE_STEPS * MORE**2 and is_short(run.status):
         steps *= MORE
-        run = _follow_adaptive(setting, steps, sizes)
+        run = _follow(*setting, steps, sizes)
     return dataclasses.replace(method, max_steps=steps), run
 
 
 @eqx.filter_jit
-def _follow_fixed(setting: _Arguments, steps: int, sizes: tuple[int, ...]) -> Run:
-    system, excitation, method, t1, *_ = setting
-    # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.
-    method = dataclasses.replace(method, atol=None, minimum_duration=lax.stop_gradient(method.minimum_duration))
-
-    def loop(setting: _Arguments) -> tuple[FixedLane, tuple[StickRecord, PathStep]]:
-        system, excitation, method, t1, y0, _ = setting
-        field, segment_laws = switched_field(system, excitation.signal, method), SegmentLaws.of(system, excitation)
-        criterion, most = criterion_of(method), jnp.asarray(steps, jnp.int32)
-        step = jnp.asarray(method.step)
-
-        def one_step(lane, _):
-            lane, record, passage = advance_fixed(field, segment_laws, criterion, t1, step, most, lane)
-            return lane, (record, passage)
-
-        return stopping_scan(
-            one_step,
-            start_fixed(field, segment_laws, criterion, _NO_KEY_DATA, y0, t1.dtype, ALL),
-            steps,
-            lambda lane, _: has_ended(lane, t1, most),
-            lambda lane: nothing_seen(field.model.numbers(lane.y), field.model.contacts),
-        )
-
-    lane, (records, passages) = with_slopes(loop, setting._replace(method=method), most=_MOST_SLOPES)
+def _follow(
+    system: System,
+    excitation: Excitation,
+    method: Regularized,
+    t1: Array,
+    y0: tuple[Number, ...],
+    longest: Scalar,  # of adaptive steps, s
+    steps: int,
+    sizes: tuple[int, ...],
+) -> Run:
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
-    final = system.switched_model(excitation.signal, None).numbers(lane.y)
-    path = CubicPath.of(excitation, tables, passages, lane.steps, lane.t, final)
-    none, status = jnp.zeros((), jnp.int32), status_of_lane(lane, t1)
-    return Run.of(system, records, lane.detector.totals, status, lane.t, final, none, path)
-
-
-@eqx.filter_jit
-def _follow_adaptive(setting: _Arguments, steps: int, sizes: tuple[int, ...]) -> Run:
-    system, excitation, method, t1, y0, longest = setting
-    field, criterion = field_of(system, excitation.signal, method), criterion_of(method)
-    dtype = t1.dtype
-    tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, dtype)
-    solution = solve_adaptive(field, tables, t1, y0, method, longest, steps)
-
-    def one_step(detector, index):
-        detector, record, passage = detect_in_step(field, tables, criterion, t1, solution, detector, index)
-        return detector, (record, passage)
-
-    start = start_detection(field, tables, criterion, solution.y[0], ALL)
-    detector, (records, passages) = stopping_scan(
-        one_step,
-        start,
-        steps + CLOSING,
-        lambda _, index: index >= solution.seen_steps,
-        lambda _: nothing_seen(tuple(solution.y[0]), field.model.contacts),
-    )
-    final = tuple(solution.y[solution.steps])
-    path = CubicPath.of(excitation, tables, passages, solution.steps, solution.time_reached, final)
-    none, status = jnp.zeros((), jnp.int32), status_of(solution, detector)
-    return Run.of(system, records, detector.totals, status, solution.time_reached, final, none, path)
+    if method.step is None:
+        field = field_of(system, excitation.signal, method)
+        solution, detector, kept = follow_adaptive(
+            field, tables, t1, y0, method, longest, steps, ALL, lambda *found: found
+        )
+        end = solution.steps, solution.t[solution.steps], tuple(solution.y[solution.steps])
+        status = status_of(solution, detector)
+    else:
+        # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.
+        shortest = lax.stop_gradient(method.minimum_duration)
+        fixed = dataclasses.replace(method, step=None, atol=None, minimum_duration=shortest)
+        engine = FixedEngine(system, excitation, t1, y0, method.step, steps, fixed, quantities=ALL)
+        lane, kept = with_slopes(lambda engine: engine.follow(t1.dtype), engine, most=_MOST_SLOPES)
+        final = system.switched_model(excitation.signal, None).numbers(lane.y)
+        detector, end, status = lane.detector, (lane.steps, lane.t, final), status_of_lane(lane, t1)
+    records, passages = kept
+    path = CubicPath.of(excitation.signal, tables, passages, *end)
+    return Run.of(system, records, detector.found.totals, status, *end[1:], jnp.zeros((), jnp.int32), path)

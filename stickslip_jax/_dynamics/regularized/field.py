@@ -1,20 +1,31 @@
-"""A system under its excitation as the engines of regularised dynamics ask it."""
+"""A system under its excitation as the engines of regularised dynamics ask it, and the implicit steps that follow it
+with one contact or several.
+"""
 
 import abc
-from typing import Any
+import math
+from collections.abc import Sequence
+from functools import partial, reduce
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.flatten_util import ravel_pytree
 
-from ..._foundation.types import AnyArray, FloatArray, Scalar
+from ..._excitation.motion import Signal
+from ..._foundation.types import FloatArray, FloatScalar
+from ..._numerics.derivatives import without_derivatives
+from ..._numerics.matrices import largest_of, times
 from ..._systems.contacts import ContactsModel, solved
 from ..._systems.memory_models import InnerStates
 from ..._systems.switched_model import NOISE_ULPS, OneContactModel, State
-from .implicit_step import FrictionAt, Switch, contacts_step, implicit_step
-from .sticks import AtContact, NormalForces, SeenStep
+from ..._systems.system import System, one_contact_model
+from ..common.method import Regularized
+from .balances import ForceLaw, Switch, balance, balanced_forces
+from .sticks import AtContact, Criterion, Cubic, SeenStep
 
 # What the engines and the stick detectors ask of a system whose friction is regularised, or smooth by itself.
 
@@ -24,9 +35,12 @@ _MOST_NEEDED = 1e6  # times the largest friction
 
 
 class AnyField(eqx.Module):
-    """A system under its excitation whose friction has no jump; what belongs to contacts is as in its `model`."""
+    """A system under its excitation whose friction has no jump, and what counts as a stick of it; what belongs to
+    contacts is as in its `model`.
+    """
 
     model: eqx.AbstractVar[Any]
+    criterion: eqx.AbstractVar[Criterion]
 
     @abc.abstractmethod
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
@@ -54,23 +68,21 @@ class AnyField(eqx.Module):
     ) -> tuple[SeenStep, State, State]:
         """The step from `t` to ``t + h`` as the stick detectors read it, and the rates at both ends."""
 
-        def at(tau: FloatArray, y: State) -> tuple[State, tuple[FloatArray, ...], FloatArray, Any]:
+        def at(tau: FloatArray, y: State) -> tuple[Any, ...]:
             rates = self.rates(forcing, tau, y)
             velocity = self.velocity_and_slope(forcing, tau, y, rates)
             position = jax.jvp(self.model.stick_position, (y,), (rates,))
-            normal = None
+            normal = ()
             if _varying(self.model):
                 # The normal forces and their slopes, 1 where they do not vary.
                 where, ones = np.array(self.model.varying), jnp.ones(self.model.contacts, tau.dtype)
                 value, slope = _with_slope(self.model.varying_normal_forces, forcing, tau, y, rates)
                 normal = ones.at[where].set(value), (0 * ones).at[where].set(slope)
-            return rates, (*velocity, *position), self.need(forcing, tau, y, velocity[0]), normal
+            return rates, self.need(forcing, tau, y, velocity[0]), velocity, position, normal
 
-        (rates, first, need, normal), (end_rates, last, end_need, end_normal) = at(0 * h, before), at(h, after)
-        (r0, slope0, x0, v0), (r1, slope1, x1, v1) = first, last
-        normal = None if normal is None else NormalForces(*normal, *end_normal)
-        step = SeenStep(t, h, r0, slope0, r1, slope1, x0, v0, x1, v1, need, end_need, normal)
-        return step, rates, end_rates
+        (rates, need, *begin), (end_rates, end_need, *end) = at(0 * h, before), at(h, after)
+        relative, position, *normal = (Cubic(*a, *b) for a, b in zip(begin, end, strict=True) if a)
+        return SeenStep(t, h, relative, position, need, end_need, *normal), rates, end_rates
 
     def at_contact(self, forcing: Any, t: FloatArray, y: State) -> AtContact:
         """What sticks are found by, at the time `t` of the `forcing`."""
@@ -92,10 +104,134 @@ def _with_slope(what: Any, forcing: Any, tau: FloatArray, y: State, rates: State
     return jax.jvp(lambda tau, y: what(forcing, tau, y), (tau, y), (jnp.ones_like(tau), rates))
 
 
-class Field(AnyField):
+# Steps of fixed length of regularised dynamics, stable for any width.
+#
+# The method is the singly diagonally implicit Runge-Kutta method of order 2 with ``gamma = 1 - 1/sqrt(2)`` (Alexander
+# 1977; L-stable). In each stage everything but the friction is linearised at a predicted state. An equation for the
+# relative velocity of each contact remains, ``sigma + K mu(sigma) = sigma*`` with the signed friction coefficient mu;
+# with several all are solved together (`balances.py`). A step may be far longer than the time in which friction changes
+# the relative velocity by one width: it then ends in the stick, as it should, where a step with linearised friction
+# would overshoot it to and fro.
+#
+# The error of everything but the friction is estimated: the stages against the quadrature of order 3 at the same
+# instants, and what is not linear in the last of them. What friction may change in a step does not count: it is no
+# smooth function of time where a stick begins or ends, and no shorter step would do.
+
+
+_GAMMA = 1 - 1 / math.sqrt(2)
+# The weights of the quadrature of order 3 at the instants 0, gamma and 1 of a step, less those of the method.
+_SECOND, _LAST = 1 / (6 * _GAMMA * (1 - _GAMMA)), (2 - 3 * _GAMMA) / (6 * (1 - _GAMMA))
+_WEIGHTS = 1 - _SECOND - _LAST, _SECOND - (1 - _GAMMA), _LAST - _GAMMA
+_KINK = _GAMMA * abs(_WEIGHTS[1]) + abs(_WEIGHTS[2])  # the most that friction adds to the estimate
+# Allowed in a step, of what the terms of the equations of motion change in it, each alone: that of a harmonic motion in
+# some 45 steps in a period, whose error is below a thousandth of the amplitude per radian.
+_ERROR = 1e-4
+_ROUND_OFF = 64  # units in the last place
+
+
+class _Stage(NamedTuple):
+    """A stage of a step: its state and rates, how friction `held` in it, and its rates without friction.
+
+    `held`: with one contact None or the sign of the relative velocity, 0 in a stick; with several the friction forces.
+    `expected`: the state at which it is linear. `linear`: what is known there, see `terms`.
+    """
+
+    state: State
+    rates: State
+    held: FloatArray | None
+    free: State
+    expected: State
+    linear: Any
+
+
+class SteppedField(AnyField):
+    """A field with friction regularised by `switch`, which implicit steps of fixed length can follow too."""
+
+    switch: eqx.AbstractVar[Switch]
+
+    @property
+    def may_be_short(self) -> bool:
+        """Whether fixed steps may have to be shortened."""
+        return not self.model.time_scales_are_known
+
+    def band(self, forcing: Any, t: FloatArray, y: State) -> FloatArray | None:
+        """The relative speed (m/s) below which static friction can hold the mass: the width, and what is round-off.
+
+        None where static friction does not exceed kinetic friction; with several contacts fixed steps take no other.
+        """
+        return None
+
+    @abc.abstractmethod
+    def free(self, forcing: Any, tau: FloatArray, y: State) -> State:
+        """The rates without friction."""
+
+    @abc.abstractmethod
+    def held(self, forcing: Any, tau: FloatArray, y: State, band: FloatArray | None) -> FloatArray | None:
+        """How friction holds before a step, as in a stage."""
+
+    @abc.abstractmethod
+    def stage(
+        self, forcing: Any, tau: FloatArray, base: State, expected: State, weight: FloatArray, held: FloatArray | None
+    ) -> _Stage:
+        """Solve the stage ``Y = base + weight f(tau, Y)``, linear at `expected` but for friction.
+
+        `held`: how friction held before it.
+        """
+
+    @abc.abstractmethod
+    def terms(self, forcing: Any, tau: FloatArray, weight: FloatArray, stage: _Stage) -> tuple[State, State]:
+        """Of each rate of the last stage without friction the sum of its terms, each alone, and what friction could
+        change in it, per s.
+        """
+
+    def step(self, forcing: Any, y: State, h: FloatArray, band: FloatArray | None) -> tuple[State, FloatArray | None]:
+        """The state after a step of length `h` (s) from the state `y`, and its estimated error over the allowed one;
+        None where the time scales, which the given step suits, are known.
+
+        `band`: where static friction exceeds kinetic friction, the relative speed above which the mass slides (m/s).
+        """
+        start, weight = jnp.zeros_like(h), _GAMMA * h
+        expected = moved(y, weight, self.rates(forcing, start, y))
+        middle = self.stage(forcing, weight, y, expected, weight, self.held(forcing, start, y, band))
+        base, expected = moved(y, (1 - _GAMMA) * h, middle.rates), moved(y, h, middle.rates)
+        end = self.stage(forcing, h, base, expected, weight, middle.held)
+        if self.model.time_scales_are_known:
+            return end.state, None
+        field, forcing, y, h, middle, last = without_derivatives((self, forcing, y, h, middle, end))
+        first, after = field.free(forcing, jnp.zeros_like(h), y), field.free(forcing, h, last.state)
+        free = zip(first, middle.free, last.free, after, strict=True)
+        errors = map(partial(_error, h), y, free, *field.terms(forcing, h, _GAMMA * h, last))
+        return end.state, reduce(jnp.maximum, map(largest_of, errors), jnp.zeros_like(h))
+
+
+def moved(y: State, h: FloatArray | float, rates: State) -> State:
+    """``y + h rates``."""
+    return tuple(value + h * rate for value, rate in zip(y, rates, strict=True))
+
+
+def _error(
+    h: FloatArray, value: FloatArray, free: Sequence[FloatArray], gross: FloatArray, kink: FloatArray
+) -> FloatArray:
+    """The estimated error of numbers of the state in a step from `value`, over the allowed one; at most 1 is accurate
+    enough.
+
+    `free`: their rates without friction at the beginning, in both stages, and after the step. `gross`, `kink`: their
+    `SteppedField.terms`.
+    """
+    *_, end, after = free
+    stages = zip(_WEIGHTS, free[:-1], strict=True)
+    error = h * (jnp.abs(sum(weight * rate for weight, rate in stages)) + _GAMMA * jnp.abs(after - end))
+    error = error - _ROUND_OFF * jnp.finfo(h.dtype).eps * (jnp.abs(value) + h * gross) - _KINK * h * h * kink
+    allowed = _ERROR * h * gross
+    share = error / jnp.where(allowed > 0, allowed, 1)
+    return jnp.where((error > 0) & (allowed > 0), share, 0)
+
+
+class Field(SteppedField):
     """A system with one contact, with friction regularised by `switch`."""
 
     model: OneContactModel
+    criterion: Criterion
     switch: Switch
 
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
@@ -112,11 +248,11 @@ class Field(AnyField):
         velocity = self.model.relative_velocity(forcing, tau, y)
         return velocity, self.model.relative_acceleration(forcing, tau, y, rates)
 
-    def band(self, forcing: Any, t: FloatArray, y: State) -> FloatArray | None:
-        """The relative speed (m/s) below which static friction can hold the mass: the width, and what is round-off.
+    @property
+    def may_be_short(self) -> bool:
+        return self.model.friction.static_exceeds_kinetic or super().may_be_short
 
-        None where static friction does not exceed kinetic friction.
-        """
+    def band(self, forcing: Any, t: FloatArray, y: State) -> FloatArray | None:
         if not self.model.friction.static_exceeds_kinetic:
             return None
         _, held = self._accelerations(forcing, jnp.zeros_like(t), y)
@@ -128,58 +264,166 @@ class Field(AnyField):
         free, gain = self.model.effect_of_friction(forcing, tau, y)
         return free, jnp.abs(gain) * self.model.friction_at(y).stick_limit(free)
 
-    @property
-    def may_be_short(self) -> bool:
-        """Whether fixed steps may have to be shortened."""
-        return self.model.friction.static_exceeds_kinetic or not self.model.time_scales_are_known
+    def free(self, forcing: Any, tau: FloatArray, y: State) -> State:
+        return self.model.rates_under(forcing, tau, y, jnp.zeros_like(tau))
 
-    def step(self, forcing: Any, y: State, h: FloatArray, band: FloatArray | None) -> tuple[State, FloatArray | None]:
-        """The state after a step of length `h` (s) and its error; see `implicit_step`."""
-        return implicit_step(self.model, self.switch, forcing, y, h, band)
+    def held(self, forcing: Any, tau: FloatArray, y: State, band: FloatArray | None) -> FloatArray | None:
+        speed = self.model.relative_velocity(forcing, tau, y)
+        return None if band is None else jnp.where(jnp.abs(speed) > band, jnp.sign(speed), 0)
+
+    def stage(
+        self, forcing: Any, tau: FloatArray, base: State, expected: State, weight: FloatArray, held: FloatArray | None
+    ) -> _Stage:
+        model, free = self.model, partial(self.free, forcing, tau)
+        rates = free(expected)
+        by_friction = moved(model.rates_under(forcing, tau, expected, jnp.ones_like(tau)), -1.0, rates)
+        jacobian, size = jax.jacfwd(free)(expected), len(base)
+        matrix = [[(i == j) - weight * jacobian[i][j] for j in range(size)] for i in range(size)]
+        missing = [b - e + weight * r for b, e, r in zip(base, expected, rates, strict=True)]
+        without, per_unit = _solve(matrix, [missing, [weight * value for value in by_friction]])
+        reached, velocity = moved(expected, 1.0, without), partial(model.relative_velocity, forcing, tau)
+        speed, gain = jax.jvp(velocity, (reached,), (per_unit,))
+        coefficient, slides = balance(self.switch, model.friction_at(expected), speed, -gain, held)
+        change = moved(without, coefficient, per_unit)
+        _, turned = jax.jvp(free, (expected,), (change,))
+        alone = moved(rates, 1.0, turned)
+        end_rates = moved(alone, coefficient, by_friction)
+        return _Stage(moved(expected, 1.0, change), end_rates, slides, alone, expected, (rates, jacobian, by_friction))
+
+    def terms(self, forcing: Any, tau: FloatArray, weight: FloatArray, stage: _Stage) -> tuple[State, State]:
+        rates, jacobian, by_friction = stage.linear
+        terms = [[part * value for part, value in zip(row, stage.expected, strict=True)] for row in jacobian]
+        gross = tuple(jnp.abs(r - sum(row)) + sum(map(jnp.abs, row)) for r, row in zip(rates, terms, strict=True))
+        # Where a rate passes through zero: as large as those that it is coupled with make it in one radian.
+        pairs = [row[j] * jacobian[j][i] for i, row in enumerate(jacobian) for j in range(len(row))]
+        fastest = jnp.sqrt(sum(map(jnp.abs, pairs)) + jnp.finfo(tau.dtype).tiny)
+        coupled = [sum(jnp.abs(j) * g for j, g in zip(row, gross, strict=True)) for row in jacobian]
+        fast = fastest * weight > 1e-9
+        gross = tuple(own + jnp.where(fast, of / fastest, 0) for own, of in zip(gross, coupled, strict=True))
+        held = jnp.abs(self.model.friction.static)
+        kink = (held * sum(jnp.abs(j * f) for j, f in zip(row, by_friction, strict=True)) for row in jacobian)
+        return gross, tuple(kink)
 
 
-class ContactsField(AnyField):
-    """A system with several contacts, with friction regularised by `switch`.
+def _solve(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> list[State]:
+    """Solve small linear systems by elimination.
 
-    `threshold`: of a stick, m/s, one number or (contacts,).
+    Without pivoting, which steps shorter than the time scales do not need: the matrix is near the identity, or has a
+    large positive diagonal where a state decays fast.
     """
+    rows = [[*line, *(side[i] for side in sides)] for i, line in enumerate(matrix)]
+    size = len(rows)
+    for i in range(size):
+        per = 1 / rows[i][i]
+        rows[i] = [value * per for value in rows[i]]
+        for j in range(size):
+            if j != i:
+                factor = rows[j][i]
+                rows[j] = [a - factor * b for a, b in zip(rows[j], rows[i], strict=True)]
+    return [tuple(rows[i][size + k] for i in range(size)) for k in range(len(sides))]
+
+
+class FrictionAt(ForceLaw):
+    """The regularised friction forces at one instant and state."""
 
     model: ContactsModel
     switch: Switch
-    threshold: AnyArray | Scalar
+    static_exceeds_kinetic: bool = eqx.field(static=True)
+    forcing: object
+    tau: FloatScalar
+    y: State
+
+    def __call__(self, velocity: FloatArray) -> FloatArray:
+        limits = self.model.limits(self.forcing, self.tau, self.y, velocity)
+        # A contact without a positive normal force is open.
+        kinetic = jnp.maximum(jnp.where(velocity < 0, limits.backward, limits.forward), 0)
+        static = jnp.maximum(limits.static(velocity), 0) if self.static_exceeds_kinetic else None
+        return self.switch.friction(velocity, kinetic, static)
+
+    @property
+    def width(self) -> FloatArray:
+        return jnp.asarray(self.switch.width, self.tau.dtype)
+
+    @property
+    def is_straight(self) -> bool:
+        return self.switch.shape == "linear"
+
+
+class ContactsField(SteppedField):
+    """A system with several contacts, with friction regularised by `switch`."""
+
+    model: ContactsModel
+    criterion: Criterion
+    switch: Switch
     static_exceeds_kinetic: bool = eqx.field(static=True)
 
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         now = self.model.instant(forcing, tau, y)
-        force = self._friction(forcing, tau, y)(now.velocity)
-        return tuple(a + b for a, b in zip(now.rates, self.model.effect(forcing, tau, y, force), strict=True))
+        return moved(now.rates, 1.0, self.model.effect(forcing, tau, y, self._law(forcing, tau, y)(now.velocity)))
 
     def need(self, forcing: Any, tau: FloatArray, y: State, velocity: FloatArray) -> FloatArray:
-        now, slow = self.model.instant(forcing, tau, y), jnp.abs(velocity) <= self.threshold
-        force = solved(now.gain, now.drift, self._friction(forcing, tau, y)(now.velocity), slow)
+        now, slow = self.model.instant(forcing, tau, y), jnp.abs(velocity) <= self.criterion.threshold
+        force = solved(now.gain, now.drift, self._law(forcing, tau, y)(now.velocity), slow)
         share = jnp.abs(self.model.limits(forcing, tau, y, now.velocity).share(force))
         return jnp.minimum(share, _MOST_NEEDED)  # infinite where a contact is open
 
-    def _friction(self, forcing: Any, tau: FloatArray, y: State) -> FrictionAt:
+    def _law(self, forcing: Any, tau: FloatArray, y: State) -> FrictionAt:
         return FrictionAt(self.model, self.switch, self.static_exceeds_kinetic, forcing, tau, y)
 
-    @property
-    def may_be_short(self) -> bool:
-        """Whether fixed steps may have to be shortened."""
-        return not self.model.time_scales_are_known
+    def free(self, forcing: Any, tau: FloatArray, y: State) -> State:
+        return self.model.instant(forcing, tau, y).rates
 
-    def band(self, forcing: Any, t: FloatArray, y: State) -> None:
-        """None: fixed steps take no static friction above kinetic friction."""
+    def held(self, forcing: Any, tau: FloatArray, y: State, band: FloatArray | None) -> FloatArray:
+        return self._law(forcing, tau, y)(self.model.instant(forcing, tau, y).velocity)
 
-    def step(self, forcing: Any, y: State, h: FloatArray, band: FloatArray | None) -> tuple[State, FloatArray | None]:
-        """The state after a step of length `h` (s) and its error; see `contacts_step`."""
-        return contacts_step(self.model, self.switch, forcing, y, h)
+    def stage(
+        self, forcing: Any, tau: FloatArray, base: State, expected: State, weight: FloatArray, held: FloatArray | None
+    ) -> _Stage:
+        assert held is not None
+        model, free = self.model, partial(self.free, forcing, tau)
+        rates, unit = free(expected), jnp.eye(len(held), dtype=tau.dtype)
+        columns = jax.vmap(partial(model.effect, forcing, tau, expected), out_axes=-1)(unit)
+        missing = (b - e + weight * r for b, e, r in zip(base, expected, rates, strict=True))
+        sides = tuple(
+            jnp.concatenate([m[..., None], weight * each], axis=-1) for m, each in zip(missing, columns, strict=True)
+        )
+        changes = model.implicit_changes(forcing, tau, expected, weight, sides)
+        without, per_unit = tuple(part[..., 0] for part in changes), tuple(part[..., 1:] for part in changes)
+        reached, velocity = moved(expected, 1.0, without), partial(model.relative_velocity, forcing, tau)
+        speed, along = jax.linearize(velocity, reached)
+        stiffness = -jax.vmap(along, in_axes=-1, out_axes=-1)(per_unit)
+        force = balanced_forces(self._law(forcing, tau, expected), speed, stiffness, held)
+        change = moved(without, 1.0, tuple(_of_all(part, force) for part in per_unit))
+        _, turned = jax.jvp(free, (expected,), (change,))
+        alone = moved(rates, 1.0, turned)
+        end_rates = moved(alone, 1.0, tuple(_of_all(part, force) for part in columns))
+        return _Stage(moved(expected, 1.0, change), end_rates, force, alone, expected, columns)
+
+    def terms(self, forcing: Any, tau: FloatArray, weight: FloatArray, stage: _Stage) -> tuple[State, State]:
+        now = self.model.instant(forcing, tau, stage.expected)
+        jacobian = self.model.jacobian(forcing, tau, stage.expected)
+        rates, in_parts = ravel_pytree(now.rates)
+        terms = jacobian * ravel_pytree(stage.expected)[0][None, :]
+        gross = jnp.abs(rates - jnp.sum(terms, axis=1)) + jnp.sum(jnp.abs(terms), axis=1)
+        # As with one contact.
+        fastest = jnp.sqrt(jnp.sum(jnp.abs(jacobian * jacobian.T)) + jnp.finfo(tau.dtype).tiny)
+        coupled = times(jnp.abs(jacobian), gross)
+        gross = gross + jnp.where(fastest * weight > 1e-9, coupled / fastest, 0)
+        held = self.model.limits(forcing, tau, stage.expected, now.velocity).largest
+        by_friction = jnp.concatenate([part.reshape(-1, len(held)) for part in stage.linear])
+        return in_parts(gross), in_parts(times(jnp.abs(jacobian) @ jnp.abs(by_friction), held))
+
+
+def _of_all(columns: FloatArray, force: FloatArray) -> FloatArray:
+    """What the forces of all contacts do together, by the last axis of `columns`."""
+    return jnp.sum(columns * jnp.expand_dims(force, range(columns.ndim - 1)), axis=-1)
 
 
 class InnerField(AnyField):
     """A system whose friction has inner states and is smooth by itself."""
 
     model: InnerStates
+    criterion: Criterion
 
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         return self.model.rates(forcing, tau, y)
@@ -187,3 +431,17 @@ class InnerField(AnyField):
     def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
         slips = jnp.stack([jnp.asarray(law.elastic_slip, velocity.dtype) for law in self.model.laws])
         return slips if self.model.contacts else slips[0] / self.model.slip_of_law(y)
+
+
+def field_of(system: System, smooth: Signal | None, method: Regularized) -> AnyField:
+    """The field of `system` under a realised smooth excitation; `method`: with every option filled in."""
+    assert method.threshold is not None
+    assert method.minimum_duration is not None
+    criterion, inner = Criterion(method.threshold, method.minimum_duration), system.inner_model(smooth)
+    if inner is not None:
+        return InnerField(inner, criterion)
+    assert method.width is not None
+    model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
+    if isinstance(model, ContactsModel):
+        return ContactsField(model, criterion, switch, system.static_exceeds_kinetic)
+    return Field(one_contact_model(system, smooth, None), criterion, switch)

@@ -1,10 +1,11 @@
-"""Regularised motion of one trajectory: its settings, steps of fixed length, and adaptive steps by diffrax."""
+"""Regularised motion: its settings, lanes of steps of fixed length, and adaptive steps of one trajectory by diffrax."""
 
+import dataclasses
 import math
+from collections.abc import Callable
 from functools import cache, reduce
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,8 @@ from jaxtyping import Array
 
 from ..._compiler import sharing
 from ..._excitation.excitation import Excitation
-from ..._excitation.segments import SegmentState, SegmentTable, first_segment
+from ..._excitation.motion import Signal
+from ..._excitation.segments import SegmentState, SegmentTable
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar, Status
@@ -21,13 +23,23 @@ from ..._numerics.derivatives import NotKnown, largest, smallest
 from ..._numerics.matrices import any_of
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
+from ..common.lanes import SampleTotals
 from ..common.method import Regularized, accurate_step, step_for
-from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
+from ..common.path import (
+    Parts,
+    SegmentLaws,
+    StepsEngine,
+    StepsShared,
+    following_segments,
+    is_spent,
+    sample_totals,
+    stopping_scan,
+    to_digits,
+)
 from ..sticks import ALL, StickRecord, no_stick
-from .field import AnyField, ContactsField, Field, InnerField
-from .implicit_step import Switch
+from .balances import Switch
+from .field import AnyField, InnerField, SteppedField, field_of
 from .sticks import (
-    Criterion,
     JoiningDetector,
     SeenStep,
     StickDetector,
@@ -56,27 +68,28 @@ def shortened(step: SeenStep, band: FloatArray) -> tuple[BoolArray, FloatArray]:
 
     `band`: the relative speed below which static friction can hold the mass, m/s.
     """
-    before, after = _side(step.r0, band), _side(step.r1, band)
+    r0, slope, r1, end_slope = step.relative
+    before, after = _side(r0, band), _side(r1, band)
     # Bounded measures of the needed friction, 1/2 at its limit.
-    holds, held = 1 / (1 + step.need0) - 0.5, 1 / (1 + step.need1) - 0.5
+    holds, held = 1 / (1 + step.need) - 0.5, 1 / (1 + step.end_need) - 0.5
     least = _SAME * jnp.abs(holds - held) + _ULPS * jnp.finfo(step.h.dtype).eps
     released = (before == 0) & (holds > least) & (held < -least)
     # While less than static friction is needed, no mass leaves the band.
     strays = (before == 0) & (after != 0) & (held > -least) & (holds > least)
 
     # Where it slid slowest; if it slid the other way, it was in the band.
-    falls, rises = -before * step.slope0, before * step.slope1
+    falls, rises = -before * slope, before * end_slope
     turns = (before != 0) & (before == after) & (falls > 0) & (rises > 0)
     lowest_at = jnp.where(turns, step.h * falls / jnp.where(turns, falls + rises, 1), step.h)
-    lowest = jnp.where(turns, hermite(lowest_at, step.h, step.r0, step.slope0, step.r1, step.slope1), step.r1)
+    lowest = jnp.where(turns, hermite(lowest_at, step.h, step.relative), r1)
     crosses = (before != 0) & ((before == -after) | turns) & (before * lowest < 0)
 
     # Where more than static friction is needed, it only passes the band.
-    soon = jnp.abs(step.r0) / jnp.where(falls > 0, falls, 1)
+    soon = jnp.abs(r0) / jnp.where(falls > 0, falls, 1)
     passes = (before != 0) & (after == 0) & (held < -least) & (falls > 0) & (soon < _NEAR * step.h)
 
     until_release = step.h * _share(released, holds, -held)
-    until_zero = lowest_at * _share(crosses, jnp.abs(step.r0), jnp.abs(lowest))
+    until_zero = lowest_at * _share(crosses, jnp.abs(r0), jnp.abs(lowest))
     length = jnp.where(passes, soon, jnp.where(crosses, until_zero, step.h / 2))
     return released | strays | crosses | passes, jnp.where(released, until_release, length)
 
@@ -90,7 +103,7 @@ def _share(chosen: BoolArray, one: FloatArray, other: FloatArray) -> FloatArray:
     return jnp.where(chosen, one, 0) / jnp.where(chosen, one + other, 1)
 
 
-# Regularised motion of one trajectory in steps of fixed length; the caller makes batches with ``jax.vmap``.
+# Regularised motion in steps of fixed length.
 #
 # A step ends early where a segment of the base motion or of the load ends, so that it never crosses a jump.
 
@@ -123,40 +136,17 @@ class PathStep(NamedTuple):
     end_rates: State
 
 
-def nothing_seen(numbers: State, contacts: int | None) -> tuple[StickRecord, PathStep]:
+def nothing_seen(numbers: State, contacts: int | None, quantities: tuple[str, ...]) -> tuple[StickRecord, PathStep]:
     """The records of an idle step, for a trajectory with `numbers` of its state like these and so many contacts."""
     none = tuple(jnp.zeros_like(value) for value in numbers)
-    stick = no_stick(none[0].dtype, ALL, () if contacts is None else (contacts + 1,))
+    stick = no_stick(none[0].dtype, quantities, () if contacts is None else (contacts + 1,))
     return stick, PathStep(none[0], none, none, none)
 
 
-def start_fixed(
-    field: Field | ContactsField,
-    segment_laws: SegmentLaws,
-    criterion: Criterion,
-    key_data: Any,
-    y0: tuple,
-    dtype,
-    quantities: tuple[str, ...],
-) -> FixedLane:
-    """The lane at the beginning of a trajectory, whose segments `key_data` choose.
-
-    `quantities` of each stick: those that are asked for.
-    """
-    segment_states = tuple(first_segment(law, key_data, dtype) for law in segment_laws.all)
-    zero, y = jnp.zeros((), dtype), field.model.start(y0, dtype)
-    forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
-    limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
-    seen, tracks = field.at_contact(forcing, zero, y), field.model.stick_position(y)
-    detector = start_detector(criterion, seen, tracks, quantities)
-    return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
-
-
 @sharing
-def advance_fixed(
-    field: Field | ContactsField,
+def _advance_fixed(
+    field: SteppedField,
     segment_laws: SegmentLaws,
-    criterion: Criterion,
     t1: FloatArray,
     step: FloatArray,
     most_steps: IntArray,
@@ -178,14 +168,12 @@ def advance_fixed(
     band = field.band(forcing, lane.t, lane.y)
     y, error = field.step(forcing, lane.y, h, band)
     seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)
-    # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `NOT_FINITE`.
-    known = ~any_of(~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)))
-    y = (jnp.where(known, y[0], jnp.nan), *y[1:])
+    y = (jnp.where(seen.hides_sticks, jnp.nan, y[0]), *y[1:])
 
     t = jnp.where(to_stop, stop, lane.t + h)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
     after = field.at_contact(field.model.forcing(t, segment_laws.segments(segment_states)), t, y)
-    detector, record = detect(criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1)
+    detector, record = detect(field.criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1)
     moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
     accepted = live
     if lane.limit is not None:
@@ -206,45 +194,65 @@ def advance_fixed(
     return moved, record, PathStep(lane.t, *map(field.model.numbers, (lane.y, rates, end_rates)))
 
 
+class FixedEngine(StepsEngine[FixedLane]):
+    """Fixed steps; `method`: with every option filled in (`resolved`), its step left to `step_length`."""
+
+    method: Regularized
+
+    def lane(self, smooth: Signal | None, key_data: Any, dtype) -> FixedLane:
+        segment_laws, field = SegmentLaws.of(self.system, self.excitation), self._field(smooth)
+        segment_states = segment_laws.first(self.excitation.segment_key_data(key_data), dtype)
+        y = field.model.start(tuple(jnp.asarray(value, dtype) for value in self.y0), dtype)
+        zero = jnp.zeros((), dtype)
+        forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
+        limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
+        seen, tracks = field.at_contact(forcing, zero, y), field.model.stick_position(y)
+        detector = start_detector(field.criterion, seen, tracks, self.quantities)
+        return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
+
+    def advanced(
+        self, shared: StepsShared, smooth: Signal | None, lane: FixedLane
+    ) -> tuple[FixedLane, StickRecord, PathStep]:
+        return _advance_fixed(self._field(smooth), *shared, jnp.asarray(self.most_steps, jnp.int32), lane)
+
+    def idle(self, lane: FixedLane) -> tuple[StickRecord, PathStep]:
+        model = self._field(self.excitation.signal).model
+        return nothing_seen(model.numbers(lane.y), model.contacts, ALL)
+
+    def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
+        _, totals, at_start = motion.detector.found
+        return sample_totals(self.system, totals, at_start, self.status(motion), jnp.zeros((), jnp.int32))
+
+    def _field(self, smooth: Signal | None) -> SteppedField:
+        field = field_of(self.system, smooth, self.method)
+        assert isinstance(field, SteppedField)
+        return field
+
+
 # Regularised motion of one trajectory in adaptive steps, by diffrax.
 
 
-CLOSING = 2
-"""Steps of no length after the last, at most: see `detect_joined`."""
+_CLOSING = 2  # steps of no length after the last, at most: see `detect_joined`
 
 
-class Tables(eqx.Module):
+class Tables(Parts[SegmentTable]):
     """All segments of one realisation, in the order of `SegmentLaws`."""
-
-    base: tuple[SegmentTable, ...]
-    ground: tuple[SegmentTable, ...]
-    force: tuple[SegmentTable, ...]
-    normal: tuple[SegmentTable, ...]
 
     @classmethod
     def of(cls, system: System, excitation: Excitation, key_data: Any, sizes: tuple[int, ...], dtype) -> "Tables":
         """The segments that `key_data` choose; `sizes`: how many of each part (`table_sizes`)."""
         segment_laws, own = SegmentLaws.of(system, excitation), excitation.segment_key_data(key_data)
-        tables = [SegmentTable.of(law, own, size, dtype) for law, size in zip(segment_laws.all, sizes, strict=True)]
+        tables = (SegmentTable.of(law, own, size, dtype) for law, size in zip(segment_laws.all, sizes, strict=True))
         return cls(*segment_laws.parted(tables))
-
-    @property
-    def all(self) -> tuple[SegmentTable, ...]:
-        """The tables in order."""
-        return sum(self._parts, ())
 
     def at(self, t: FloatArray) -> Segments:
         """The current segments at time `t`."""
-        return Segments(*(tuple(table.at(t) for table in part) for part in self._parts))
+        return Segments(*self.parted(table.at(t) for table in self.all))
 
     @property
     def base_jumps(self) -> bool:
         """Whether the velocity of the base may jump."""
         return any(table.jumps and len(table.segments.begin) > 1 for table in self.base)
-
-    @property
-    def _parts(self) -> tuple[tuple[SegmentTable, ...], ...]:
-        return self.base, self.ground, self.force, self.normal
 
     @property
     def end(self) -> FloatArray | float:
@@ -283,13 +291,8 @@ class Solution(NamedTuple):
     status: IntArray
 
     @property
-    def time_reached(self) -> FloatArray:
-        """Where the last step ended, s."""
-        return self.t[self.steps]
-
-    @property
     def seen_steps(self) -> IntArray:
-        """How many steps `detect_in_step` has to see: one of no length follows the last."""
+        """How many steps `_detect_in_step` has to see: one of no length follows the last."""
         return jnp.maximum(self.steps, 1) + 1
 
 
@@ -372,25 +375,43 @@ def solve_adaptive(
     return Solution(t, y, steps, jnp.where(finite, code, Status.NOT_FINITE).astype(jnp.int8))
 
 
-def start_detection(
+def follow_adaptive(
     field: AnyField,
     tables: Tables,
-    criterion: Criterion,
-    y: Array,
+    t1: FloatArray,
+    y0: tuple[Number, ...],
+    method: Regularized,
+    longest_step: Scalar,
+    max_steps: int,
     quantities: tuple[str, ...],
-) -> JoiningDetector:
-    """The stick detector at the beginning of a trajectory; `quantities` of each stick: those that are asked for."""
-    zero = jnp.zeros((), y.dtype)
-    forcing = field.model.forcing(zero, tables.at(zero))
-    state = field.model.start(tuple(y), y.dtype)
-    tracks = field.model.stick_position(state)
-    return start_joining(criterion, field.at_contact(forcing, zero, state), tracks, quantities)
+    kept: Callable[[StickRecord, PathStep], Any],
+) -> tuple[Solution, JoiningDetector, Any]:
+    """Solve one trajectory (`solve_adaptive`) and find its sticks; also what is `kept` of each step.
+
+    `quantities` of each stick: those that are asked for.
+    """
+    solution = solve_adaptive(field, tables, t1, y0, method, longest_step, max_steps)
+    model, zero = field.model, jnp.zeros((), t1.dtype)
+    start = model.start(tuple(solution.y[0]), t1.dtype)
+    seen, tracks = field.at_contact(model.forcing(zero, tables.at(zero)), zero, start), model.stick_position(start)
+
+    def one_step(detector: JoiningDetector, index: IntArray) -> tuple[JoiningDetector, Any]:
+        detector, record, passage = _detect_in_step(field, tables, t1, solution, detector, index)
+        return detector, kept(record, passage)
+
+    detector, found = stopping_scan(
+        one_step,
+        start_joining(field.criterion, seen, tracks, quantities),
+        max_steps + _CLOSING,
+        lambda _, index: index >= solution.seen_steps,
+        lambda _: kept(*nothing_seen(tuple(solution.y[0]), model.contacts, quantities)),
+    )
+    return solution, detector, found
 
 
-def detect_in_step(
+def _detect_in_step(
     field: AnyField,
     tables: Tables,
-    criterion: Criterion,
     t1: FloatArray,
     solution: Solution,
     detector: JoiningDetector,
@@ -411,20 +432,20 @@ def detect_in_step(
     for table, old, new in zip(tables.base, segments.base, next_segments.base, strict=True):
         jumped = jumped | ((old.begin != new.begin) & table.jumps)
     after = field.at_contact(model.forcing(now, next_segments), now, reached)
-    moved, record = detect_joined(criterion, detector, seen, jumped=jumped & (now < t1), after=after, last=now >= t1)
+    jumped, last = jumped & (now < t1), now >= t1
+    moved, record = detect_joined(field.criterion, detector, seen, jumped=jumped, after=after, last=last)
     moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, detector)
-    # An acceleration that is NaN or infinite hides sticks, although the motion may not need it: `status_of`.
-    # (What ends where it begins has none, and no motion.)
-    hidden = live & (tables.end > 0) & any_of(~(jnp.isfinite(seen.slope0) & jnp.isfinite(seen.slope1)))
-    stick_time = jnp.where(hidden, jnp.nan, moved.totals.stick_time)
-    moved = moved._replace(totals=moved.totals._replace(stick_time=stick_time))
+    hidden = live & (tables.end > 0) & seen.hides_sticks  # what ends where it begins has no motion
+    totals = moved.found.totals
+    totals = totals._replace(stick_time=jnp.where(hidden, jnp.nan, totals.stick_time))
+    moved = moved._replace(found=moved.found._replace(totals=totals))
     record = record._replace(ending=jnp.where(live, record.ending, jnp.int8(-1)))
     return moved, record, PathStep(t, *map(model.numbers, (y, rates, end_rates)))
 
 
 def status_of(solution: Solution, detector: JoiningDetector) -> IntArray:
     """How a solution ended whose steps the `detector` has seen."""
-    return jnp.where(any_of(jnp.isnan(detector.totals.stick_time)), jnp.int8(Status.NOT_FINITE), solution.status)
+    return jnp.where(any_of(jnp.isnan(detector.found.totals.stick_time)), jnp.int8(Status.NOT_FINITE), solution.status)
 
 
 # Defaults of a regularised simulation: thresholds and tolerances from the scales of the system.
@@ -457,7 +478,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             "Argument width must be positive (in m/s), but None was given; only friction laws with an inner state, "
             "such as LuGre, need none."
         )
-    check_contacts(system, method)
+    _check_contacts(system, method)
     width = None if method.width is None else jnp.asarray(method.width, dtype)
     speed, deceleration, state_sizes = system.sizes(excitation)
     # Static friction above kinetic friction holds a mass up to one width.
@@ -493,21 +514,20 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             f"Argument atol must be one number, or one for each of the {len(scales)} states, but an array of shape "
             f"{np.shape(atol)} was given."
         )
-    return Regularized(
-        width,
-        method.shape,
+    return dataclasses.replace(
+        method,
+        width=width,
         step=None if adaptive else jnp.asarray(method.step, dtype),
         solver=diffrax.Kvaerno3() if adaptive and method.solver is None else method.solver,
         rtol=jnp.asarray(method.rtol, dtype),
         atol=jnp.asarray(atol, dtype),
-        max_steps=method.max_steps,
         threshold=jnp.asarray(threshold, dtype),
         minimum_duration=jnp.asarray(duration, dtype),
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,
     )
 
 
-def check_contacts(system: System, method: Regularized) -> None:
+def _check_contacts(system: System, method: Regularized) -> None:
     """Check what several contacts cannot have. Raises ValueError for it."""
     contacts = system.tracks.contacts
     for name in ("threshold", "minimum_duration"):

@@ -2,28 +2,18 @@
 steps by the path that is slipped.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array
 
 from ..._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray, Scalar
-from ..._numerics.derivatives import OwnDerivative
+from ..._numerics.matrices import any_of
 from ..._numerics.steps import look_ahead
-from ..sticks import (
-    Remembered,
-    StickRecord,
-    StickSpan,
-    Totals,
-    begin_quantities,
-    ending_of,
-    measured,
-    start_totals,
-    with_stick,
-)
+from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantities, ending_of, recorded, start_totals
+from .balances import root_of
 
 # Detection of sticks in fixed steps: the relative velocity stays below a threshold for long enough.
 #
@@ -32,6 +22,7 @@ from ..sticks import (
 # and of positions have an entry for each contact and a last one for all at once; everything else, one for each contact.
 
 
+_Pair: TypeAlias = tuple[Array, Array]
 _AT_LIMIT = 1e-5  # of the largest friction
 _ULPS = 64  # of the relative velocities: a smaller change is round-off, and no jump
 
@@ -46,12 +37,28 @@ class Criterion(NamedTuple):
     minimum_duration: AnyArray | Scalar
 
 
+class Found(NamedTuple):
+    """What a detector has found so far, of each track: what quantities of a stick remember, the `Totals`, and whether
+    there was a stick from the start.
+    """
+
+    remembered: Remembered
+    totals: Totals
+    at_start: BoolArray
+
+    @classmethod
+    def nothing(cls, tracks: FloatArray, quantities: tuple[str, ...]) -> "Found":
+        """At the beginning of a trajectory; `tracks`: positions."""
+        remembered, totals = begin_quantities(tracks, quantities), start_totals(tracks.dtype, tracks.shape)
+        return cls(remembered, totals, jnp.zeros(tracks.shape, bool))
+
+
 class StickDetector(NamedTuple):
     """State of the detector after the steps so far.
 
     - `inside`: whether the relative velocity is below the threshold, since `start` (s) at `position` (m).
     - `crossed`: when it passed through zero in the last step without ending inside, s, infinity if it did not;
-      `crossed_at`: the position there. `remembered`: by the quantities of each stick that are asked for.
+      `crossed_at`: the position there.
     """
 
     inside: BoolArray
@@ -59,42 +66,38 @@ class StickDetector(NamedTuple):
     position: FloatArray
     crossed: FloatArray
     crossed_at: FloatArray
-    remembered: Remembered
-    totals: Totals
-    at_start: BoolArray
+    found: Found
 
 
-class NormalForces(NamedTuple):
-    """The normal forces of several contacts at both ends of a step, N, and their slopes there, (contacts,) each."""
+class Cubic(NamedTuple):
+    """A number in a step, by its values and slopes at both ends: it is a cubic in between."""
 
-    n0: FloatArray
-    slope0: FloatArray
-    n1: FloatArray
-    slope1: FloatArray
+    begin: FloatArray
+    slope: FloatArray
+    end: FloatArray
+    end_slope: FloatArray
 
 
 class SeenStep(NamedTuple):
     """One step from `t` to ``t + h`` as the detector reads it.
 
-    `r0`, `slope0`, `r1`, `slope1`: relative velocity and its slope at both ends (before a jump of the base); `x0`,
-    `v0`, `x1`, `v1`: position and velocity; `need0`, `need1`: friction that holds the mass, over the largest friction.
-    Of several contacts they are arrays: the positions of each and of all at once, everything else of each, with the
-    normal forces.
+    `relative`: velocity, before a jump of the base. `need`, `end_need`: friction that holds the mass, over the largest
+    friction. Of several contacts they are arrays: the positions of each and of all at once, everything else of each,
+    with the `normal` forces.
     """
 
     t: FloatArray
     h: FloatArray
-    r0: FloatArray
-    slope0: FloatArray
-    r1: FloatArray
-    slope1: FloatArray
-    x0: FloatArray
-    v0: FloatArray
-    x1: FloatArray
-    v1: FloatArray
-    need0: FloatArray
-    need1: FloatArray
-    normal: NormalForces | None = None
+    relative: Cubic
+    position: Cubic
+    need: FloatArray
+    end_need: FloatArray
+    normal: Cubic | None = None
+
+    @property
+    def hides_sticks(self) -> BoolArray:
+        """Whether a relative acceleration is NaN or infinite, although the motion may not need it: `NOT_FINITE`."""
+        return any_of(~(jnp.isfinite(self.relative.slope) & jnp.isfinite(self.relative.end_slope)))
 
 
 class AtContact(NamedTuple):
@@ -116,8 +119,7 @@ def start_detector(
     """
     inside = _with_all((jnp.abs(seen.velocity) <= criterion.threshold) & seen.closed, seen.closed)
     zero, never = jnp.zeros_like(tracks), jnp.full_like(tracks, jnp.inf)
-    totals, remembered = start_totals(tracks.dtype, tracks.shape), begin_quantities(tracks, quantities)
-    return StickDetector(inside, zero, tracks, never, tracks, remembered, totals, jnp.zeros_like(inside))
+    return StickDetector(inside, zero, tracks, never, tracks, Found.nothing(tracks, quantities))
 
 
 def detect(
@@ -137,22 +139,15 @@ def detect(
     """
     threshold = jnp.asarray(criterion.threshold, step.t.dtype)
     was, crossed_before = _own(detector.inside), _own(detector.crossed)
-    closed_before, closed, opening, closing = closed_in(step.normal, step.h, was)
-    fast = jnp.abs(step.r1) > threshold
-    slow = ~fast & closed
-    enters, leaves = ~was & slow, was & ~slow
-    entry, leave = _straight_entry(threshold, step), _late_exit(threshold, step)
-    if step.normal is not None:
-        entry = jnp.maximum(jnp.where(jnp.abs(step.r0) > threshold, entry, 0), jnp.where(closed_before, 0, closing))
-        leave = jnp.where(closed, leave, jnp.where(fast, jnp.minimum(leave, opening), opening))
+    given = _straight_entry(threshold, step), _late_exit(threshold, step)
+    slow, passes, (entry, leave), (closed_before, closed), (opening, closing) = _passage(threshold, step, was, *given)
+    enters, leaves, passes = ~was & slow, was & ~slow, passes & ~jumped
     # A long step in which a contact comes to rest may end a little beyond rest; the next step corrects this.
     late = enters & jnp.isfinite(crossed_before)
     begun = jnp.where(late, crossed_before, step.t + entry)
-    passes = ~was & ~slow & (step.r0 * step.r1 < 0) & ~jumped & closed_before & closed
     crossed, crossing_at = jnp.where(passes, step.t + entry, jnp.inf), entry
     start, inside = jnp.where(enters, begun, _own(detector.start)), _with_all(slow, closed)
-    least = jnp.asarray(criterion.minimum_duration, step.r1.dtype)
-    if step.x0.ndim:
+    if step.position.begin.ndim:
         # All at once begin with the last that comes to rest, or with the opening of the last that slips; they end with
         # the first that leaves or closes while it slips, or with the last that opens.
         opens, closes = closed_before & ~closed, ~closed_before & closed
@@ -169,35 +164,39 @@ def detect(
         crossing_at = jnp.append(crossing_at, jnp.where(jnp.any(passes), all_crossed - step.t, 0))
         crossed = jnp.append(crossed, jnp.where(jnp.any(passes), all_crossed, jnp.inf))
         passes = jnp.append(passes, jnp.any(passes))
-        least = jnp.append(jnp.broadcast_to(least, step.r1.shape), jnp.max(least))
-    at = jnp.where(late, detector.crossed_at, position_in(step, entry))
+    at = jnp.where(late, detector.crossed_at, hermite(entry, step.h, step.position))
     position = jnp.where(enters, at, detector.position)
-    crossed_at = jnp.where(passes, position_in(step, crossing_at), step.x1)
+    crossed_at = jnp.where(passes, hermite(crossing_at, step.h, step.position), step.position.end)
 
     # Jumps, and what opens or closes as the step ends, end what goes on; so does the end of the time.
     turned = _turned_by_jump(threshold, step, after.velocity, jumped)
     over = turned | (after.closed != closed)
     goes_on = jnp.where(over, (jnp.abs(after.velocity) <= threshold) & after.closed, slow)
     goes_on = _with_all(goes_on, after.closed)
-    if step.x0.ndim:
+    if step.position.begin.ndim:
         over = jnp.append(over, jnp.any(turned & slow) | (goes_on[-1] != inside[-1]))
     now, cut = step.t + step.h, last & inside
     end = jnp.where(leaves, step.t + leave, now)
-    counts = (leaves | cut | (over & inside)) & (end - start >= least) & (end > start)
-    left_at = jnp.where(leaves, position_in(step, leave), step.x1)
-    quantities, remembered = measured(detector.remembered, counts, StickSpan(start, end, position, left_at))
-    record = StickRecord(start, end, position, quantities, ending_of(counts, leaves | (over & ~jumped), cut))
-    detector = StickDetector(
-        inside=goes_on,
-        start=jnp.where(over, now, start),
-        position=jnp.where(over, step.x1, position),
-        crossed=crossed,
-        crossed_at=crossed_at,
-        remembered=remembered,
-        totals=with_stick(detector.totals, counts, cut, end - start),
-        at_start=detector.at_start | (counts & (start <= 0)),
-    )
-    return detector, record
+    left_at = jnp.where(leaves, hermite(leave, step.h, step.position), step.position.end)
+    ending = ending_of(leaves | cut | (over & inside), leaves | (over & ~jumped), cut)
+    found, record = _found(criterion, detector.found, StickSpan(start, end, position, left_at), ending, cut)
+    start, position = jnp.where(over, now, start), jnp.where(over, step.position.end, position)
+    return StickDetector(goes_on, start, position, crossed, crossed_at, found), record
+
+
+def _found(
+    criterion: Criterion, before: Found, span: StickSpan, ending: IntArray, cut: BoolArray
+) -> tuple[Found, StickRecord]:
+    """What is found after a step in which these slow times ended (`ending`: how, -1 where none did), and the record of
+    those that are sticks; `cut`: by the horizon.
+    """
+    duration, least = span.end - span.start, jnp.asarray(criterion.minimum_duration, span.start.dtype)
+    if duration.ndim:  # all at once stick for the longest that any contact must
+        least = jnp.append(jnp.broadcast_to(least, duration[:-1].shape), jnp.max(least))
+    counts = (ending >= 0) & (duration >= least) & (duration > 0)
+    ending = jnp.where(counts, ending, jnp.int8(-1))
+    record, remembered, totals = recorded(before.remembered, before.totals, counts, span, ending, cut, duration)
+    return Found(remembered, totals, before.at_start | (counts & (span.start <= 0))), record
 
 
 def _with_all(holds: BoolArray, closed: BoolArray) -> BoolArray:
@@ -218,62 +217,53 @@ def _turned_by_jump(threshold: FloatArray, step: SeenStep, velocity: FloatArray,
     """Whether the relative velocity jumps to `velocity` where the step ends: between two masses a base does nothing."""
     if velocity.ndim == 0:
         return jumped
-    size = jnp.maximum(jnp.maximum(jnp.abs(velocity), jnp.abs(step.r1)), threshold)
-    return jumped & (jnp.abs(velocity - step.r1) > _ULPS * jnp.finfo(size.dtype).eps * size)
+    size = jnp.maximum(jnp.maximum(jnp.abs(velocity), jnp.abs(step.relative.end)), threshold)
+    return jumped & (jnp.abs(velocity - step.relative.end) > _ULPS * jnp.finfo(size.dtype).eps * size)
 
 
 def crossing(threshold: FloatArray, step: SeenStep, *, entering: bool) -> FloatArray:
     """When ``|v_rel|`` passes the threshold, s after the step began; meaningless where it does not."""
-    sign = _sign(step.r0 if entering else step.r1)
+    sign = _sign(step.relative.begin if entering else step.relative.end)
     # Positive before the crossing and negative after it.
     turn = sign if entering else -sign
     shift = threshold if entering else -threshold
-    s0, s1 = turn * step.r0 - shift, turn * step.r1 - shift
-    return fall_in(step.h, s0, turn * step.slope0, s1, turn * step.slope1)
+    r0, slope, r1, end_slope = (turn * number for number in step.relative)
+    return fall_in(step.h, Cubic(r0 - shift, slope, r1 - shift, end_slope))
 
 
-def fall_in(h: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
-    """When the cubic with these values and slopes at 0 and `h` falls through zero; meaningless where it does not."""
-    d0, d1 = d0 * h, d1 * h
+def fall_in(h: FloatArray, cubic: Cubic) -> FloatArray:
+    """When the `cubic` of a step of length `h` falls through zero; meaningless where it does not."""
+    s0, d0, s1, d1 = cubic.begin, cubic.slope * h, cubic.end, cubic.end_slope * h
     falls = (s0 > 0) & (s1 < 0)
     s0, s1 = jnp.where(falls, s0, 1), jnp.where(falls, s1, -1)
     u = look_ahead(s0, d0, s1, d1, jnp.zeros_like(s0)).where
     # One more Newton step.
-    cubic = s0, d0, s1, d1
-    value, slope = _of_cubic(u, *cubic), _slope_of_cubic(u, *cubic)
+    cubic = Cubic(s0, d0, s1, d1)
+    value, slope = hermite(u, jnp.ones_like(u), cubic), _slope_of_cubic(u, cubic)
     usable = falls & (slope < 0)
     u = lax.stop_gradient(jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1))
     return h * _root(cubic, usable, u)[0]
 
 
-@OwnDerivative
-def _root(cubic: tuple[FloatArray, ...], usable: BoolArray, u: FloatArray) -> tuple[FloatArray, ...]:
-    """The root `u` of a cubic on [0, 1], with its derivatives of every order; without any where not `usable`."""
-    return (u,)
-
-
-@_root.def_jvp
-def _root_jvp(primals, tangents):
-    cubic, usable, u = primals
-    (u,) = _root(cubic, usable, lax.stop_gradient(u))
-    _, change = eqx.filter_jvp(lambda *cubic: _of_cubic(u, *cubic), cubic, tangents[0])
+def _root_change(cubic: Cubic, usable: BoolArray, u: FloatArray, change: FloatArray) -> FloatArray:
     usable = usable & (u > 0) & (u < 1)
-    return (u,), (jnp.where(usable, -change / jnp.where(usable, _slope_of_cubic(u, *cubic), -1), 0),)
+    return jnp.where(usable, -change / jnp.where(usable, _slope_of_cubic(u, cubic), -1), 0)
 
 
-def _of_cubic(u: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
-    return hermite(u, jnp.ones_like(u), s0, d0, s1, d1)
+_root = root_of(lambda cubic, _, u: hermite(u, jnp.ones_like(u), cubic), _root_change)
+"""The root `u` of a cubic on [0, 1], with its derivatives of every order; without any where not `usable`."""
 
 
-def _slope_of_cubic(u: FloatArray, s0: FloatArray, d0: FloatArray, s1: FloatArray, d1: FloatArray) -> FloatArray:
+def _slope_of_cubic(u: FloatArray, cubic: Cubic) -> FloatArray:
+    s0, d0, s1, d1 = cubic
     return 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
 
 
 def _straight_entry(threshold: FloatArray, step: SeenStep) -> FloatArray:
     """When ``|v_rel|`` falls to the threshold, by its slope at the beginning, or by the chord if it rises there."""
-    size, rise = jnp.abs(step.r0), _sign(step.r0) * step.slope0
+    size, rise, end, _ = (_sign(step.relative.begin) * number for number in step.relative)
     above = jnp.maximum(size - threshold, 0)
-    total = jnp.maximum(size - _sign(step.r0) * step.r1, threshold)
+    total = jnp.maximum(size - end, threshold)
     where = jnp.where(rise < 0, above / jnp.where(rise < 0, -rise, 1), step.h * above / total)
     return jnp.clip(where, 0, step.h)
 
@@ -284,10 +274,12 @@ def _late_exit(threshold: FloatArray, step: SeenStep) -> FloatArray:
     After the release, where the needed friction equals the largest, the excess force grows linearly with time and the
     relative velocity with its square.
     """
-    here = (step.need0 < jnp.minimum(step.need1, 1)) & (step.need1 > 1 - _AT_LIMIT)  # a step may end at the release
-    gain = jnp.where(here, step.need1 - step.need0, 1)
-    released = step.h * jnp.clip((1 - step.need0) / gain, 0, 1)
-    rest, rise = step.h - released, _sign(step.r1) * step.slope1
+    here = (step.need < jnp.minimum(step.end_need, 1)) & (
+        step.end_need > 1 - _AT_LIMIT
+    )  # a step may end at the release
+    gain = jnp.where(here, step.end_need - step.need, 1)
+    released = step.h * jnp.clip((1 - step.need) / gain, 0, 1)
+    rest, rise = step.h - released, _sign(step.relative.end) * step.relative.end_slope
     usable = here & (rise > 0) & (rest > 0)
     resolved = crossing(threshold, step, entering=False)
     while_creeping = jnp.sqrt(jnp.where(usable, 2 * threshold * rest / jnp.where(usable, rise, 1), 1))
@@ -298,33 +290,36 @@ def _sign(value: FloatArray) -> FloatArray:
     return jnp.where(value < 0, -1.0, 1.0).astype(value.dtype)
 
 
-def position_in(step: SeenStep, tau: FloatArray) -> FloatArray:
-    """The position inside the step, by the cubic through its ends."""
-    return hermite(tau, step.h, step.x0, step.v0, step.x1, step.v1)
-
-
-def hermite(
-    tau: FloatArray, h: FloatArray, x0: FloatArray, v0: FloatArray, x1: FloatArray, v1: FloatArray
-) -> FloatArray:
-    """The cubic with these values and slopes at 0 and `h`, evaluated at `tau`; `x0` for a step of no length."""
+def hermite(tau: FloatArray, h: FloatArray, cubic: Cubic) -> FloatArray:
+    """The `cubic` of a step of length `h`, `tau` after it began; its first value for a step of no length."""
+    x0, v0, x1, v1 = cubic
     u = jnp.where(h > 0, tau / jnp.where(h > 0, h, 1), 0)
     bend = (1 - u) * (1 - u)
     values = x0 * bend * (1 + 2 * u) + x1 * u * u * (3 - 2 * u)
     return values + h * (v0 * u * bend - v1 * u * u * (1 - u))
 
 
-def closed_in(
-    normal: NormalForces | None, h: FloatArray, like: BoolArray
-) -> tuple[BoolArray, BoolArray, FloatArray, FloatArray]:
-    """Which contacts are closed at the two ends of a step, and when they open and close in it, s after it began.
+def _passage(
+    threshold: FloatArray, step: SeenStep, was: BoolArray, entry: FloatArray, leave: FloatArray
+) -> tuple[BoolArray, BoolArray, _Pair, _Pair, _Pair]:
+    """Which contacts are slow at the end of a step, and which pass rest in it; when they come to rest and leave it; if
+    they are closed at both ends; and when they open and close. Instants, s after the step began, are meaningless where
+    nothing happens.
 
-    The instants are meaningless where they do not.
+    `was`: which were slow. `entry`, `leave`: when a contact would come and go that is closed all the time.
     """
-    if normal is None:
-        always, none = jnp.ones_like(like), jnp.zeros(like.shape, h.dtype)
-        return always, always, none, none
-    n0, d0, n1, d1 = normal
-    return n0 > 0, n1 > 0, fall_in(h, n0, d0, n1, d1), fall_in(h, -n0, -d0, -n1, -d1)
+    if step.normal is None:
+        closed_before, opening = jnp.ones_like(was), jnp.zeros_like(step.relative.begin)
+        closed, closing = closed_before, opening
+    else:
+        closed_before, closed = step.normal.begin > 0, step.normal.end > 0
+        opening, closing = fall_in(step.h, step.normal), fall_in(step.h, jax.tree.map(jnp.negative, step.normal))
+    fast_before, fast = (jnp.abs(value) > threshold for value in (step.relative.begin, step.relative.end))
+    entry = jnp.maximum(jnp.where(fast_before, entry, 0), jnp.where(closed_before, 0, closing))
+    leave = jnp.where(closed, leave, jnp.where(fast, jnp.minimum(leave, opening), opening))
+    slow = ~fast & closed
+    passes = ~was & ~slow & (step.relative.begin * step.relative.end < 0) & closed_before & closed
+    return slow, passes, (entry, leave), (closed_before, closed), (opening, closing)
 
 
 # Detection of sticks in adaptive steps, which resolve the relative velocity.
@@ -369,7 +364,7 @@ class JoiningDetector(NamedTuple):
     """State of the detector after the steps so far.
 
     - `slow`: whether each contact is, since `start` (s) at `position` (m), those of the slow time it was joined to.
-    - `all_at_once`: None with one contact. `remembered`, `totals`, `at_start`: of each track, as in a `StickDetector`.
+    - `all_at_once`: None with one contact.
     """
 
     slow: BoolArray
@@ -377,9 +372,7 @@ class JoiningDetector(NamedTuple):
     position: FloatArray
     left: Left
     all_at_once: AllAtOnce | None
-    remembered: Remembered
-    totals: Totals
-    at_start: BoolArray
+    found: Found
 
 
 def start_joining(
@@ -394,8 +387,7 @@ def start_joining(
         start, of_all = jnp.zeros_like(tracks[-1]), tracks[-1]
         nothing = StickSpan(start, start, of_all, of_all), jnp.full((), -1, jnp.int8)
         all_at_once = AllAtOnce(_all_of(slow, seen.closed), start, of_all, nothing)
-    remembered, totals = begin_quantities(tracks, quantities), start_totals(tracks.dtype, tracks.shape)
-    return JoiningDetector(slow, zero, position, none, all_at_once, remembered, totals, jnp.zeros(tracks.shape, bool))
+    return JoiningDetector(slow, zero, position, none, all_at_once, Found.nothing(tracks, quantities))
 
 
 def detect_joined(
@@ -414,15 +406,9 @@ def detect_joined(
     """
     threshold, now = jnp.asarray(criterion.threshold, step.t.dtype), step.t + step.h
     was, left, bend = detector.slow, detector.left, after.elastic_slip
-    closed_before, closed, opening, closing = closed_in(step.normal, step.h, was)
-    fast_before, fast = jnp.abs(step.r0) > threshold, jnp.abs(step.r1) > threshold
-    entry, leave = (crossing(threshold, step, entering=entering) for entering in (True, False))
-    entry = jnp.maximum(jnp.where(fast_before, entry, 0), jnp.where(closed_before, 0, closing))
-    leave = jnp.where(closed, leave, jnp.where(fast, jnp.minimum(leave, opening), opening))
-    sign = jnp.where(step.r0 < 0, -1.0, 1.0).astype(entry.dtype)
-    zero = fall_in(step.h, sign * step.r0, sign * step.slope0, sign * step.r1, sign * step.slope1)
-    slow = ~fast & closed
-    passes = ~was & ~slow & (step.r0 * step.r1 < 0) & closed_before & closed
+    given = (crossing(threshold, step, entering=entering) for entering in (True, False))
+    slow, passes, (entry, leave), (closed_before, closed), (opening, closing) = _passage(threshold, step, was, *given)
+    zero = crossing(jnp.zeros_like(threshold), step, entering=True)
     comes, goes = (~was & slow) | passes, (was & ~slow) | passes
     entry, leave = jnp.where(passes, zero, entry), jnp.where(passes, zero, leave)
 
@@ -445,20 +431,20 @@ def detect_joined(
     over = _turned_by_jump(threshold, step, after.velocity, jumped) | (after.closed != closed) | last
     holds = slow | following.may_go_on(bend)
     cut = StickSpan(jnp.where(slow, start, following.span.start), jnp.broadcast_to(now, start.shape),
-                    jnp.where(slow, position, following.span.position), _own(step.x1))  # fmt: skip
+                    jnp.where(slow, position, following.span.position), _own(step.position.end))  # fmt: skip
     how = jnp.where(last, Ending.HORIZON, jnp.where(jumped, Ending.BASE_SWITCHED, Ending.RELEASED)).astype(jnp.int8)
     cut = Left(
         cut,
         jnp.broadcast_to(how, start.shape),
         jnp.full_like(start, jnp.inf),
-        jnp.broadcast_to(_of_all(step.x1), start.shape),
+        jnp.broadcast_to(_of_all(step.position.end), start.shape),
     )
     following = _chosen(holds & over, cut, following)
     slow = jnp.where(over, (jnp.abs(after.velocity) <= threshold) & after.closed & ~last, slow)
-    start, position = jnp.where(over, now, start), jnp.where(over, _own(step.x1), position)
+    start, position = jnp.where(over, now, start), jnp.where(over, _own(step.position.end), position)
 
     spans, endings = left.span, jnp.where(ends, left.ending, jnp.int8(-1))
-    least, all_at_once = jnp.asarray(criterion.minimum_duration, start.dtype), None
+    all_at_once = None
     if detector.all_at_once is not None:
         at_end = jnp.where(over, after.closed, closed)
         changed = jnp.where(closed_before == closed, now, step.t + jnp.where(closed, closing, opening))
@@ -477,14 +463,8 @@ def detect_joined(
         )
         all_at_once, of_all, how_all = _all_at_once(detector.all_at_once, step, contacts)
         spans, endings = jax.tree.map(jnp.append, spans, of_all), jnp.append(endings, how_all)
-        least = jnp.append(jnp.broadcast_to(least, start.shape), jnp.max(least))
-    duration = spans.end - spans.start
-    counts = (endings >= 0) & (duration >= least) & (duration > 0)
-    quantities, remembered = measured(detector.remembered, counts, spans)
-    record = StickRecord(spans.start, spans.end, spans.position, quantities, jnp.where(counts, endings, jnp.int8(-1)))
-    totals = with_stick(detector.totals, counts, endings == Ending.HORIZON, duration)
-    at_start = detector.at_start | (counts & (spans.start <= 0))
-    return JoiningDetector(slow, start, position, following, all_at_once, remembered, totals, at_start), record
+    found, record = _found(criterion, detector.found, spans, endings, endings == Ending.HORIZON)
+    return JoiningDetector(slow, start, position, following, all_at_once, found), record
 
 
 class _Contacts(NamedTuple):
@@ -555,21 +535,19 @@ def _of_all(tracks: FloatArray) -> FloatArray:
 
 def _at(step: SeenStep, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Where the contacts, and all at once, are in a step `tau` (s) after it began; each has its own `tau`."""
-    ends = step.x0, step.v0, step.x1, step.v1
-    if step.x0.ndim == 0:
-        return (at := hermite(tau, step.h, *ends)), at
-    return hermite(tau, step.h, *(x[:-1] for x in ends)), hermite(tau, step.h, *(x[-1] for x in ends))
+    contacts, of_all = (jax.tree.map(of, step.position) for of in (_own, _of_all))
+    return hermite(tau, step.h, contacts), hermite(tau, step.h, of_all)
 
 
 def _slip(step: SeenStep, first: FloatArray, last: FloatArray) -> FloatArray:
     """How far the contacts slip between two instants of a step, by the cubic of the relative velocity."""
-    h = jnp.where(step.h > 0, step.h, 1)
+    h, (begin, slope, end, end_slope) = jnp.where(step.h > 0, step.h, 1), step.relative
 
     def until(tau: FloatArray) -> FloatArray:
         u = tau / h
         early, late = u * u * u * (u - 2) / 2 + u, u * u * u * (2 - u) / 2
-        slopes = step.slope0 * u * u * (6 - 8 * u + 3 * u * u) + step.slope1 * u * u * u * (3 * u - 4)
-        return h * (step.r0 * early + step.r1 * late + h * slopes / 12)
+        slopes = slope * u * u * (6 - 8 * u + 3 * u * u) + end_slope * u * u * u * (3 * u - 4)
+        return h * (begin * early + end * late + h * slopes / 12)
 
     return lax.stop_gradient(jnp.abs(until(last) - until(first)))
 

@@ -4,7 +4,6 @@ import math
 from functools import partial
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.errors import ConcretizationTypeError
@@ -12,26 +11,25 @@ from jaxtyping import Array
 
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal
-from ..._excitation.segments import first_segment, segment_at
-from ..._foundation.types import AnyInteger, BoolArray, DType, FloatArray, Number, Scalar
+from ..._excitation.segments import segment_at
+from ..._foundation.types import BoolArray, FloatArray, Number, Scalar
 from ..._numerics.derivatives import NotKnown, largest, smallest, with_slopes
 from ..._systems.switched_model import Segments, State, SwitchedModel
 from ..._systems.system import System
-from ..common.lanes import Engine, SampleTotals
+from ..common.lanes import SampleTotals
 from ..common.method import Arguments, Exact, max_steps_advice
 from ..common.path import (
     MotionPath,
     Run,
     SegmentLaws,
-    has_ended,
+    StepsEngine,
+    StepsShared,
     is_short,
     largest_in_steps,
-    of_track,
     padded_length,
-    status_of_lane,
-    stopping_scan,
+    sample_totals,
 )
-from ..sticks import ALL, StickRecord, count_slips, no_stick
+from ..sticks import ALL, StickRecord, no_stick
 from .stepping import Lane, advance, start_lane
 
 # One trajectory of the switched engine, and its state at any time.
@@ -56,88 +54,6 @@ class StepBeginnings(NamedTuple):
         # Of loop steps with the same beginning (tries of one time step), the last is the one that was accepted.
         index = jnp.clip(jnp.searchsorted(self.t, time, side="right") - 1, 0)
         return jax.tree.map(lambda values: values[index], self)
-
-
-class Trajectory(eqx.Module):
-    """Result of one trajectory: its last `Lane`, a `StickRecord` for each loop step, and the beginning of each."""
-
-    lane: Lane
-    status: Array
-    records: StickRecord
-    beginnings: StepBeginnings
-
-
-def lane_at_start(
-    system: System,
-    excitation: Excitation,
-    key_data: Any,
-    y0: tuple[Number, ...],
-    step: FloatArray,
-    solver: Any,
-    quantities: tuple[str, ...],
-    t0: FloatArray | None = None,
-    resting: BoolArray | None = None,
-) -> Lane:
-    """The lane at the beginning of the trajectory that `key_data` choose, at the time `t0` (s), 0 by default.
-
-    `resting`: contacts whose relative velocity is made zero there.
-    """
-    dtype = step.dtype
-    segment_laws = SegmentLaws.of(system, excitation)
-    model = system.switched_model(excitation.realized(key_data, dtype), solver)
-    own = excitation.segment_key_data(key_data)
-    segment_states = tuple(first_segment(law, own, dtype) for law in segment_laws.all)
-    if t0 is None:
-        t0 = jnp.zeros((), dtype)
-    else:
-        pairs = zip(segment_laws.all, segment_states, strict=True)
-        segment_states = tuple(segment_at(law, first, t0) for law, first in pairs)
-    return start_lane(model, segment_laws, segment_states, y0, step, quantities, t0, resting)
-
-
-def run_trajectory(
-    system: System,
-    excitation: Excitation,
-    solver: Any,
-    t1: Scalar,
-    y0: tuple[Number, ...],
-    step: Scalar,
-    *,
-    steps: int,
-    dtype: DType,
-    t0: FloatArray | None = None,
-    resting: BoolArray | None = None,
-) -> Trajectory:
-    """Simulate one realisation in at most `steps` loop steps, from `t0` (s, 0 by default) to `t1` (s).
-
-    The loop idles once the trajectory has ended. `resting`: contacts whose relative velocity is made zero at `t0`.
-    """
-    t1, step = jnp.asarray(t1, dtype), jnp.asarray(step, dtype)
-    segment_laws, model = SegmentLaws.of(system, excitation), system.switched_model(excitation.signal, solver)
-    start = lane_at_start(system, excitation, jnp.zeros(2, jnp.uint32), y0, step, solver, ALL, t0, resting)
-    most = jnp.asarray(steps, jnp.int32)
-
-    def beginning(lane):
-        return StepBeginnings(lane.t, lane.y, lane.sign, segment_laws.segments(lane.segment_states))
-
-    def one_step(lane, _):
-        following, record = advance(model, segment_laws, t1, step, lane)
-        return following, (record, beginning(lane))
-
-    def idle(lane):
-        return no_stick(dtype, ALL, lane.stick_start.shape), beginning(lane)
-
-    lane, (records, beginnings) = stopping_scan(one_step, start, steps, lambda lane, _: has_ended(lane, t1, most), idle)
-    return Trajectory(lane, status_of_lane(lane, t1), records, beginnings)
-
-
-def state_at(
-    system: System, excitation: Excitation, solver: Any, beginnings: StepBeginnings, time: FloatArray
-) -> State:
-    """The state at one `time`, from the beginning of the step that contains it."""
-    begun = beginnings.at(time)
-    model = system.switched_model(excitation.signal, solver)
-    return model.numbers(state_in_step(model, begun, time - begun.t))
 
 
 def state_in_step(model: SwitchedModel, begun: StepBeginnings, h: FloatArray) -> State:
@@ -182,70 +98,57 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, 
 # Lanes of the switched engine: a step is a time step, accepted or rejected.
 
 
-class SwitchedShared(NamedTuple):
-    """Quantities that all steps share: the laws of the excitation's segments, the horizon and the time step (s)."""
+class SwitchedEngine(StepsEngine[Lane]):
+    """Time steps in which events are located; slips without closed forms are solved by `solver`."""
 
-    segment_laws: SegmentLaws
-    t1: Array
-    step: Array
-
-
-class SwitchedEngine(Engine[SwitchedShared, Signal | None, Lane, StickRecord, SampleTotals]):
-    """Any system under any excitation, up to `t1`, from `y0`, in time steps.
-
-    A sample that needs more than `most_steps` steps, rejected ones included, is given up. `quantities` of each stick:
-    those asked for. The constant of a sample is the smooth part of its excitation.
-    """
-
-    system: System
-    excitation: Excitation
     solver: Any
-    t1: Scalar
-    y0: tuple[Number, ...]
-    step_length: Scalar
-    most_steps: AnyInteger
-    quantities: tuple[str, ...] = eqx.field(static=True, default=())
 
-    @property
-    def tracks(self) -> int | None:
-        return self.system.tracks.number
+    def lane(
+        self,
+        smooth: Signal | None,
+        key_data: Any,
+        dtype,
+        t0: FloatArray | None = None,
+        resting: BoolArray | None = None,
+    ) -> Lane:
+        """As in all engines; at the time `t0` (s), 0 by default.
 
-    @property
-    def compiles_natively(self) -> bool:
-        return self.system.traits.compiles_natively
-
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, Lane]:
+        `resting`: contacts whose relative velocity is made zero there.
+        """
+        segment_laws, step = SegmentLaws.of(self.system, self.excitation), jnp.asarray(self.step_length, dtype)
+        states = segment_laws.first(self.excitation.segment_key_data(key_data), dtype)
+        if t0 is None:
+            t0 = jnp.zeros((), dtype)
+        else:
+            states = tuple(segment_at(law, first, t0) for law, first in zip(segment_laws.all, states, strict=True))
         y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
-        step = jnp.asarray(self.step_length, dtype)
-        lane = lane_at_start(self.system, self.excitation, key_data, y0, step, self.solver, self.quantities)
-        smooth = self.excitation.realized(key_data, dtype)
-        return jax.tree.map(lambda number: jnp.asarray(number, dtype), smooth), lane
+        return start_lane(self._model(smooth), segment_laws, states, y0, step, self.quantities, t0, resting)
 
-    def shared(self, dtype) -> SwitchedShared:
+    def advanced(
+        self, shared: StepsShared, smooth: Signal | None, lane: Lane
+    ) -> tuple[Lane, StickRecord, StepBeginnings]:
+        return *advance(self._model(smooth), *shared, lane), self._beginning(lane)
+
+    def idle(self, lane: Lane) -> tuple[StickRecord, StepBeginnings]:
+        return no_stick(lane.t.dtype, ALL, lane.stick_start.shape), self._beginning(lane)
+
+    def run(self, lane: Lane, kept: tuple[StickRecord, StepBeginnings]) -> Run:
+        """The parts of a `Simulation` of one trajectory that `follow` gave."""
+        (records, beginnings), smooth = kept, self.excitation.signal
+        path, state = StepPath(smooth, self.system, self.solver, beginnings), self._model(smooth).numbers(lane.y)
+        others = self.status(lane), lane.t, state, lane.near_grazing_count, path
+        return Run.of(self.system, records, lane.totals, *others)
+
+    def _model(self, smooth: Signal | None) -> SwitchedModel:
+        return self.system.switched_model(smooth, self.solver)
+
+    def _beginning(self, lane: Lane) -> StepBeginnings:
         laws = SegmentLaws.of(self.system, self.excitation)
-        return SwitchedShared(laws, jnp.asarray(self.t1, dtype), jnp.asarray(self.step_length, dtype))
-
-    def step(
-        self, shared: SwitchedShared, sample: Signal | None, motion: Lane, drawn: None
-    ) -> tuple[Lane, StickRecord]:
-        motion, record = advance(self.system.switched_model(sample, self.solver), *shared, motion)
-        return motion, of_track(record, self.system)
-
-    def ended(self, motion: Lane, before: Lane) -> BoolArray:
-        return has_ended(motion, self._t1(motion), jnp.asarray(self.most_steps, jnp.int32))
+        return StepBeginnings(lane.t, lane.y, lane.sign, laws.segments(lane.segment_states))
 
     def results(self, sample: Signal | None, motion: Lane) -> SampleTotals:
-        totals, at_start = of_track((motion.totals, motion.at_start), self.system)
-        return SampleTotals(
-            sticks=totals.sticks,
-            slips=count_slips(totals, at_start),
-            stick_time=totals.stick_time,
-            status=status_of_lane(motion, self._t1(motion)),
-            near_grazing_count=motion.near_grazing_count,
-        )
-
-    def _t1(self, lane: Lane) -> Array:
-        return jnp.asarray(self.t1, lane.t.dtype)
+        status, near = self.status(motion), motion.near_grazing_count
+        return sample_totals(self.system, motion.totals, motion.at_start, status, near)
 
 
 # One trajectory in time steps with located events, and the state along it.
@@ -259,20 +162,26 @@ _MOST_DOUBLINGS = 6  # of the number of loop steps, before a trajectory is given
 class StepPath(MotionPath):
     """Path given by the states at the beginnings of time steps."""
 
+    smooth: Signal | None
     system: System
-    excitation: Excitation
     solver: Any
     beginnings: StepBeginnings
+
+    @property
+    def model(self) -> SwitchedModel:
+        """The system under its excitation."""
+        return self.system.switched_model(self.smooth, self.solver)
 
     @property
     def times(self) -> Array:
         return self.beginnings.t
 
     def state(self, time: FloatArray) -> State:
-        return state_at(self.system, self.excitation, self.solver, self.beginnings, time)
+        begun = self.beginnings.at(time)
+        return self.model.numbers(state_in_step(self.model, begun, time - begun.t))
 
     def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
-        begun, model = self.beginnings, self.system.switched_model(self.excitation.signal, self.solver)
+        begun, model = self.beginnings, self.model
         lengths = jnp.append(begun.t[1:], last) - begun.t
 
         def inside(step: StepBeginnings, h: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -285,13 +194,9 @@ class StepPath(MotionPath):
 
     def rates(self, time: FloatArray) -> State:
         """The rates of the state at one time (s), per second; at an event, those after it."""
-        begun, model = self.beginnings.at(time), self.system.switched_model(self.excitation.signal, self.solver)
+        begun, model = self.beginnings.at(time), self.model
         forcing, h = model.forcing(begun.t, begun.segments), time - begun.t
-        return model.numbers(model.rates(forcing, h, model.flow(forcing, begun.y, h, begun.sign), begun.sign))
-
-    @property
-    def smooth(self) -> Signal | None:
-        return self.excitation.signal
+        return model.numbers(model.rates(forcing, h, state_in_step(model, begun, h), begun.sign))
 
     def segments(self, time: FloatArray) -> Segments:
         return self.beginnings.at(time).segments
@@ -323,14 +228,5 @@ def follow_steps(system: System, base: Any, method: Exact, t1: Scalar, y0: tuple
 
 @partial(jax.jit, static_argnames=("steps", "dtype"))
 def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> Run:
-    run = partial(run_trajectory, steps=steps, dtype=dtype)
-    done = with_slopes(run, system, excitation, solver, t1, y0, step, most=_MOST_SLOPES)
-    return run_of(system, excitation, solver, done)
-
-
-def run_of(system: System, excitation: Excitation, solver: Any, done: Trajectory) -> Run:
-    """The parts of a `Simulation` of one trajectory."""
-    lane = done.lane
-    path = StepPath(system, excitation, solver, done.beginnings)
-    state = system.switched_model(excitation.signal, solver).numbers(lane.y)
-    return Run.of(system, done.records, lane.totals, done.status, lane.t, state, lane.near_grazing_count, path)
+    engine = SwitchedEngine(system, excitation, t1, y0, step, steps, solver, quantities=ALL)
+    return engine.run(*with_slopes(lambda engine: engine.follow(dtype), engine, most=_MOST_SLOPES))

@@ -18,17 +18,7 @@ from ..._numerics.matrices import any_of, largest_of, sum_of
 from ..._numerics.steps import look_ahead
 from ..._systems.switched_model import NOISE_ULPS, Question, State, SwitchedModel, chosen_state
 from ..common.path import SegmentLaws, following_segments, is_spent, to_digits
-from ..sticks import (
-    Remembered,
-    StickRecord,
-    StickSpan,
-    Totals,
-    begin_quantities,
-    ending_of,
-    measured,
-    start_totals,
-    with_stick,
-)
+from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantities, ending_of, recorded, start_totals
 
 # The state of a trajectory between two steps of the switched engine, and what counts as round-off in it.
 
@@ -73,7 +63,7 @@ class Lane(NamedTuple):
 # (the implicit function theorem). Both hold for all parameters, with `tau` and `y` functions of them: differentiated
 # again, by the same rule for `tau` and `y`, they give the second derivatives, and so on.
 #
-# All are evaluated a little before the event (`Before`), where round-off cannot have ended the mode, if friction may
+# All are evaluated a little before the event (`before`), where round-off cannot have ended the mode, if friction may
 # have a kink there: where the relative velocity is exactly zero, a force written with its absolute value may have the
 # slope of the other side. In the last step, however short it is, that is an error in second derivatives of `tau`.
 #
@@ -92,13 +82,6 @@ class HowItEnds(NamedTuple):
     idle: BoolArray
 
 
-class Before(NamedTuple):
-    """The `time` (s) before an event by which round-off cannot have ended the mode, and the `change` of state in it."""
-
-    time: FloatArray
-    change: State
-
-
 @OwnDerivative
 def carried(
     model: SwitchedModel,
@@ -107,13 +90,14 @@ def carried(
     left: FloatArray,
     sign: FloatArray,
     ends: HowItEnds,
-    before: Before | None,
+    before: tuple[FloatArray, State] | None,
     tau: FloatArray,
     reached: State,
 ) -> tuple[FloatArray, ...]:
     """The length `tau` (s) of a step from `y` and the state `reached` in it, with their derivatives of every order.
 
-    `left`: time from the beginning of the step to the end of the segment or the horizon, s. `before`: None for friction
+    `left`: time from the beginning of the step to the end of the segment or the horizon, s. `before`: the time (s)
+    before an event by which round-off cannot have ended the mode, and the change of state in it; None for friction
     without kinks. `tau` and `reached` are taken as they are; their derivatives are those of what they were found to be.
     """
     return tau, *reached
@@ -126,8 +110,8 @@ def _carried_jvp(primals, tangents):
     by = (tangents[0], tangents[1], tangents[2])
     inside, there = tau, tuple(reached)
     if before is not None:
-        inside = tau - before.time
-        there = tuple(value - change for value, change in zip(reached, before.change, strict=True))
+        time, change = before
+        inside, there = tau - time, tuple(value - less for value, less in zip(reached, change, strict=True))
 
     slips = jnp.where(ends.idle, sign * jnp.finfo(sign.dtype).tiny, sign)
 
@@ -156,33 +140,31 @@ def _or_zero(tangent: Any, like: Any) -> Any:
 # Which mode a trajectory is in after an event or at the end of a segment: stick, or slip of either direction.
 
 
-class Stop(NamedTuple):
-    """How a time step ended: on an event of the mode (`landed`), or where a segment ends or at the horizon (`at_stop`).
-
-    `landed`: of each contact, whether its mode ended there. `brief`: its slip would end where it began, but for
-    round-off. `start_error`: by how much round-off may have moved the start of a stick that begins here, s.
-    """
-
-    landed: BoolArray
-    brief: BoolArray
-    at_stop: BoolArray
-    start_error: FloatScalar
-
-
 def switched(
-    model: SwitchedModel, segment_laws: SegmentLaws, lane: Lane, stop: Stop, t1: FloatArray
+    model: SwitchedModel,
+    segment_laws: SegmentLaws,
+    lane: Lane,
+    t1: FloatArray,
+    ends: BoolArray,
+    brief: BoolArray,
+    at_stop: BoolArray,
+    start_error: FloatScalar,
 ) -> tuple[Lane, StickRecord, FloatArray, BoolArray]:
     """The lane after an event or at the end of a segment, in its mode, and the record of the stick that ended, if any.
+
+    The step ended on an event of the modes of contacts (`ends`), or where a segment ends or at the horizon (`at_stop`).
+    `brief`: a slip would end where it began, but for round-off. `start_error`: by how much round-off may have moved the
+    start of a stick that begins here, s.
 
     Also returned: of each contact the margin, the size of the stick guard (0 where friction just holds) where it was
     decided whether the mass sticks, infinity elsewhere; and whether a jump of the base or the horizon ended the mode.
     """
-    ended = stop.at_stop & (lane.t < t1)
+    ended = at_stop & (lane.t < t1)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, lane.t, ended)
     forcing = model.forcing(lane.t, segment_laws.segments(segment_states))
     was_held = lane.sign == 0
     resting = model.at_rest(forcing, lane.y)
-    sign, landed, changed = model.after(forcing, lane.y, lane.sign, stop.landed, ended)
+    sign, landed, changed = model.after(forcing, lane.y, lane.sign, ends, ended)
     # The end of a segment. A slip goes on unless the base jumps; everything else is decided as at a start.
     resolve = (ended & (was_held | jumped)) | changed
     # A stick that goes on over the end of a segment is released by a force beyond the limit, not by round-off at it.
@@ -205,7 +187,7 @@ def switched(
     holds = holds | (resting & not_below & is_not_below(-guard, guard_rate, lane.t) & (guard_rate >= 0))
     # An event. A mass that is not at rest at it slips on, and friction reverses; so it does if a slip ends as it
     # begins. A slip that ends at rest is a stick where friction holds the mass, and else a slip by the force on it.
-    turned = jnp.where(was_held | (resting & ~stop.brief), release_sign, -sign)
+    turned = jnp.where(was_held | (resting & ~brief), release_sign, -sign)
     sign = jnp.where(landed, jnp.where(~was_held & holds, 0, turned), sign)
     held_or_released = jnp.where(holds | (not_below & goes_on), 0, release_sign)
     resolved = jnp.where(resting | goes_on, held_or_released, slips)
@@ -221,14 +203,13 @@ def switched(
         margin = jnp.where(near_rest, 0, margin)
 
     # The lane in this mode: its sticks counted, and the record of the stick that ended, if any.
-    at_horizon = stop.at_stop & ~(lane.t < t1)
+    at_horizon = at_stop & ~(lane.t < t1)
     was_stick, sticks, position = model.stuck(lane.sign), model.stuck(sign), model.stick_position(y)
     over = was_stick & (~sticks | at_horizon) & (lane.t > lane.stick_start + lane.start_error)
     now = jnp.broadcast_to(lane.t, lane.stick_start.shape)
     stick = StickSpan(lane.stick_start, now, lane.stick_position, left_at=position)
-    quantities, remembered = measured(lane.remembered, over, stick)
-    ending = ending_of(over, ~at_horizon & ~(ended & jumped), at_horizon)
-    record = StickRecord(stick.start, stick.end, stick.position, quantities, ending)
+    ending, duration = ending_of(over, ~at_horizon & ~(ended & jumped), at_horizon), lane.t - lane.stick_start
+    record, remembered, totals = recorded(lane.remembered, lane.totals, over, stick, ending, at_horizon, duration)
     begins = ~was_stick & sticks
     # A stick that starts on the edge of the band, or on the end of a segment, ends at once: of no length, it is none.
     no_stick = was_stick & ~sticks & ~over
@@ -236,12 +217,12 @@ def switched(
     following = lane._replace(
         y=y,
         sign=sign,
-        totals=with_stick(lane.totals, over, at_horizon, lane.t - lane.stick_start),
+        totals=totals,
         event=jnp.where(at_rest, lax.stop_gradient(lane.t), lane.event),
         at_start=lane.at_start & ~no_stick,
         near_grazing_count=lane.near_grazing_count + undecided,
         stick_start=jnp.where(begins, lane.t, lane.stick_start),
-        start_error=jnp.where(begins, lax.stop_gradient(stop.start_error), lane.start_error),
+        start_error=jnp.where(begins, lax.stop_gradient(start_error), lane.start_error),
         stick_position=jnp.where(begins, position, lane.stick_position),
         remembered=remembered,
         segment_states=segment_states,
@@ -379,7 +360,7 @@ def advance(
         falls = ends & (trial.d1 < 0)
         time = jnp.where(falls, trial.noise, 0) / jnp.where(falls, -trial.d1, 1)
         time = jnp.minimum(largest_of(time), _LANDED[itemsize] * step)
-        just_before = Before(time, tuple(jnp.where(any_of(ends), time * rate, 0) for rate in rates))
+        just_before = time, tuple(jnp.where(any_of(ends), time * rate, 0) for rate in rates)
     tau, *y = carried(*given, time_left, lane.sign, HowItEnds(~stays, first, at_stop, idle), just_before, tau, y)
     # At a stop the time is that of the stop to the last bit: the sum could miss it, and the next step would be empty.
     t = jnp.where(at_stop, stop, lane.t + tau)
@@ -399,8 +380,8 @@ def advance(
     moved = lane._replace(t=t, y=tuple(y), tries=jnp.where(again, lane.tries + 1, 0), steps=lane.steps + 1)
     # A slip that only round-off makes: it would end where it began, and neither reverses friction nor counts.
     brief = (trial.ends & trial.at_once) | (t - lane.event <= _LANDED[itemsize] * step + trial.clock)
-    ended = Stop(trial.ends, brief, live & at_stop, start_error)
-    following, record, margin, abrupt = switched(model, segment_laws, moved, ended, t1)
+    ended = trial.ends, brief, live & at_stop, start_error
+    following, record, margin, abrupt = switched(model, segment_laws, moved, t1, *ended)
     vanished = brief & (lane.sign != 0) & (following.sign == 0)
     near_grazing = tie | (tie_if_abrupt & abrupt) | is_tie(margin) | vanished
 

@@ -10,12 +10,13 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax._dynamics.interval import engine as given_intervals
 from stickslip_jax._dynamics.interval.crossing import scales_of, start_motion
-from stickslip_jax._dynamics.interval.engine import Given, _plain, beginnings, final_motion, ordered_sticks
+from stickslip_jax._dynamics.interval.engine import Given, _plain, motion_over
 
 LAW = ss.PoissonSwitching(speed=0.6, rate=1.0)
 T1 = 12.0
 SLOTS = 40
-FUNCTIONS = {"final": final_motion, "sticks": ordered_sticks, "beginnings": beginnings}
+FUNCTIONS = {what: partial(motion_over, what) for what in ("final", "sticks", "beginnings")}
+final_motion, ordered_sticks, beginnings = FUNCTIONS.values()
 
 
 def given_of(numbers, base) -> Given:

@@ -11,7 +11,7 @@ import stickslip_jax as ss
 from stickslip_jax._dynamics.regularized.sticks import (
     AtContact,
     Criterion,
-    NormalForces,
+    Cubic,
     SeenStep,
     detect_joined,
     start_joining,
@@ -65,9 +65,9 @@ def detected(t, velocity, slope, normal, normal_slope):
 
     def one(detector, i):
         j = jnp.minimum(i + 1, STEPS)
-        forces = NormalForces(normal[i], normal_slope[i], normal[j], normal_slope[j])
-        ends = (velocity[i], slope[i], velocity[j], slope[j])
-        step = SeenStep(t[i], t[j] - t[i], *ends, none, none, none, none, none[:2], none[:2], forces)
+        forces = Cubic(normal[i], normal_slope[i], normal[j], normal_slope[j])
+        relative = Cubic(velocity[i], slope[i], velocity[j], slope[j])
+        step = SeenStep(t[i], t[j] - t[i], relative, Cubic(none, none, none, none), none[:2], none[:2], forces)
         last = j == STEPS
         return detect_joined(criterion, detector, step, jumped=jnp.zeros((), bool), after=seen(j), last=last)
 

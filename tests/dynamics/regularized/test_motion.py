@@ -29,7 +29,7 @@ from support.regularized import (
 )
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.regularized.implicit_step import Switch, _balance, balance_with_static
+from stickslip_jax._dynamics.regularized.balances import Switch, balance
 
 # Each shape and each law once; `test_coefficient` looks at all of them together.
 PAIRS = [("tanh", "coulomb"), ("linear", "static"), ("arctan", "weakening"), ("rational", "stribeck")]
@@ -77,9 +77,9 @@ def test_the_friction_of_an_implicit_stage(shape, slides):
     law = "coulomb" if slides is None else "static"
 
     def friction(w, v):
-        if slides is None:
-            return _balance(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness)), 0.0
-        return balance_with_static(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness), jnp.asarray(slides))
+        before = None if slides is None else jnp.asarray(slides)
+        found, goes_on = balance(Switch(w, shape), LAWS[law][0], v, jnp.asarray(stiffness), before)
+        return found, 0.0 if goes_on is None else goes_on
 
     found, goes_on = (np.asarray(leaf) for leaf in jax.jit(jax.vmap(friction))(jnp.asarray(width), jnp.asarray(speed)))
 

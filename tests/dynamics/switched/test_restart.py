@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.switched.engine import run_trajectory, state_at
+from stickslip_jax._dynamics.sticks import ALL
+from stickslip_jax._dynamics.switched.engine import SwitchedEngine
 from stickslip_jax._excitation.excitation import excitation_of
 
 T0 = 7.3
@@ -20,14 +21,13 @@ BASES = {
 
 
 def continued(mu, base, y, t0=T0, resting=None, steps=512):
-    """The states (times, 2) of a motion that begins in `y` at `t0`."""
+    """The states (times, 2) of a motion that begins in `y` at `t0`, and the motion."""
     system, excitation = ss.MassSpring(1.0, 4.0, 1.0, mu), excitation_of(base)
     dtype = jnp.result_type(float)
-    done = run_trajectory(
-        system, excitation, None, 20.0, y, 0.3, steps=steps, dtype=dtype, t0=jnp.asarray(t0, dtype), resting=resting
-    )
-    at = jax.vmap(lambda t: jnp.stack(state_at(system, excitation, None, done.beginnings, t)))
-    return at(jnp.asarray(TIMES, dtype)), done
+    engine = SwitchedEngine(system, excitation, 20.0, y, 0.3, steps, None, quantities=ALL)
+    run = engine.run(*engine.follow(dtype, t0=jnp.asarray(t0, dtype), resting=resting))
+    at = jax.vmap(lambda t: jnp.stack(run.path.state(t)))
+    return at(jnp.asarray(TIMES, dtype)), run
 
 
 @pytest.mark.parametrize("name", BASES)
@@ -38,7 +38,7 @@ def test_a_motion_goes_on_from_any_time(name):
     states, done = jax.jit(lambda y: continued(ss.Coulomb(0.7), base, y))(start)
     np.testing.assert_allclose(states, np.stack(whole.evaluate(TIMES), axis=1), atol=1e-12)
     assert int(done.status) == ss.Status.FINISHED
-    assert float(done.lane.t) == 20.0
+    assert float(done.time_reached) == 20.0
 
 
 def test_contacts_begin_at_rest_where_they_are_told_to():
@@ -51,7 +51,7 @@ def test_contacts_begin_at_rest_where_they_are_told_to():
     release = T0 + (1.7 / 4.0 - 0.3) / 0.3
     before = release > TIMES
     np.testing.assert_allclose(held[before, 0], 0.3 + 0.3 * (TIMES[before] - T0), atol=1e-12)
-    np.testing.assert_allclose(float(done.records.end[np.asarray(done.records.ending) >= 0][0]), release, atol=1e-12)
+    np.testing.assert_allclose(float(done.sticks.end[0]), release, atol=1e-12)
     assert float(jnp.max(jnp.abs(held - slides))) > 0.1
     slope = jax.jacfwd(lambda v: run(0.4, 0.3, (near[0], v), jnp.asarray(True))[0])(near[1])
     assert not np.any(slope)
