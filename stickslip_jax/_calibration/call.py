@@ -23,9 +23,8 @@ from .._systems.system import System, unit_at
 from .._uncertainty.numbers import NumberPath, Parameter, parameters_of, with_numbers
 from .information import SHARE, Bounds, all_bounds, explanations, information_of, other_units
 from .parameters import Transform, covariance_of, transform_of
-from .problem import EstimatedNumbers, Sensor
 from .record import Observer, Record, Windows, asked, whiteness
-from .search import FoundFit, Search, as_one, fitted
+from .search import EstimatedNumbers, FoundFit, Search, Sensor, as_one, fitted
 
 # The result of a calibration.
 
@@ -135,21 +134,21 @@ def result_of(search: Search, found: FoundFit, given_up: float | None) -> Calibr
     `given_up`: by how much chi-squared grew where one motion over the whole record failed.
     """
     record, arguments, parameters = search.record, search.arguments, search.parameters
-    problem, fit, free, sigma = found
+    problem, free, sigma = found.problem, found.free, found.sigma
     channels = [channel.name for channel in record.channels]
-    transform, number, (windows_fitted, size) = problem.model.transform, len(parameters), fit.point.s.shape
+    transform, number, (windows_fitted, size) = problem.model.transform, len(parameters), found.point.s.shape
     with_start = free.s and windows_fitted == 1
     own = found.seen if free.s else found.seen._replace(slopes=found.seen.slopes[..., :number])
     told = information_of(own, number)
     joint = information_of(own, number + size) if with_start else told
-    numbers = transform.numbers(fit.point.x)
+    numbers = transform.numbers(found.point.x)
     slope = np.asarray(linalg.block_diag(transform.slopes(numbers), np.eye(size * with_start)))
-    freedom = int(record.counts.sum()) - number - fit.point.s.size * free.s + told.lost
+    freedom = int(record.counts.sum()) - number - found.point.s.size * free.s + told.lost
     known = np.isfinite(record.noise)
     bounds, is_told = all_bounds(found, told, np.inf if np.all(known) else float(max(freedom, 1)))
     is_told = np.concatenate([is_told, np.diag(joint.covariance)[number:] < _VAGUE**2])
     covariance, by_blocks = (covariance_of(slope, matrix, is_told) for matrix in (joint.covariance, joint.by_blocks))
-    states = np.asarray(problem.model.state_origin) + fit.point.s
+    states = np.asarray(problem.model.state_origin) + found.point.s
     coordinates = arguments.system.coordinates
     names = [parameter.name for parameter in parameters] + [one.name for one in coordinates] * with_start
     units = [
@@ -161,7 +160,7 @@ def result_of(search: Search, found: FoundFit, given_up: float | None) -> Calibr
     values = np.concatenate([numbers, states[0] if with_start else []])
     estimates = correlated_estimates(names, values, units, covariance, max(freedom, 1) + 1)
     windows = Windows(*map(np.asarray, problem.windows))
-    fitted = record.values + windows.in_order(fit.seen.residuals, record)
+    fitted = record.values + windows.in_order(found.raw.residuals, record)
     tests = {name: whiteness(name, row) for name, row in zip(channels, record.values - fitted, strict=True)}
     coloured = [
         name
@@ -177,7 +176,7 @@ def result_of(search: Search, found: FoundFit, given_up: float | None) -> Calibr
     ]
     system, base, *_ = with_numbers(search.setting, [one.path for one in parameters], numbers.tolist())
 
-    remarks = [] if fit.converged else ["The search did not converge: do not use its numbers."]
+    remarks = [] if found.converged else ["The search did not converge: do not use its numbers."]
     if coloured:
         remarks.append(
             f"The residuals of {' and '.join(coloured)} are not white. First of all the model, a clock, a zero or a "
@@ -187,11 +186,11 @@ def result_of(search: Search, found: FoundFit, given_up: float | None) -> Calibr
         )
         remarks += explanations(record, windows, own, sigma, number)
         remarks += other_units(record, arguments, np.zeros(size) if search.y0 is None else search.y0)
-    differences = transform.own(fit.point.x)
+    differences = transform.own(found.point.x)
     for i, limits in bounds.items():
         ends = limits.in_words
         limit = f"it is {ends} (95 % confidence each)" if ends else "it gives no bound either"
-        if ends and any(fit.point.x[i] == end[i] for end in transform.box):
+        if ends and any(found.point.x[i] == end[i] for end in transform.box):
             remarks.append(
                 f"{of_bounds[i]} is at its bound, {differences[i]:.4g}, where its error is to one side only: {limit}."
             )
@@ -239,7 +238,7 @@ def result_of(search: Search, found: FoundFit, given_up: float | None) -> Calibr
         chi_squared=found.seen.chi_squared,
         degrees_of_freedom=freedom,
         whiteness=tests,
-        converged=fit.converged,
+        converged=found.converged,
         remarks=tuple(remarks),
     )
 

@@ -119,7 +119,7 @@ def all_bounds(found: FoundFit, told: Information, freedom: float) -> tuple[dict
 
     Near its bound a number need not be known to 30 % to be told: the record only has to say how far away it can be.
     """
-    at, transform, is_told = found.fit.point, found.problem.model.transform, ~told.untold
+    at, transform, is_told = found.point, found.problem.model.transform, ~told.untold
     errors = np.sqrt(np.diag(told.covariance))
     slopes, own = np.diag(transform.slopes(transform.numbers(at.x))), transform.own(at.x)
     from_low, from_high = (
@@ -134,7 +134,7 @@ def all_bounds(found: FoundFit, told: Information, freedom: float) -> tuple[dict
     for i in np.flatnonzero(~is_tied):
         if not (told.untold[i] or is_near[i]):
             change = limit * told.covariance[i] / errors[i]
-            if not found.fit.converged or not _is_bent(found, int(i), slopes[i] * errors[i], change):
+            if not found.converged or not _is_bent(found, int(i), slopes[i] * errors[i], change):
                 continue
         bounds[int(i)] = _bounds_of(found, int(i), errors[i], limit)
         end = bounds[int(i)][int(from_low[i] <= from_high[i])]
@@ -149,7 +149,7 @@ def _is_bent(found: FoundFit, which: int, error: float, change: np.ndarray) -> b
     So it is where a slip or a stick appears within the error, or where this is large. Looked at on both sides of the
     number `which`, where the coordinates `change` so, to first order to keep chi-squared least; the starts too.
     """
-    at, seen, transform = found.fit.point, found.seen, found.problem.model.transform
+    at, seen, transform = found.point, found.seen, found.problem.model.transform
     number = len(at.x)
     slopes = seen.slopes.reshape(len(at.s), -1, seen.slopes.shape[-1])
     starts = np.zeros_like(at.s)
@@ -170,9 +170,9 @@ def _bounds_of(found: FoundFit, which: int, error: float, limit: float) -> Bound
 
     One-sided: chi-squared has then grown by the square of `limit`. `error`: about the standard error of the coordinate.
     """
-    problem, (at, *_), free, sigma = found
+    problem, free, sigma, at = found.problem, found.free, found.sigma, found.point
     others = Free(free.x & (np.arange(len(free.x)) != which), free.s)
-    least = problem.search(sigma, at, others).seen.over(sigma).chi_squared
+    least = problem.search(sigma, at, others).seen.chi_squared
     first = min(2 * error, _FARTHEST_FIRST)
     ends = [float(end[which]) for end in problem.model.transform.box]
 
@@ -188,7 +188,7 @@ def _bounds_of(found: FoundFit, which: int, error: float, limit: float) -> Bound
                 fit = problem.search(sigma, SearchPoint(x, point.s), others)
             except ValueError:  # no motion there reaches the end of its window
                 return _NO_MOTION
-            over = np.sqrt(max(fit.seen.over(sigma).chi_squared - least, 0)) - limit
+            over = np.sqrt(max(fit.seen.chi_squared - least, 0)) - limit
             point = fit.point if over <= 0 else point
             return float(over) if np.isfinite(over) else _NO_MOTION
 

@@ -30,8 +30,8 @@ from .._systems.system import System
 from .._uncertainty.design import table
 from .._uncertainty.numbers import matching, numbers_in, parameters_of, quantity_at
 from .parameters import checked_model, identity
-from .problem import EstimatedNumbers, FittedMotion, loop_steps, predicted, static_holds
 from .record import Observer, Windows, asked
+from .search import EstimatedNumbers, FittedMotion, loop_steps, predicted, static_holds
 
 # `log_likelihood`: how likely a record of motion is, as a function for samplers of posteriors.
 
