@@ -16,8 +16,8 @@ from .._foundation import checks
 from .._foundation.extras import Entries, flags, variable
 from .._foundation.types import Scalar, Status
 from .._systems.system import System, checked_system
-from ._cases import Cases, Turns, cases_of
-from ._following import START, Folder, dataset_of, follow, kept_in, warn_of_unfinished, within_turn
+from ._cases import START, Cases, Turns, cases_of, within_turn
+from ._following import Folder, follow, kept_in, warn_of_unfinished
 from ._settling import RECURS, checked_periods, settled
 
 if TYPE_CHECKING:
@@ -265,7 +265,7 @@ def basins(
         column = name.replace(" ", "_")
         coordinates[column] = variable(column, values, f"initial {name}", units[name])
     # A grid has its own dimensions in place of that of the starts.
-    return dataset_of(cases if grid is None else cases._replace(shape=()), variables, coordinates)
+    return (cases if grid is None else cases._replace(shape=())).dataset(variables, coordinates)
 
 
 def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.ndarray]:

@@ -2,8 +2,8 @@
 itself.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -16,19 +16,22 @@ from .._dynamics.common.method import Arguments, Exact, check_fixed, slowest_tim
 from .._dynamics.common.path import Run, SegmentLaws
 from .._dynamics.engine_choice import BySteps, engine_for
 from .._dynamics.simulate import simulate
-from .._dynamics.simulation import Simulation
+from .._dynamics.simulation import Simulation, provenance, source
 from .._dynamics.switched.engine import lane_at_start, steps_for
-from .._ensemble.points import Points, Setter, check_points, points_of, setter_of, setting_of
+from .._ensemble.points import Points, Setter, check_points, label_and_unit, points_of, setter_of, setting_of
 from .._excitation.excitation import BaseMotion, excitation_of, motion_of
 from .._excitation.motion import Motion, Signal, UserMotion
 from .._foundation import checks
-from .._foundation.extras import require_labels
+from .._foundation.extras import Entries, flags, labeled_dataset, require_labels, variable
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Number, Scalar, Status
 from .._numerics.derivatives import NotKnown, as_arrays, values_of
 from .._systems.system import System
 from .._uncertainty.numbers import with_numbers
+
+if TYPE_CHECKING:
+    import xarray
 
 # The period of what drives a system: its base, and the forces in its fields.
 
@@ -308,6 +311,19 @@ Turns = tuple[float | None, ...]
 
 MOST_PERIODS = 2**31 - 1
 """In all, as many as 32 bits count."""
+START, CYCLE = "start", "cycle"
+"""Dimensions of results: of many starts, and of the periods."""
+
+
+@runtime_checkable
+class Followed(Protocol):
+    """Results of cases, (cases,): the `Status`, and how often round-off decided."""
+
+    @property
+    def status(self) -> Array: ...
+
+    @property
+    def near_grazing_count(self) -> Array: ...
 
 
 class Cases(NamedTuple):
@@ -348,6 +364,66 @@ class Cases(NamedTuple):
     def of(self, which: np.ndarray, starts: np.ndarray) -> "Cases":
         """Those cases alone, from other `starts` (cases, coordinates)."""
         return self._replace(cycle=self.cycle.of(which), starts=starts, shape=(len(which),))
+
+    # --- results over the cases as labelled arrays: the grid of parameters, then the starts
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names of the dimensions of the cases."""
+        own = tuple(one.name for one in self.points.dimensions)
+        return own + ((START,) if len(self.shape) > len(own) else ())
+
+    def variable(
+        self, values: Any, long_name: str, unit: str = "1", more: tuple[str, ...] = (), **attributes: object
+    ) -> tuple[Any, ...]:
+        """A variable whose `values`, (cases, ...), are put on the grid of the cases, with the dimensions `more`."""
+        values = np.asarray(values)
+        grid = values.reshape((*self.shape, *values.shape[1:]))
+        return variable((*self.dimensions, *more), grid, long_name, unit, **attributes)
+
+    def variables_of(self, states: np.ndarray, more: str, where: str) -> Entries:
+        """A variable for each number of the `states`, (cases, ..., coordinates), with the dimension `more`."""
+        found = {}
+        for number, coordinate in enumerate(self.system.coordinates):
+            column = within_turn(states[..., number], coordinate.period)
+            label = f"{coordinate.name} {where}"
+            found[coordinate.variable] = self.variable(column, label, coordinate.unit, (more,))
+        return found
+
+    def outcome(self, found: Followed) -> Entries:
+        """Whether each case was followed to the end, and how often round-off decided about an event."""
+        status = found.status.astype(np.int8)
+        return {
+            "status": self.variable(status, "whether the case was followed to the end", **flags(Status)),
+            "near_grazing_count": self.variable(found.near_grazing_count, "number of events decided by round-off"),
+        }
+
+    def dataset(self, variables: Entries, coordinates: Entries) -> "xarray.Dataset":
+        """The data set of `variables` over the cases, with the values of parameters and the starts as coordinates."""
+        setting = self.setter.setting
+        found: Entries = {}
+        for one in self.points.dimensions:
+            for number, name in enumerate(one.parameters):
+                label, unit = label_and_unit(setting, name)
+                found[name] = variable(one.name, one.values[:, number], label, unit)
+        if self.dimensions[-1:] == (START,):
+            starts = self.starts[: self.shape[-1]]
+            for column, coordinate in zip(starts.T, self.system.coordinates, strict=True):
+                name = f"initial_{coordinate.variable}"
+                found[name] = variable(START, column, f"initial {coordinate.name}", coordinate.unit)
+        about = {**source(), **provenance(self.system, setting.law, setting.method)}
+        return labeled_dataset(apart(variables, found), {**found, **coordinates}, about)
+
+
+def within_turn(column: np.ndarray, period: float | None) -> np.ndarray:
+    """Numbers of a coordinate, between 0 and its `period` if it turns."""
+    return column if period is None else np.mod(column, period)
+
+
+def apart(variables: Entries, parameters: Iterable[str]) -> Entries:
+    """`variables`, with an underscore after the name of each that is called as a parameter is: "period_"."""
+    taken = set(parameters)
+    return {f"{name}_" if name in taken else name: entry for name, entry in variables.items()}
 
 
 def checked_numbers(transient: object, kept: object, most: int = MOST_PERIODS) -> tuple[int, int]:

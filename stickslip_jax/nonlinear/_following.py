@@ -8,11 +8,11 @@ import os
 import types
 import warnings
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -22,7 +22,6 @@ from jax import lax
 from jaxtyping import Array
 
 from .._dynamics.simulate import code_of
-from .._dynamics.simulation import provenance, source
 from .._dynamics.sticks import Sticks
 from .._ensemble.encoding import (
     Encoder,
@@ -35,18 +34,12 @@ from .._ensemble.encoding import (
     without_header,
 )
 from .._ensemble.parts import progress_bar
-from .._ensemble.points import label_and_unit
 from .._foundation import checks
-from .._foundation.extras import Entries, flags, labeled_dataset, variable
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory
 from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
-from ._cases import Cases, Cycle
-
-if TYPE_CHECKING:
-    import xarray
-
+from ._cases import Cases, Cycle, Followed
 
 # Blocks of results kept in a folder, so that a call that was stopped goes on where it was.
 
@@ -231,17 +224,6 @@ class SeenCases(NamedTuple):
     longest_stick: Array
     status: Array
     near_grazing_count: Array
-
-
-@runtime_checkable
-class Followed(Protocol):
-    """Results of cases, (cases,): the `Status`, and how often round-off decided."""
-
-    @property
-    def status(self) -> Array: ...
-
-    @property
-    def near_grazing_count(self) -> Array: ...
 
 
 FollowedT = TypeVar("FollowedT", bound=Followed)
@@ -447,74 +429,3 @@ def warn_of_unsettled(unsettled: np.ndarray, so_far: str, argument: str, stackle
             RuntimeWarning,
             stacklevel=stacklevel,
         )
-
-
-# Results over cases as labelled arrays: the grid of parameters, then the starts.
-
-
-START, CYCLE = "start", "cycle"
-
-
-def dimensions_of(cases: Cases) -> tuple[str, ...]:
-    """Names of the dimensions of the cases."""
-    own = tuple(one.name for one in cases.points.dimensions)
-    return own + ((START,) if len(cases.shape) > len(own) else ())
-
-
-def states_of(cases: Cases, states: np.ndarray, more: tuple[str, ...], where: str) -> Entries:
-    """A variable for each number of the `states`, (cases, ..., coordinates), with the dimensions `more`."""
-    found = {}
-    for number, coordinate in enumerate(cases.system.coordinates):
-        column = within_turn(states[..., number], coordinate.period)
-        found[coordinate.variable] = on_grid(cases, column, f"{coordinate.name} {where}", coordinate.unit, more)
-    return found
-
-
-def within_turn(column: np.ndarray, period: float | None) -> np.ndarray:
-    """Numbers of a coordinate, between 0 and its `period` if it turns."""
-    return column if period is None else np.mod(column, period)
-
-
-def on_grid(
-    cases: Cases, values: Any, long_name: str, unit: str = "1", more: tuple[str, ...] = (), **attributes: object
-) -> tuple[Any, ...]:
-    """A variable whose `values`, (cases, ...), are put on the grid of the cases."""
-    values = np.asarray(values)
-    grid = values.reshape((*cases.shape, *values.shape[1:]))
-    return variable((*dimensions_of(cases), *more), grid, long_name, unit, **attributes)
-
-
-def outcome_of(cases: Cases, found: Followed) -> Entries:
-    """Whether each case was followed to the end, and how often round-off decided about an event."""
-    status = found.status.astype(np.int8)
-    return {
-        "status": on_grid(cases, status, "whether the case was followed to the end", **flags(Status)),
-        "near_grazing_count": on_grid(cases, found.near_grazing_count, "number of events decided by round-off"),
-    }
-
-
-def dataset_of(cases: Cases, variables: Entries, coordinates: Entries | None = None) -> "xarray.Dataset":
-    """The data set of `variables` over the cases, with the values of parameters and the starts as coordinates.
-
-    Raises:
-        ImportError: Without the extra ``study``.
-    """
-    setting = cases.setter.setting
-    found: Entries = {}
-    for one in cases.points.dimensions:
-        for number, name in enumerate(one.parameters):
-            label, unit = label_and_unit(setting, name)
-            found[name] = variable(one.name, one.values[:, number], label, unit)
-    if dimensions_of(cases)[-1:] == (START,):
-        starts = cases.starts[: cases.shape[-1]]
-        for column, coordinate in zip(starts.T, cases.system.coordinates, strict=True):
-            name = f"initial_{coordinate.variable}"
-            found[name] = variable(START, column, f"initial {coordinate.name}", coordinate.unit)
-    about = {**source(), **provenance(cases.system, setting.law, setting.method)}
-    return labeled_dataset(apart(variables, found), {**found, **(coordinates or {})}, about)
-
-
-def apart(variables: Entries, parameters: Iterable[str]) -> Entries:
-    """`variables`, with an underscore after the name of each that is called as a parameter is: "period_"."""
-    taken = set(parameters)
-    return {f"{name}_" if name in taken else name: entry for name, entry in variables.items()}

@@ -21,19 +21,14 @@ from .._foundation.processes import require_memory
 from .._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
 from .._systems.switched_model import SwitchedModel
 from .._systems.system import System
-from ._cases import Cases, Cycle, Over, cases_of, checked_numbers
+from ._cases import CYCLE, Cases, Cycle, Over, cases_of, checked_numbers
 from ._following import (
-    CYCLE,
     Folder,
     SeenCases,
-    dataset_of,
     follow,
     follow_along,
     in_blocks,
     kept_in,
-    on_grid,
-    outcome_of,
-    states_of,
     warn_of_unfinished,
     warn_of_unsettled,
 )
@@ -124,17 +119,17 @@ def section_of(cases: Cases, seen: SeenCases, found: np.ndarray, more: np.ndarra
     """The data set of what was seen, of the recurrences `found` and the periods `more` of each case, (cases,)."""
     each = (CYCLE,) if np.ndim(seen.stick_time) == 2 else (CYCLE, CONTACT)
     variables: Entries = {
-        **states_of(cases, np.asarray(seen.states), (CYCLE,), "at the end of the period"),
-        "stick_time": on_grid(cases, seen.stick_time, "time in sticks in the period", "s", each),
-        "stick_count": on_grid(cases, seen.stick_count, "number of sticks that begin in the period", "1", each),
-        "longest_stick": on_grid(cases, seen.longest_stick, "longest stick of the period", "s", each),
-        "recurrence": on_grid(cases, found, "number of periods after which the motion repeats itself"),
-        "more_periods": on_grid(cases, more, "number of periods for which it went on until it had settled"),
-        "period": on_grid(cases, cases.cycle.duration, "period", "s"),
-        **outcome_of(cases, seen),
+        **cases.variables_of(np.asarray(seen.states), CYCLE, "at the end of the period"),
+        "stick_time": cases.variable(seen.stick_time, "time in sticks in the period", "s", each),
+        "stick_count": cases.variable(seen.stick_count, "number of sticks that begin in the period", "1", each),
+        "longest_stick": cases.variable(seen.longest_stick, "longest stick of the period", "s", each),
+        "recurrence": cases.variable(found, "number of periods after which the motion repeats itself"),
+        "more_periods": cases.variable(more, "number of periods for which it went on until it had settled"),
+        "period": cases.variable(cases.cycle.duration, "period", "s"),
+        **cases.outcome(seen),
     }
     numbers = np.arange(transient + 1, transient + np.shape(seen.states)[1] + 1)
-    return dataset_of(cases, variables, {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})})
+    return cases.dataset(variables, {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})})
 
 
 # Bifurcation diagrams: what motions settle on, over the values of parameters.
@@ -379,14 +374,14 @@ def event_section(
     # A case goes on while others of its block do: what it then finds does not count.
     number = np.minimum(found.number, transient + kept)
     variables: Entries = {
-        "time": on_grid(cases, times, "time of the event", "s", (EVENT,)),
-        **states_of(cases, states, (EVENT,), "at the event"),
-        "recurrence": on_grid(cases, recurs, "number of events after which the motion repeats itself"),
-        "event_count": on_grid(cases, number, "number of events found"),
-        **outcome_of(cases, found),
+        "time": cases.variable(times, "time of the event", "s", (EVENT,)),
+        **cases.variables_of(states, EVENT, "at the event"),
+        "recurrence": cases.variable(recurs, "number of events after which the motion repeats itself"),
+        "event_count": cases.variable(number, "number of events found"),
+        **cases.outcome(found),
     }
     numbers = np.arange(transient + 1, transient + kept + 1)
-    return dataset_of(cases, variables, {EVENT: (EVENT, numbers, {"long_name": "number of the event"})})
+    return cases.dataset(variables, {EVENT: (EVENT, numbers, {"long_name": "number of the event"})})
 
 
 @eqx.filter_jit
