@@ -318,24 +318,15 @@ def calibrate(
     require_threads_of_jax()
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
     # Numbers of system and base, and delays and offsets of sensors.
-    of_sensors: dict[str, NumberPath] = {"clock.delay": ("clock", "delay")}
+    paths: dict[str, NumberPath] = {"clock.delay": ("clock", "delay")}
     for i, channel in enumerate(record.channels):
-        of_sensors |= {f"{channel.name}.{kind}": ("sensors", i, kind) for kind in ("delay", "offset")}
-    where = {"system": arguments.system, "base": arguments.base}
-    setting = EstimatedNumbers(arguments.system, arguments.base)
-    names = (wrt,) if isinstance(wrt, str) else tuple(wrt) if isinstance(wrt, (tuple, list)) else ()
-    if any(name in of_sensors for name in names if isinstance(name, str)):
-        others = tuple(name for name in names if name not in of_sensors)
-        if len(set(names)) < len(names):
-            raise checks.refused("wrt", "be a parameter's name or several different ones", wrt)
-        known = {one.name: one for one in parameters_of(where, others)} if others else {}
-        parameters = tuple(known.get(name) or Parameter(name, of_sensors[name], 0.0) for name in names)
-        setting = setting._replace(sensors=tuple(Sensor() for _ in record.channels))
-        transform = transform_of(setting, parameters)
-        record, transform = _with_sensors(record, arguments, parameters, transform)
-    else:
-        parameters = parameters_of(where, wrt)
-        transform = transform_of(setting, parameters)
+        paths |= {f"{channel.name}.{kind}": ("sensors", i, kind) for kind in ("delay", "offset")}
+    of_sensors = {name: Parameter(name, path, 0.0) for name, path in paths.items()}
+    parameters = parameters_of({"system": arguments.system, "base": arguments.base}, wrt, of_sensors)
+    searches_sensors = any(parameter.name in of_sensors for parameter in parameters)
+    sensors = tuple(Sensor() for _ in record.channels) if searches_sensors else ()
+    setting = EstimatedNumbers(arguments.system, arguments.base, sensors=sensors)
+    record, transform = _with_sensors(record, arguments, parameters, transform_of(setting, parameters))
     for channel, row, sigma in zip(record.channels, record.values, record.noise, strict=True):
         if np.isnan(sigma) and not np.nanmax(row, initial=-np.inf) > np.nanmin(row, initial=np.inf):
             raise ValueError(
@@ -368,13 +359,12 @@ def _with_sensors(
 
     Raises ValueError where too little is left.
     """
-    spread = np.nanstd(record.values, axis=1)
     low, high, closed, scale = (np.array(one) for one in transform[1:5])
     slowest = slowest_time(arguments.system, arguments.base)
     longest = min(_DELAYED * float(np.ptp(record.times)), _DELAYED_TIME * slowest)
     for i, parameter in enumerate(parameters):
         if parameter.path[-1] == "offset" and parameter.path[0] == "sensors":
-            scale[i] = spread[parameter.path[1]] or 1.0  # pyright: ignore[reportArgumentType, reportCallIssue]
+            scale[i] = np.nanstd(record.values[int(parameter.path[1])]) or 1.0
         elif parameter.path[0] in ("clock", "sensors"):
             low[i], high[i], closed[i], scale[i] = -longest, longest, 1.0, 2 * longest
     delays = [parameter.path[0] for parameter in parameters if parameter.path[-1] == "delay"]

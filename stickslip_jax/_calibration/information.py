@@ -74,10 +74,7 @@ def orthonormal(columns: np.ndarray) -> np.ndarray:
     """An orthonormal basis of what the columns span, (residuals, rank)."""
     size = np.linalg.norm(columns, axis=0)
     columns = columns[:, size > _NO_INFLUENCE] / size[size > _NO_INFLUENCE]
-    if not columns.shape[1]:
-        return columns
-    basis, singular, _ = linalg.svd(columns, full_matrices=False)
-    return basis[:, singular > _NO_INFLUENCE * singular[0]]
+    return linalg.orth(columns, rcond=_NO_INFLUENCE) if columns.shape[1] else columns
 
 
 # Bounds of numbers by the profile of the likelihood: of those on which the fitted motion does not depend, those near

@@ -17,8 +17,7 @@ from .._foundation.extras import Entries, flags, variable
 from .._foundation.types import Scalar, Status
 from .._systems.system import System, checked_system
 from ._cases import START, Cases, Turns, cases_of, within_turn
-from ._following import Folder, follow, kept_in, warn_of_unfinished
-from ._settling import RECURS, checked_periods, settled
+from ._following import RECURS, Folder, checked_periods, follow, kept_in, settled
 
 if TYPE_CHECKING:
     import xarray
@@ -197,16 +196,13 @@ def basins(
         SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
-    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
-    checks.positive("tolerance", tolerance)
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient, tolerance)
     most = checks.whole_number("most", most)
     checks.bounded("level", level, above=0, below=1)
     grid, starts = _starts(system, y0)
     cases = cases_of(system, base, starts, None, period, method)
     with kept_in(folder, cases, {"function": "basins", "transient": transient, "kept": kept}) as stored:
-        seen = follow(cases, transient, kept, progress, stored)
-        seen, found, _ = settled(cases, seen, lasted, RECURS, progress, stored)
-    warn_of_unfinished(seen)
+        seen, found, _ = settled(cases, lasted, RECURS, progress, stored)
     states, finished = np.asarray(seen.states), seen.status == int(Status.FINISHED)
     times = seen.stick_time.reshape(len(states), kept, -1)
     lasting = np.asarray(cases.cycle.duration)[:, None, None]

@@ -27,7 +27,7 @@ from .._foundation.fields import is_of_package, modules_in
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Number, Scalar, Status
 from .._numerics.derivatives import NotKnown, as_arrays, values_of
-from .._systems.system import System
+from .._systems.system import System, checked_system
 from .._uncertainty.numbers import with_numbers
 
 if TYPE_CHECKING:
@@ -156,14 +156,14 @@ def drive_period(system: object, base: object, given: Scalar | None, by_itself: 
     Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
     """
     found = repetitions(system, base, by_itself)
-    parts = [part for _, part in found]
-    if any(part is None for part in parts):
-        return given if given is not None else period_of(found, None)[0]
-    changing = [part for part in parts if checks.is_traced(part) or float(part) > 0]
-    if not changing or given is not None:
-        if not any(map(checks.is_traced, [*parts, given])):
-            period_of(found, given or 1.0)
-        return given if changing else None
+    changing: list[Any] = [part for _, part in found if part is None or checks.is_traced(part) or float(part) > 0]
+    if not changing:
+        return None
+    is_traced = any(map(checks.is_traced, [*changing, given]))
+    if not is_traced or any(part is None for part in changing):
+        return period_of(found, given)[0]
+    if given is not None:
+        return given
     if len(changing) == 1:
         return changing[0]
     try:
@@ -448,10 +448,8 @@ def cases_of(
 
     Raises ValueError for what cannot be followed from period to period, and ImportError without the extra ``study``.
     """
-    require_threads_of_jax()
     require_labels()
-    if not isinstance(method, Exact):
-        raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
+    check_repeats(system, base, method)
     if checks.holds_traced(system, base, y0, period):
         raise ValueError(
             "Sections, diagrams, basins and exponents need numbers, but JAX is tracing an argument: call them outside "
@@ -459,8 +457,6 @@ def cases_of(
             "transformed."
         )
     setting = setting_of(system, base, None, method)
-    check_fixed(system=system, base=base)
-    check_repeats(base)
     several = y0 is not None and checks.dimensions(y0) == 2
     if several:
         starts = checks.numbers("y0", y0, ndim=2)
@@ -511,8 +507,13 @@ def cases_of(
     return Cases(Cycle(every, bases, durations, method), begins, shape, points, setter, driven)
 
 
-def check_repeats(base: BaseMotion) -> None:
-    """Raise ValueError for a base that is random."""
+def check_repeats(system: System, base: BaseMotion, method: object) -> None:
+    """Raise ValueError for what cannot be followed from period to period, as a base that is random."""
+    require_threads_of_jax()
+    if not isinstance(method, Exact):
+        raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
+    checked_system(system)
+    check_fixed(system=system, base=base)
     if motion_of(base).is_random:
         raise ValueError(
             f"Argument base must repeat itself, but the random law {type(base).__name__} was given; simulate_ensemble "

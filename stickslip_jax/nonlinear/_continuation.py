@@ -1,5 +1,6 @@
 """Periodic orbits followed along a parameter, by pseudo-arclength (Keller 1977), and what happens on the way."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -380,26 +381,31 @@ def continue_orbit(
     return OrbitBranch(found, tuple(branch.events), branch.ending)
 
 
+@dataclasses.dataclass
 class _Branch:
-    """A branch as it grows: its `points` and `events`, and in the end its `ending`."""
+    """A branch as it grows, from where it is `begun` to the parameter `until`: its `points` and `events`, and at last
+    its `ending`. `scale`: of the unknowns. `step`: the first.
+    """
 
-    def __init__(
-        self, equations: Equations, scale: np.ndarray, parameter: str, begun: np.ndarray, until: float, step: float
-    ):
-        self.points: list[OrbitPoint] = []
-        self.events: list[BranchEvent] = []
-        self.ending = ""
-        self.equations = equations
-        self.parameter, self._scale, self._step = parameter, scale, step
-        self._range = (begun[-1], until)
-        self._tolerance = TOLERANCE[equations.itemsize]
-        self._eps = np.finfo(f"f{equations.itemsize}").eps
-        self._begun = begun
+    equations: Equations
+    scale: np.ndarray
+    parameter: str
+    begun: np.ndarray
+    until: float
+    step: float
+    points: list[OrbitPoint] = dataclasses.field(default_factory=list)
+    events: list[BranchEvent] = dataclasses.field(default_factory=list)
+    ending: str = ""
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        """The smallest and the largest value of the parameter."""
+        return min(self.begun[-1], self.until), max(self.begun[-1], self.until)
 
     def follow(self, most: int) -> None:
         """Grow until the parameter leaves its range, the branch ends, or there are `most` points."""
-        toward = np.eye(len(self._begun))[-1] * np.sign(self._range[1] - self._range[0])
-        first = self._moved(self._begun)
+        toward = np.eye(len(self.begun))[-1] * np.sign(self.until - self.begun[-1])
+        first = self._moved(self.begun)
         last = None if first is None else self._corrected(first, toward, toward)
         if last is None:
             raise ValueError(
@@ -407,7 +413,7 @@ class _Branch:
                 "find it with a smaller tolerance."
             )
         self.points.append(last)
-        length = self._step
+        length = self.step
         while len(self.points) < most:
             last = self.points[-1]
             noted = None
@@ -416,13 +422,13 @@ class _Branch:
                 if found is None:
                     continue
                 # The next point of the same branch, and not one of another that is near.
-                moved = np.linalg.norm(found.unknowns / self._scale - last.unknowns / self._scale)
-                goes_on = abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE or length < _CORNER * self._step
+                moved = np.linalg.norm(found.unknowns / self.scale - last.unknowns / self.scale)
+                goes_on = abs(np.dot(found.tangent, last.tangent)) > _LEAST_COSINE or length < _CORNER * self.step
                 if moved > 4 * length or not goes_on:
                     continue
                 if self._turns_back(last, found):
                     return
-                inside = min(self._range) <= found.unknowns[-1] <= max(self._range)
+                inside = self._range[0] <= found.unknowns[-1] <= self._range[1]
                 noted = self._noted(last, found) if inside else None
                 if noted is not None or self.ending or (not inside and self._land(last, found)):
                     break
@@ -430,10 +436,10 @@ class _Branch:
                 return
             if noted is not None:
                 self.points.append(self._rebased(noted))
-                length = min(length * (2 if noted.iterations <= _FEW else 1), _LONGEST * self._step)
+                length = min(length * (2 if noted.iterations <= _FEW else 1), _LONGEST * self.step)
                 continue
             length /= 2
-            if length < _SHORTEST * self._step:
+            if length < _SHORTEST * self.step:
                 self._end_here(last, length)
                 return
         self.ending = f"{most} points were found; ask for more with the argument most"
@@ -444,10 +450,10 @@ class _Branch:
         Where a stick is about to last for ever, its release is nearly tangent, and the way to the end in the state as
         the square of that in the parameter: along the tangent one leaves the motions that are released at half the way.
         """
-        yield last.unknowns / self._scale + length * last.tangent
+        yield last.unknowns / self.scale + length * last.tangent
         before = self.points[-3:]
         if self.equations.driven and len(before) == 3 and len({point.found.order for point in before}) == 1:
-            places = np.array([point.unknowns for point in before]) / self._scale
+            places = np.array([point.unknowns for point in before]) / self.scale
             at = np.append(0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
             yield BarycentricInterpolator(at, places)(at[-1] + length)
 
@@ -460,7 +466,7 @@ class _Branch:
         which also is the other end of the bracket in which the branch ends.
         """
         for factor in _BEYOND:
-            ahead = last.unknowns + factor * length * last.tangent * self._scale
+            ahead = last.unknowns + factor * length * last.tangent * self.scale
             beyond = self.equations.at(ahead, self._plane)
             if beyond is None or sequence(beyond.modes) == sequence(last.found.modes):
                 continue
@@ -478,14 +484,14 @@ class _Branch:
     def _width(self, one: np.ndarray, other: np.ndarray) -> str:
         """The bracket of an event between two points in words, where it is wider than events are located."""
         low, high = sorted((one[-1], other[-1]))
-        return f" (between {low:.9g} and {high:.9g})" if high - low > _TOLD * self._scale[-1] else ""
+        return f" (between {low:.9g} and {high:.9g})" if high - low > _TOLD * self.scale[-1] else ""
 
     def _turns_back(self, last: OrbitPoint, found: OrbitPoint) -> bool:
         """Whether the branch ends between two points because it would go back over the same orbits. Ends it there."""
-        end = turning_back(self.equations, self._plane, self._scale, last, found)
+        end = turning_back(self.equations, self._plane, self.scale, last, found)
         if end is None and self._is_half(found) and not self._is_half(last):
             corner, more = self._located(last, found, lambda point: not self._is_half(point))
-            value = halved(self.equations, self._plane, corner.unknowns, corner.unknowns[-1] + _TOLD * self._scale[-1])
+            value = halved(self.equations, self._plane, corner.unknowns, corner.unknowns[-1] + _TOLD * self.scale[-1])
             end = "flip", value, f"the orbit becomes one of half its period, which doubles there{more}"
         if end is not None:
             kind, value, text = end
@@ -497,14 +503,14 @@ class _Branch:
         if not self.equations.driven or self.equations.periods % 2:
             return False
         moved = self.equations.half_way(point.unknowns, self._plane)
-        return moved is not None and bool(np.max(np.abs(moved / self._scale[: len(moved)])) < _HALF)
+        return moved is not None and bool(np.max(np.abs(moved / self.scale[: len(moved)])) < _HALF)
 
     def _land(self, last: OrbitPoint, found: OrbitPoint) -> bool:
         """The last point, where the parameter is at the end of its range that it passed; whether it was found."""
-        end = min(max(found.unknowns[-1], min(self._range)), max(self._range))
+        end = np.clip(found.unknowns[-1], *self._range)
         share = (end - last.unknowns[-1]) / (found.unknowns[-1] - last.unknowns[-1])
-        guess = (last.unknowns + share * (found.unknowns - last.unknowns)) / self._scale
-        guess[-1] = end / self._scale[-1]
+        guess = (last.unknowns + share * (found.unknowns - last.unknowns)) / self.scale
+        guess[-1] = end / self.scale[-1]
         landed = self._corrected(guess, np.eye(len(guess))[-1], last.tangent)
         noted = None if landed is None else self._noted(last, landed)
         if noted is None:
@@ -518,21 +524,21 @@ class _Branch:
         finds none. Its tangent points as the one `before`.
         """
         size = self.equations.coordinates
-        scales = np.append(self._scale[:size], [1.0] * (self.equations.size - size))  # of the equations
-        scaled, best, smallest = guess.copy(), None, self._tolerance
+        scales = np.append(self.scale[:size], [1.0] * (self.equations.size - size))  # of the equations
+        scaled, best, smallest = guess.copy(), None, TOLERANCE[self.equations.itemsize]
         for iteration in range(_ITERATIONS):
-            found = self.equations.at(scaled * self._scale, self._plane)
+            found = self.equations.at(scaled * self.scale, self._plane)
             if found is None:
                 return best
-            rows = found.matrix * self._scale / scales[:, None]
+            rows = found.matrix * self.scale / scales[:, None]
             sides = np.append(found.value / scales, np.dot(along, scaled - guess))
             error = np.max(np.abs(sides))
             # Round-off of the unknowns: near the end of a branch its multiplier may be a million.
-            noise = _ROUND_OFF * self._eps * np.max(np.abs(rows) @ np.abs(scaled))
+            noise = _ROUND_OFF * np.finfo(f"f{self.equations.itemsize}").eps * np.max(np.abs(rows) @ np.abs(scaled))
             if error <= (smallest if best else max(smallest, noise)):
                 tangent = np.linalg.svd(rows)[2][-1]
                 tangent *= 1 if np.dot(tangent, before) >= 0 else -1
-                best = OrbitPoint(scaled * self._scale, found, tangent, best.iterations if best else iteration)
+                best = OrbitPoint(scaled * self.scale, found, tangent, best.iterations if best else iteration)
                 # On until round-off: where a multiplier is nearly 1, the orbit is far less exact than its residual.
                 smallest = error / 2
             elif best is not None:
@@ -550,7 +556,7 @@ class _Branch:
         """The unknowns (scaled) of the same orbit, where nothing drives it from the middle of its longest slip on."""
         self._plane = None
         if self.equations.driven:
-            return unknowns / self._scale
+            return unknowns / self.scale
         size = self.equations.coordinates
         self._plane = Plane(unknowns[:size], np.ones(size))
         found = self.equations.at(unknowns, self._plane)
@@ -559,9 +565,9 @@ class _Branch:
         slips = [mode for mode in found.modes if any(mode.signs)]
         longest = max(slips or found.modes, key=lambda mode: mode.end - mode.start)
         state, rates = self.equations.state_after(unknowns, (longest.start + longest.end) / 2)
-        across = rates / self._scale[:size]
-        self._plane = Plane(state, across / np.max(np.abs(across)) / self._scale[:size])
-        return np.append(state, unknowns[size:]) / self._scale
+        across = rates / self.scale[:size]
+        self._plane = Plane(state, across / np.max(np.abs(across)) / self.scale[:size])
+        return np.append(state, unknowns[size:]) / self.scale
 
     def _rebased(self, point: OrbitPoint) -> OrbitPoint:
         """The same point from the middle of its longest slip on, where its begin has come near an event, or the motion
@@ -570,8 +576,8 @@ class _Branch:
         if self.equations.driven:
             return point
         size = self.equations.coordinates
-        rates = point.found.matrix[:size, size] / self._scale[:size]
-        normal = point.found.matrix[size, :size] * self._scale[:size]
+        rates = point.found.matrix[:size, size] / self.scale[:size]
+        normal = point.found.matrix[size, :size] * self.scale[:size]
         cosine = np.dot(rates, normal) / (np.linalg.norm(rates) * np.linalg.norm(normal))
         if cosine >= _CROSSES and point.found.is_far_from_events:
             return point
@@ -622,14 +628,14 @@ class _Branch:
 
     def _way(self, last: OrbitPoint, found: OrbitPoint) -> np.ndarray:
         """From one point to the next, scaled."""
-        return (found.unknowns - last.unknowns) / self._scale
+        return (found.unknowns - last.unknowns) / self.scale
 
     def _away(self, found: OrbitPoint, length: float) -> OrbitPoint:
         """`found` with the tangent that leads away from where the order of modes became what it is there."""
         for factor in _LOOKS:
             there = []
             for point in (found, found.turned()):
-                guess = found.unknowns / self._scale + factor * length * point.tangent
+                guess = found.unknowns / self.scale + factor * length * point.tangent
                 ahead = self._corrected(guess, point.tangent, point.tangent)
                 if ahead is not None and ahead.found.order == found.found.order:
                     there.append(point)
@@ -655,7 +661,7 @@ class _Branch:
         while high - low > _LOCATED:
             for part in _MIDDLES:
                 middle = low + part * (high - low)
-                guess = last.unknowns / self._scale + middle * way
+                guess = last.unknowns / self.scale + middle * way
                 point = self._corrected(guess, way / length, last.tangent)
                 if point is not None:
                     break

@@ -19,8 +19,7 @@ from .._foundation.types import BoolScalar, FloatArray, IntArray, Scalar, Status
 from .._numerics.matrices import orthogonal_factors
 from .._systems.system import System
 from ._cases import CYCLE, START, Cycle, Over, cases_of, checked_numbers
-from ._following import Folder, in_blocks, kept_in, warn_of_unfinished
-from ._settling import RECURS, UNSETTLED, recurrence
+from ._following import RECURS, UNSETTLED, Folder, in_blocks, kept_in, recurrence, warn_of_unfinished
 
 if TYPE_CHECKING:
     import xarray

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from .._dynamics.common.method import EXACT, Arguments, Exact, check_fixed, slowest_time, state_of, working_dtype
+from .._dynamics.common.method import EXACT, Arguments, Exact, slowest_time, state_of, working_dtype
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
 from .._dynamics.switched.engine import StepPath, follow_steps
@@ -23,11 +23,10 @@ from .._excitation.excitation import BaseMotion, motion_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation import checks
 from .._foundation.methods import WithMethods
-from .._foundation.processes import require_threads_of_jax
-from .._foundation.types import BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar, Status
+from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar, Status
 from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
-from .._systems.system import System, checked_system
+from .._systems.system import System
 from .._uncertainty.numbers import NumberPath, with_numbers
 from ._cases import (
     Cycle,
@@ -348,15 +347,10 @@ def periodic_orbit(
     >>> print(orbit.period.round(9), orbit.multipliers.round(8))
     12.001031295 [1.+0.j 0.+0.j]
     """
-    require_threads_of_jax()
+    check_repeats(system, base, method)
     periods = checks.whole_number("periods", periods)
     iterations = checks.whole_number("iterations", iterations)
-    if not isinstance(method, Exact):
-        raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
-    system = checked_system(system)
-    check_fixed(system=system, base=base)
     start = state_of(system, y0)
-    check_repeats(base)
     dtype = working_dtype()
     motion = motion_of(base)
     period = checked_period(period)
@@ -502,8 +496,8 @@ class Evaluated:
 class Plane(NamedTuple):
     """Where an orbit that nothing drives begins: on the plane through `point` across `normal`."""
 
-    point: np.ndarray
-    normal: np.ndarray
+    point: AnyArray
+    normal: AnyArray
 
 
 class Equations:
