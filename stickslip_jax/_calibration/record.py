@@ -52,50 +52,6 @@ class Record(NamedTuple):
     noise: np.ndarray
     reach: float = 0.0
 
-    @classmethod
-    def of(
-        cls,
-        system: System,
-        at: np.ndarray,
-        measured: Mapping[str, npt.ArrayLike],
-        noise: Mapping[str, float] | None,
-        observe: Mapping[str, Observer] | None,
-    ) -> "Record":
-        """The checked measurements at these times (s, (times,)); those at which nothing was measured are left out.
-
-        Raises:
-            ValueError: For what `calibrate` does not take.
-        """
-        if not isinstance(measured, Mapping) or not measured:
-            hint = 'such as {"position": x}'
-            raise checks.refused("measured", "be a dict with an array for each channel", measured, hint)
-        own = {} if observe is None else observe
-        if not isinstance(own, Mapping) or not all(callable(function) for function in own.values()):
-            raise checks.refused("observe", "be a dict with a function of simulation and times for each name", observe)
-        known = known_channels(system) | {name: Channel(name, "", function) for name, function in own.items()}
-        if unknown := [name for name in measured if name not in known]:
-            raise ValueError(
-                f"Argument measured must have channels called {checks.one_of(map(repr, known_channels(system)))}, or "
-                f"names of functions in observe, but {unknown[0]!r} was given."
-            )
-        values = np.empty((len(measured), len(at)))
-        for row, (name, column) in enumerate(measured.items()):
-            array = checks.numbers(f"measured[{name!r}]", column)
-            if array.shape != at.shape or np.any(np.isinf(array)):
-                demand = f"hold one number for each of the {len(at)} times, NaN where nothing was measured"
-                raise checks.refused(f"measured[{name!r}]", demand, column)
-            values[row] = array
-        if unused := [name for name in own if name not in measured]:
-            raise ValueError(f"Argument observe must name channels of measured, but {unused[0]!r} is none of them.")
-        given = checked_noise(noise, measured)
-        for name in given:
-            checks.positive(f"noise[{name!r}]", given[name])
-        kept = np.any(np.isfinite(values), axis=0)
-        if np.count_nonzero(np.isfinite(values)) < 3:
-            raise ValueError("Argument measured must hold at least three numbers, but all others are NaN.")
-        deviations = np.array([float(given.get(name, np.nan)) for name in measured])
-        return cls(at[kept], tuple(known[name] for name in measured), values[:, kept], deviations)
-
     @property
     def is_used(self) -> np.ndarray:
         """Which measurements there are that are compared, (channels, times)."""
@@ -247,7 +203,38 @@ def asked(
         arguments = arguments._replace(base=base)
     elif method.step is None and method.adjoint is None:
         arguments = arguments._replace(method=dataclasses.replace(method, adjoint=diffrax.ForwardMode()))
-    return arguments, np.array(start, float), Record.of(system, at, measured, noise, observe)
+
+    # The measurements; times at which nothing was measured are left out.
+    if not isinstance(measured, Mapping) or not measured:
+        hint = 'such as {"position": x}'
+        raise checks.refused("measured", "be a dict with an array for each channel", measured, hint)
+    own = {} if observe is None else observe
+    if not isinstance(own, Mapping) or not all(callable(function) for function in own.values()):
+        raise checks.refused("observe", "be a dict with a function of simulation and times for each name", observe)
+    known = known_channels(system) | {name: Channel(name, "", function) for name, function in own.items()}
+    if unknown := [name for name in measured if name not in known]:
+        raise ValueError(
+            f"Argument measured must have channels called {checks.one_of(map(repr, known_channels(system)))}, or "
+            f"names of functions in observe, but {unknown[0]!r} was given."
+        )
+    values = np.empty((len(measured), len(at)))
+    for row, (name, column) in enumerate(measured.items()):
+        array = checks.numbers(f"measured[{name!r}]", column)
+        if array.shape != at.shape or np.any(np.isinf(array)):
+            demand = f"hold one number for each of the {len(at)} times, NaN where nothing was measured"
+            raise checks.refused(f"measured[{name!r}]", demand, column)
+        values[row] = array
+    if unused := [name for name in own if name not in measured]:
+        raise ValueError(f"Argument observe must name channels of measured, but {unused[0]!r} is none of them.")
+    given = checked_noise(noise, measured)
+    for name in given:
+        checks.positive(f"noise[{name!r}]", given[name])
+    kept = np.any(np.isfinite(values), axis=0)
+    if np.count_nonzero(np.isfinite(values)) < 3:
+        raise ValueError("Argument measured must hold at least three numbers, but all others are NaN.")
+    deviations = np.array([float(given.get(name, np.nan)) for name in measured])
+    record = Record(at[kept], tuple(known[name] for name in measured), values[:, kept], deviations)
+    return arguments, np.array(start, float), record
 
 
 # Whether residuals are white noise.

@@ -28,7 +28,6 @@ from .._sensitivity.statistic import (
     statistics_of,
 )
 from .._statistics.totals import mean_stick_count, mean_total_stick_time
-from .._systems.system import unit_at
 from .._uncertainty.inputs import StochasticModel
 
 # Moments of stick sequences: which, what was observed of them, and how the observed ones scatter.
@@ -264,7 +263,7 @@ class Simulator:
 
     - `statistics`, `t1` (s), `samples`, `key`, `wrt`, `method`, `threads`: as for `sensitivity`.
     - `estimator`: that of the derivatives; None: for each kind of statistic the cheaper one.
-    - `units`: of the parameters, and `products`: sentences about those that act together only, both once it was called.
+    - `products`: sentences about parameters that act together only, once it was called.
     - `fewest`: what buffers hold at least, so that their size suffices nearby too: each size is compiled anew.
     """
 
@@ -276,7 +275,6 @@ class Simulator:
     method: Exact | Regularized
     threads: int | None
     estimator: Estimator | None
-    units: tuple[str, ...] = ()
     products: frozenset[str] = frozenset()
     fewest: tuple[int, ...] = (0, 0, 0)
 
@@ -292,7 +290,6 @@ class Simulator:
             if any(size > room for size, room in zip(needed, self.fewest, strict=True)):
                 self.fewest = tuple(2 ** math.ceil(math.log2(1.2 * size + 1)) for size in needed)
             pilot = pilot._replace(fewest=BufferSizes(*self.fewest))
-        self.units = tuple(unit_at(problem.model, parameter.path) for parameter in problem.parameters)
         kinds, sources, widest = problem.kinds(), [], relative_bandwidth_of(problem, pilot)
         for kind in kinds:
             if (self.estimator or cheaper(kind)) == "finite-difference":

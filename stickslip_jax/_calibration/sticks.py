@@ -20,7 +20,7 @@ from .._sensitivity.call import check_estimator, require_differences
 from .._sensitivity.estimate import Estimator
 from .._sensitivity.statistic import AnyStatistic
 from .._statistics.estimate import Estimate, correlated_estimates
-from .._systems.system import System
+from .._systems.system import System, unit_at
 from .parameters import Models, covariance_of
 from .stick_moments import (
     FitPart,
@@ -241,16 +241,16 @@ class StickCalibration(Mapping[str, Estimate]):
                 f"Hansen's test: {test.statistic:.3g} with {test.degrees_of_freedom} degrees of freedom, "
                 f"p = {test.p_value:.3g}"
             )
-        several = len(self.systems) > 1
-        lines += [f"  {f'experiment {one.experiment}, ' if several else ''}{one}" for one in self.moments]
+        lines += [f"  {self._where(one)}{one}" for one in self.moments]
         return "\n".join([*lines, *self.remarks])
+
+    def _where(self, one: MomentFit) -> str:
+        return f"experiment {one.experiment}, " if len(self.systems) > 1 else ""
 
     def _repr_html_(self) -> str:
         rows = [(name, one.without_name().replace("+-", "±")) for name, one in self.estimates.items()]
-        several = len(self.systems) > 1
         for one in self.moments:
-            where = f"experiment {one.experiment}, " if several else ""
-            rows.append((f"{where}{one.observed.name}", f"misfit of {one.residual:+.1f} standard errors"))
+            rows.append((f"{self._where(one)}{one.observed.name}", f"misfit of {one.residual:+.1f} standard errors"))
         test = self.overidentification
         if test is not None and test.degrees_of_freedom:
             rows.append(("Hansen's test", f"p = {test.p_value:.3g}"))
@@ -495,7 +495,8 @@ class _Fit:
             p_value = float(stats.chi2.sf(statistic, freedom)) if freedom else math.nan
             test = Overidentification(statistic, freedom, p_value)
         # The errors of the likelihood rest on simulations alone.
-        samples, units = self.simulators[0].samples, self.simulators[0].units
+        samples = self.simulators[0].samples
+        units = [unit_at(models.models[0], parameter.path) for parameter in models.parameters[0]]
         size = samples if self.is_likelihood else recordings
         estimates = correlated_estimates(models.names, values, units, covariance, size)
         unfinished, ends = sum(simulated.unfinished for _, simulated in self.pairs(found.x)), models.at(values)

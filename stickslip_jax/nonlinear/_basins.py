@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -13,15 +13,11 @@ from .._dynamics.common.method import EXACT, Exact
 from .._dynamics.simulate import simulate
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.extras import Entries, flags, variable
+from .._foundation.extras import Dataset, Entries, flags, variable
 from .._foundation.types import Scalar, Status
 from .._systems.system import System, checked_system
 from ._cases import START, Cases, Turns, cases_of, within_turn
 from ._following import RECURS, Folder, checked_periods, follow, kept_in, settled
-
-if TYPE_CHECKING:
-    import xarray
-
 
 # Attractors matched across many motions: which of them end on the same one.
 
@@ -158,7 +154,7 @@ def basins(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """Which starts end on which attractor, and the share of each basin.
 
     Each start is followed for `transient` periods and seen at the ends of `kept` more. Motions that stick all that time

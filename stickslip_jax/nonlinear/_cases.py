@@ -3,7 +3,7 @@ itself.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -22,16 +22,13 @@ from .._ensemble.points import Points, Setter, check_points, label_and_unit, poi
 from .._excitation.excitation import BaseMotion, excitation_of, motion_of
 from .._excitation.motion import Motion, Signal, UserMotion
 from .._foundation import checks
-from .._foundation.extras import Entries, flags, labeled_dataset, require_labels, variable
+from .._foundation.extras import Dataset, Entries, flags, labeled_dataset, require_labels, variable
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Number, Scalar, Status
 from .._numerics.derivatives import NotKnown, as_arrays, values_of
 from .._systems.system import System, checked_system
 from .._uncertainty.numbers import with_numbers
-
-if TYPE_CHECKING:
-    import xarray
 
 # The period of what drives a system: its base, and the forces in its fields.
 
@@ -177,14 +174,6 @@ def drive_period(system: object, base: object, given: Scalar | None, by_itself: 
     if len(cycles) > 1:
         raise ValueError("Argument period must be given (s): the motions that drive these systems have no common one.")
     return float(cycles[0]) * changing[0]
-
-
-def checked_period(period: object) -> Scalar | None:
-    """`period`, a positive time (s) or None."""
-    if period is None:
-        return None
-    checks.positive("period", period, "s")
-    return period  # pyright: ignore[reportReturnType] - checked
 
 
 # Whether the equations of a user's system change with time by themselves, apart from the motions that drive them.
@@ -398,7 +387,7 @@ class Cases(NamedTuple):
             "near_grazing_count": self.variable(found.near_grazing_count, "number of events decided by round-off"),
         }
 
-    def dataset(self, variables: Entries, coordinates: Entries) -> "xarray.Dataset":
+    def dataset(self, variables: Entries, coordinates: Entries) -> Dataset:
         """The data set of `variables` over the cases, with the values of parameters and the starts as coordinates."""
         setting = self.setter.setting
         found: Entries = {}
@@ -449,7 +438,7 @@ def cases_of(
     Raises ValueError for what cannot be followed from period to period, and ImportError without the extra ``study``.
     """
     require_labels()
-    check_repeats(system, base, method)
+    check_repeats(system, base, period, method)
     if checks.holds_traced(system, base, y0, period):
         raise ValueError(
             "Sections, diagrams, basins and exponents need numbers, but JAX is tracing an argument: call them outside "
@@ -473,7 +462,7 @@ def cases_of(
     if over is not None:
         check_points(setter, points, lambda point: setter(points.values(point)))
         rows = np.array([points.values(point) for point in range(points.number)], float)
-    period, dtype = checked_period(period), working_dtype(stacklevel=5)
+    dtype = working_dtype(stacklevel=5)
 
     # The period of each case, of its parameters alone.
     setting, grid = setter.setting, np.repeat(rows, len(starts), axis=0)
@@ -507,11 +496,13 @@ def cases_of(
     return Cases(Cycle(every, bases, durations, method), begins, shape, points, setter, driven)
 
 
-def check_repeats(system: System, base: BaseMotion, method: object) -> None:
+def check_repeats(system: System, base: BaseMotion, period: Scalar | None, method: object) -> None:
     """Raise ValueError for what cannot be followed from period to period, as a base that is random."""
     require_threads_of_jax()
     if not isinstance(method, Exact):
         raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
+    if period is not None:
+        checks.positive("period", period, "s")
     checked_system(system)
     check_fixed(system=system, base=base)
     if motion_of(base).is_random:

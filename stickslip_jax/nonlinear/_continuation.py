@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import BarycentricInterpolator
@@ -13,14 +13,11 @@ from .._dynamics.common.method import working_dtype
 from .._dynamics.simulation import provenance, source
 from .._ensemble.points import SweepSetting, label_and_unit, setter_of
 from .._foundation import checks
-from .._foundation.extras import Entries, labeled_dataset, require_labels, variable
+from .._foundation.extras import Dataset, Entries, labeled_dataset, require_labels, variable
 from .._foundation.processes import require_threads_of_jax
 from .._uncertainty.numbers import number_at
 from ._cases import apart
 from ._orbits import TOLERANCE, Equations, Evaluated, Mode, PeriodicOrbit, Plane, count, sequence
-
-if TYPE_CHECKING:
-    import xarray
 
 # The points of a branch of periodic orbits, and what changes between two of them.
 
@@ -160,7 +157,7 @@ _EXACT = 1e-13
 
 
 def turning_back(
-    equations: Equations, plane: Plane | None, scale: np.ndarray, last: OrbitPoint, found: OrbitPoint
+    equations: Equations, scale: np.ndarray, last: OrbitPoint, found: OrbitPoint
 ) -> tuple[str, float, str] | None:
     """The kind of the end between two neighbouring points, the parameter there, and in words; None where there is none.
 
@@ -173,7 +170,7 @@ def turning_back(
     if last.tangent[-1] * found.tangent[-1] >= 0:
         return None
     size = equations.coordinates
-    one, two = (equations.half_way(point.unknowns, plane) for point in (last, found))
+    one, two = (equations.half_way(point.unknowns) for point in (last, found))
     if one is None or two is None:
         return None
     axis = (one - two) / scale[:size] ** 2
@@ -191,24 +188,24 @@ def turning_back(
             critical = np.argmin(np.abs(at.multipliers - 1j))
             return math.log(abs(at.multipliers[critical]))
 
-        value = _root(equations, plane, between, last.unknowns[-1], size, None, growth)
+        value = _root(equations, between, last.unknowns[-1], size, None, growth)
         return "Hopf", value, "the cycle shrinks into an equilibrium"
-    value = halved(equations, plane, between, last.unknowns[-1])
+    value = halved(equations, between, last.unknowns[-1])
     return "flip", value, "the orbit becomes one of half its period, which doubles there"
 
 
-def halved(equations: Equations, plane: Plane | None, between: np.ndarray, other: float) -> float:
+def halved(equations: Equations, between: np.ndarray, other: float) -> float:
     """The parameter near that of the unknowns `between` where the orbit of half the period has the multiplier -1."""
     guess, periods = equations.halved(between)
 
     def doubles(at: Evaluated) -> float:
         return _flip(at.own_multipliers)
 
-    return _root(equations, plane, guess, other, equations.size, periods, doubles)
+    return _root(equations, guess, other, equations.size, periods, doubles)
 
 
 def _root(
-    equations: Equations, plane: Plane | None, guess: np.ndarray, other: float, number: int, periods: int | None,
+    equations: Equations, guess: np.ndarray, other: float, number: int, periods: int | None,
     test: Callable[[Evaluated], float],
 ) -> float:  # fmt: skip
     """The parameter near that of the `guess` where a `test` of what comes back is zero; its first `number` unknowns
@@ -220,7 +217,7 @@ def _root(
         unknowns[-1] = parameter
         found = None
         for _ in range(_ROOT_ITERATIONS):
-            found = equations.at(unknowns, plane, periods)
+            found = equations.at(unknowns, periods)
             if found is None:
                 break
             # Of contacts that stick all the time the matrix is singular: they stay where they are.
@@ -294,7 +291,7 @@ class OrbitBranch(NamedTuple):
     - `ending`: why the branch ends, in words.
     """
 
-    points: "xarray.Dataset"
+    points: Dataset
     events: tuple[BranchEvent, ...]
     ending: str
 
@@ -467,7 +464,7 @@ class _Branch:
         """
         for factor in _BEYOND:
             ahead = last.unknowns + factor * length * last.tangent * self.scale
-            beyond = self.equations.at(ahead, self._plane)
+            beyond = self.equations.at(ahead)
             if beyond is None or sequence(beyond.modes) == sequence(last.found.modes):
                 continue
             kind, text = end_of(last.found.modes, beyond.modes)
@@ -488,10 +485,10 @@ class _Branch:
 
     def _turns_back(self, last: OrbitPoint, found: OrbitPoint) -> bool:
         """Whether the branch ends between two points because it would go back over the same orbits. Ends it there."""
-        end = turning_back(self.equations, self._plane, self.scale, last, found)
+        end = turning_back(self.equations, self.scale, last, found)
         if end is None and self._is_half(found) and not self._is_half(last):
             corner, more = self._located(last, found, lambda point: not self._is_half(point))
-            value = halved(self.equations, self._plane, corner.unknowns, corner.unknowns[-1] + _TOLD * self.scale[-1])
+            value = halved(self.equations, corner.unknowns, corner.unknowns[-1] + _TOLD * self.scale[-1])
             end = "flip", value, f"the orbit becomes one of half its period, which doubles there{more}"
         if end is not None:
             kind, value, text = end
@@ -502,7 +499,7 @@ class _Branch:
         """Whether a point is an orbit of half the period: it solves the same equations, so a step may lead to it."""
         if not self.equations.driven or self.equations.periods % 2:
             return False
-        moved = self.equations.half_way(point.unknowns, self._plane)
+        moved = self.equations.half_way(point.unknowns)
         return moved is not None and bool(np.max(np.abs(moved / self.scale[: len(moved)])) < _HALF)
 
     def _land(self, last: OrbitPoint, found: OrbitPoint) -> bool:
@@ -527,7 +524,7 @@ class _Branch:
         scales = np.append(self.scale[:size], [1.0] * (self.equations.size - size))  # of the equations
         scaled, best, smallest = guess.copy(), None, TOLERANCE[self.equations.itemsize]
         for iteration in range(_ITERATIONS):
-            found = self.equations.at(scaled * self.scale, self._plane)
+            found = self.equations.at(scaled * self.scale)
             if found is None:
                 return best
             rows = found.matrix * self.scale / scales[:, None]
@@ -554,19 +551,21 @@ class _Branch:
 
     def _moved(self, unknowns: np.ndarray) -> np.ndarray | None:
         """The unknowns (scaled) of the same orbit, where nothing drives it from the middle of its longest slip on."""
-        self._plane = None
         if self.equations.driven:
             return unknowns / self.scale
         size = self.equations.coordinates
-        self._plane = Plane(unknowns[:size], np.ones(size))
-        found = self.equations.at(unknowns, self._plane)
+        self.equations.plane = Plane(unknowns[:size], np.ones(size))
+        found = self.equations.at(unknowns)
         if found is None:
             return None
         slips = [mode for mode in found.modes if any(mode.signs)]
         longest = max(slips or found.modes, key=lambda mode: mode.end - mode.start)
-        state, rates = self.equations.state_after(unknowns, (longest.start + longest.end) / 2)
-        across = rates / self.scale[:size]
-        self._plane = Plane(state, across / np.max(np.abs(across)) / self.scale[:size])
+        moved = unknowns.copy()
+        moved[size] = (longest.start + longest.end) / 2
+        there = self.equations.at(moved)
+        assert there is not None
+        state, across = unknowns[:size] + there.value[:size], there.matrix[:size, size] / self.scale[:size]
+        self.equations.plane = Plane(state, across / np.max(np.abs(across)) / self.scale[:size])
         return np.append(state, unknowns[size:]) / self.scale
 
     def _rebased(self, point: OrbitPoint) -> OrbitPoint:
@@ -581,14 +580,14 @@ class _Branch:
         cosine = np.dot(rates, normal) / (np.linalg.norm(rates) * np.linalg.norm(normal))
         if cosine >= _CROSSES and point.found.is_far_from_events:
             return point
-        plane = self._plane
+        plane = self.equations.plane
         guess = self._moved(point.unknowns)
         if guess is not None:
             parameter = np.eye(len(guess))[-1]
             found = self._corrected(guess, parameter, parameter * np.sign(point.tangent[-1] or 1.0))
             if found is not None:
                 return found
-        self._plane = plane
+        self.equations.plane = plane
         return point
 
     def _noted(self, last: OrbitPoint, found: OrbitPoint) -> OrbitPoint | None:

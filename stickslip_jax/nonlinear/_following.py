@@ -11,7 +11,8 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -57,26 +58,22 @@ _FEW = 32
 _FORMAT = "stickslip_jax nonlinear 1"
 
 
+@dataclass(frozen=True)
 class Kept:
     """The blocks in a `folder` that belong to the call of this `identity`; without a folder none."""
 
-    def __init__(self, folder: Path | None = None, identity: bytes = b""):
-        self._folder, self._identity = folder, identity
-
-    @property
-    def is_used(self) -> bool:
-        """Whether blocks are kept."""
-        return self._folder is not None
+    folder: Path | None = None
+    identity: bytes = b""
 
     def block(self, name: str, kind: Callable[..., T], run: Callable[[], T]) -> T:
         """The results of a block, arrays of NumPy in a `kind` of tuple: those that are kept, or what `run` returns."""
-        if self._folder is None:
+        if self.folder is None:
             return run()
-        path = self._folder / (name + _ENDING)
+        path = self.folder / (name + _ENDING)
         try:
             whole = read_regular(path)
             # They are not compressed.
-            arrays = unpacked_arrays(without_header(self._identity, path.name, whole), 2 * len(whole))
+            arrays = unpacked_arrays(without_header(self.identity, path.name, whole), 2 * len(whole))
         except (FileNotFoundError, ValueError, zipfile.BadZipFile):
             arrays = None  # what is damaged is done again, and replaced
         except (ForeignFileError, OSError) as error:
@@ -91,7 +88,7 @@ class Kept:
         data = io.BytesIO()
         np.savez(data, *results)
         try:
-            write_whole(path, with_header(self._identity, path.name, data.getvalue()))
+            write_whole(path, with_header(self.identity, path.name, data.getvalue()))
         except OSError as error:
             raise cannot_write(path.parent, error) from error
 
@@ -342,22 +339,14 @@ def follow(
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the states at the ends of so many periods")
     if direction != "start":
         return _along(cases, transient, kept, progress, stored or Kept(), direction)
-    return in_blocks(cases, periods_of(transient, kept), SeenCases, progress, stored or Kept())
-
-
-def periods_of(transient: int, kept: int) -> Callable[[Cycle, Array], SeenCases]:
-    """How the cases of a block are followed for `in_blocks`."""
-
-    def run(cycle: Cycle, starts: Array) -> SeenCases:
-        return _follow(cycle, starts, jnp.asarray(transient, jnp.int32), kept=kept)
-
-    return run
+    run = partial(_follow, transient=jnp.asarray(transient, jnp.int32), kept=kept)
+    return in_blocks(cases, run, SeenCases, progress, stored or Kept())
 
 
 def block_size(number: int, stored: Kept) -> int:
     """How many cases are followed side by side."""
     # Blocks that are stored are the same on every machine.
-    return min(_LANES, -(-number // (_STORED_BLOCKS if stored.is_used else cores())))
+    return min(_LANES, -(-number // (_STORED_BLOCKS if stored.folder else cores())))
 
 
 def in_blocks(
@@ -622,7 +611,8 @@ def settled(
         small = size if size < _FEW_LANES else min(size, 4 ** math.ceil(math.log(len(which), 4)))
         own = cases.of(which, states[which, -1])
         name = f"more-{last}-{hashlib.sha256(which.tobytes() + own.starts.tobytes()).hexdigest()[:12]}"
-        later = in_blocks(own, periods_of(last - gone, kept), SeenCases, progress, stored, small, name)
+        run = partial(_follow, transient=jnp.asarray(last - gone, jnp.int32), kept=kept)
+        later = in_blocks(own, run, SeenCases, progress, stored, small, name)
         later = later._replace(near_grazing_count=later.near_grazing_count + seen.near_grazing_count[which])
         for whole, part in zip(seen, later, strict=True):
             whole[which] = part

@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,15 +14,12 @@ from jaxtyping import Array
 from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.extras import Entries, variable
+from .._foundation.extras import Dataset, Entries, variable
 from .._foundation.types import BoolScalar, FloatArray, IntArray, Scalar, Status
 from .._numerics.matrices import orthogonal_factors
 from .._systems.system import System
 from ._cases import CYCLE, START, Cycle, Over, cases_of, checked_numbers
 from ._following import RECURS, UNSETTLED, Folder, in_blocks, kept_in, recurrence, warn_of_unfinished
-
-if TYPE_CHECKING:
-    import xarray
 
 EXPONENT = "exponent"
 _ALIGNED = 50  # periods of the transient in which the directions turn into those of the exponents
@@ -62,7 +59,7 @@ def lyapunov_exponents(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """The Lyapunov exponents of motions, from many starts and over parameters at once.
 
     The directions are carried through each period by the exact derivative of the motion, its sticks and slips included,

@@ -33,7 +33,6 @@ from ._cases import (
     changes_by_itself,
     check_repeats,
     check_signals,
-    checked_period,
     drive_period,
     steps_in,
     without_turns,
@@ -347,13 +346,12 @@ def periodic_orbit(
     >>> print(orbit.period.round(9), orbit.multipliers.round(8))
     12.001031295 [1.+0.j 0.+0.j]
     """
-    check_repeats(system, base, method)
+    check_repeats(system, base, period, method)
     periods = checks.whole_number("periods", periods)
     iterations = checks.whole_number("iterations", iterations)
     start = state_of(system, y0)
     dtype = working_dtype()
     motion = motion_of(base)
-    period = checked_period(period)
     by_itself = changes_by_itself(system, base, start, period)
     duration = drive_period(system, motion, period, by_itself)
     driven = duration is not None
@@ -502,8 +500,10 @@ class Plane(NamedTuple):
 
 class Equations:
     """Of unknowns (coordinates, then the period if nothing drives the system, then the parameter): the state comes
-    back, and without a drive it begins on a `Plane`.
+    back, and without a drive it begins on the `plane`, which is given then.
     """
+
+    plane: Plane | None = None
 
     def __init__(self, orbit: PeriodicOrbit, setter: Setter, parameter: str, dtype: np.dtype):
         """`orbit`: where the branch begins; its period is so many periods of the drive, or one that was given.
@@ -537,7 +537,7 @@ class Equations:
         """The number of equations."""
         return self.coordinates + (not self.driven)
 
-    def at(self, unknowns: np.ndarray, plane: Plane | None, periods: int | None = None) -> Evaluated | None:
+    def at(self, unknowns: np.ndarray, periods: int | None = None) -> Evaluated | None:
         """The equations at a point; None where the motion cannot be followed there, or the parameter may not be.
 
         `periods`: of the drive; by default those of the orbit.
@@ -549,10 +549,10 @@ class Equations:
             self._setter((float(unknowns[-1]),))
         except ValueError:  # the parameter may not have this value
             return None
-        on_plane = None if plane is None else Plane(*(jnp.asarray(one, self._dtype) for one in plane))
+        plane = None if self.plane is None else Plane(*(jnp.asarray(one, self._dtype) for one in self.plane))
         while True:
             found = _evaluate(
-                self._setting, jnp.asarray(unknowns, self._dtype), on_plane, path=self._path,
+                self._setting, jnp.asarray(unknowns, self._dtype), plane, path=self._path,
                 driven=self.driven, by_itself=self._by_itself, periods=periods, drive=self._drive, steps=self.steps,
                 capacity=self._capacity,
             )  # fmt: skip
@@ -565,14 +565,13 @@ class Equations:
             return None
         return Evaluated(value, matrix, float(duration), modes_between(times, signs, float(duration)), self.driven)
 
-    def half_way(self, unknowns: np.ndarray, plane: Plane | None) -> np.ndarray | None:
+    def half_way(self, unknowns: np.ndarray) -> np.ndarray | None:
         """What the state moves in half of the period, (coordinates,); None where the drive does not repeat itself in
         it, or the motion cannot be followed.
         """
         if self.driven and self.periods % 2:
             return None
-        half, periods = self.halved(unknowns)
-        found = self.at(half, plane, periods)
+        found = self.at(*self.halved(unknowns))
         return None if found is None else found.value[: self.coordinates]
 
     def halved(self, unknowns: np.ndarray) -> tuple[np.ndarray, int | None]:
@@ -582,14 +581,6 @@ class Equations:
             return half, self.periods // 2
         half[self.coordinates] /= 2
         return half, None
-
-    def state_after(self, unknowns: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """The state of an orbit that nothing drives at a `time` (s) after its begin, and its rates there."""
-        moved, size = np.array(unknowns, float), self.coordinates
-        moved[size] = time
-        found = self.at(moved, Plane(unknowns[:size], np.ones(size)))
-        assert found is not None
-        return unknowns[:size] + found.value[:size], found.matrix[:size, size]
 
 
 @eqx.filter_jit

@@ -1,7 +1,7 @@
 """Sections of motions: states once a period, bifurcation diagrams that show them, and states at events."""
 
 import warnings
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from .._dynamics.common.path import Run
 from .._dynamics.switched.engine import StepBeginnings, StepPath, state_in_step
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.extras import Entries
+from .._foundation.extras import Dataset, Entries
 from .._foundation.fields import Checked, Quantity
 from .._foundation.processes import require_memory
 from .._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
@@ -37,10 +37,6 @@ from ._following import (
     warn_of_unsettled,
 )
 
-if TYPE_CHECKING:
-    import xarray
-
-
 # States once a period of the drive: stroboscopic sections, and the bifurcation diagrams that they make.
 
 
@@ -61,7 +57,7 @@ def stroboscopic_section(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """States once a period of what drives the system, after a transient: for many starts and parameters at once.
 
     Args:
@@ -114,7 +110,7 @@ def stroboscopic_section(
         return section_of(cases, *settled(cases, lasted, float(tolerance), progress, stored), transient)
 
 
-def section_of(cases: Cases, seen: SeenCases, found: np.ndarray, more: np.ndarray, transient: int) -> "xarray.Dataset":
+def section_of(cases: Cases, seen: SeenCases, found: np.ndarray, more: np.ndarray, transient: int) -> Dataset:
     """The data set of what was seen, of the recurrences `found` and the periods `more` of each case, (cases,)."""
     each = (CYCLE,) if np.ndim(seen.stick_time) == 2 else (CYCLE, CONTACT)
     variables: Entries = {
@@ -153,7 +149,7 @@ def bifurcation_diagram(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """States once a period over the values of parameters, from the same starts or following the attractor.
 
     Args:
@@ -188,7 +184,7 @@ def bifurcation_diagram(
     cases = cases_of(system, base, y0, over, period, method)
     what = {"function": "bifurcation_diagram", "transient": transient, "kept": kept}
     each: tuple[Direction, ...] = ("up", "down") if follow_attractor == "both" else (follow_attractor,)
-    found: list[xarray.Dataset] = []
+    found: list[Dataset] = []
     with kept_in(folder, cases, what) as stored:
         for one in each:
             done = settled(cases, lasted, float(tolerance), progress, stored, one)
@@ -264,7 +260,7 @@ def event_section(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """States at events of one kind, after a transient: for many starts and parameters at once.
 
     Args:

@@ -10,7 +10,7 @@ import pytest
 from scipy import optimize, stats
 
 import stickslip_jax as ss
-from stickslip_jax._calibration.information import all_bounds, information_of
+from stickslip_jax._calibration.call import all_bounds, information_of
 from stickslip_jax._calibration.parameters import Transform, identity
 from stickslip_jax._calibration.search import FitProblem, FoundFit, Free, Residuals, SearchPoint
 

@@ -232,13 +232,13 @@ class Circle(Equations):
     def __init__(self):
         self.coordinates, self.driven, self.itemsize = 1, True, 8
 
-    def at(self, unknowns, plane):
+    def at(self, unknowns):
         return Evaluated(np.array([np.dot(unknowns, unknowns) - 1]), 2 * unknowns[None], 1.0, self.modes, True)
 
     def point(self, angle):
         """The point at an angle, its tangent toward larger ones."""
         unknowns = np.array([math.cos(angle), math.sin(angle)])
-        return OrbitPoint(unknowns, self.at(unknowns, None), np.array([-math.sin(angle), math.cos(angle)]), 1)
+        return OrbitPoint(unknowns, self.at(unknowns), np.array([-math.sin(angle), math.cos(angle)]), 1)
 
 
 def test_events_are_located_where_a_branch_turns_far_between_two_points():
