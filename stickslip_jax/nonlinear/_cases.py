@@ -158,7 +158,8 @@ def drive_period(system: object, base: object, given: Scalar | None, by_itself: 
         return None
     is_traced = any(map(checks.is_traced, [*changing, given]))
     if not is_traced or any(part is None for part in changing):
-        return period_of(found, given)[0]
+        period, _ = period_of(found, given)
+        return given if period is given else float(period)
     if given is not None:
         return given
     if len(changing) == 1:
