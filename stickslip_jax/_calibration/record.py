@@ -3,8 +3,8 @@ whether what is left of it is white noise.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -52,58 +52,6 @@ class Record(NamedTuple):
     noise: np.ndarray
     reach: float = 0.0
 
-    @classmethod
-    def of(
-        cls,
-        system: System,
-        times: npt.ArrayLike,
-        measured: Mapping[str, npt.ArrayLike],
-        noise: Mapping[str, float] | None,
-        observe: Mapping[str, Observer] | None,
-    ) -> "Record":
-        """The checked measurements; times at which nothing was measured are left out.
-
-        Raises:
-            ValueError: For what `calibrate` does not take.
-        """
-        at = np.asarray(checks.numbers("times", times, ndim=1), float)
-        if len(at) < 2 or not np.all(np.diff(at) > 0) or at[0] < 0:
-            raise checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
-        if not isinstance(measured, Mapping) or not measured:
-            hint = 'such as {"position": x}'
-            raise checks.refused("measured", "be a dict with an array for each channel", measured, hint)
-        own = {} if observe is None else observe
-        if not isinstance(own, Mapping) or not all(callable(function) for function in own.values()):
-            raise checks.refused("observe", "be a dict with a function of simulation and times for each name", observe)
-        known = known_channels(system) | {name: Channel(name, "", function) for name, function in own.items()}
-        if unknown := [name for name in measured if name not in known]:
-            raise ValueError(
-                f"Argument measured must have channels called {checks.one_of(map(repr, known_channels(system)))}, or "
-                f"names of functions in observe, but {unknown[0]!r} was given."
-            )
-        values = np.empty((len(measured), len(at)))
-        for row, (name, column) in enumerate(measured.items()):
-            array = checks.numbers(f"measured[{name!r}]", column)
-            if array.shape != at.shape or np.any(np.isinf(array)):
-                demand = f"hold one number for each of the {len(at)} times, NaN where nothing was measured"
-                raise checks.refused(f"measured[{name!r}]", demand, column)
-            values[row] = array
-        if unused := [name for name in own if name not in measured]:
-            raise ValueError(f"Argument observe must name channels of measured, but {unused[0]!r} is none of them.")
-        given = {} if noise is None else noise
-        if not isinstance(given, Mapping):
-            raise checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
-        for name in measured:
-            if name in given:
-                checks.positive(f"noise[{name!r}]", given[name])
-        if unknown := [name for name in given if name not in measured]:
-            raise ValueError(f"Argument noise must name channels of measured, but {unknown[0]!r} is none of them.")
-        kept = np.any(np.isfinite(values), axis=0)
-        if np.count_nonzero(np.isfinite(values)) < 3:
-            raise ValueError("Argument measured must hold at least three numbers, but all others are NaN.")
-        deviations = np.array([float(given.get(name, np.nan)) for name in measured])
-        return cls(at[kept], tuple(known[name] for name in measured), values[:, kept], deviations)
-
     @property
     def is_used(self) -> np.ndarray:
         """Which measurements there are that are compared, (channels, times)."""
@@ -139,6 +87,16 @@ class Record(NamedTuple):
         return Windows(starts, ends, self.times[index], np.where(is_there, values, 0), is_there)
 
 
+def checked_noise(noise: Mapping[str, Any] | None, channels: Collection[str]) -> Mapping[str, Any]:
+    """The standard deviations that are given, by channel. Raises ValueError for no dict, and for other names."""
+    given = {} if noise is None else noise
+    if not isinstance(given, Mapping):
+        raise checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
+    if unknown := [name for name in given if name not in channels]:
+        raise ValueError(f"Argument noise must name channels of measured, but {unknown[0]!r} is none of them.")
+    return given
+
+
 class Windows(NamedTuple):
     """A record in windows: begins and ends (s, (windows,)), times (windows, times), values (windows, channels, times),
     and which of these were measured; the others are fillings.
@@ -153,9 +111,8 @@ class Windows(NamedTuple):
     def in_order(self, values: np.ndarray, record: Record) -> np.ndarray:
         """Numbers (windows, channels, times) along the record, (channels, times); NaN where nothing was measured."""
         flat = np.full(record.values.shape, np.nan)
-        place = np.searchsorted(record.times, self.times)
-        for window, channel, time in zip(*np.nonzero(self.is_measured), strict=True):
-            flat[channel, place[window, time]] = values[window, channel, time]
+        window, channel, time = np.nonzero(self.is_measured)
+        flat[channel, np.searchsorted(record.times, self.times)[window, time]] = values[window, channel, time]
         return flat
 
 
@@ -167,7 +124,7 @@ def known_channels(system: System) -> dict[str, Channel]:
         if "velocity" in name:
             rate = name.replace("velocity", "acceleration")
             rates[rate] = Channel(rate, f"{unit}^2", Rate(number))
-    force = {"friction force": Channel("friction force", "N", friction_force)}
+    force = {"friction force": Channel("friction force", "N", Simulation.friction_force)}
     return coordinates | rates | force | coordinates  # last those that come before what is called like one of them
 
 
@@ -193,11 +150,6 @@ class Rate(NamedTuple):
                 "or give a function of your own in observe."
             )
         return jax.vmap(lambda time: path.rates(time)[self.number])(times)
-
-
-def friction_force(one: Simulation, times: FloatArray) -> FloatArray:
-    """Measures the friction force."""
-    return one.friction_force(times)
 
 
 def start_guess(record: Record, system: System, at: float, span: float) -> np.ndarray:
@@ -243,15 +195,46 @@ def asked(
     Raises ValueError for arguments that do not fit.
     """
     checks.bounded("times", times, "s", at_least=0, ndim=1)
-    ends = np.asarray(times, float)
-    if not len(ends) or not ends[-1] > 0:
+    at = np.asarray(times, float)
+    if len(at) < 2 or not np.all(np.diff(at) > 0):
         raise checks.refused("times", "be at least two increasing times from 0 on (in s)", times)
-    arguments, start = Arguments.of_one(system, base, method, float(ends[-1]), y0)
+    arguments, start = Arguments.of_one(system, base, method, float(at[-1]), y0)
     if isinstance(method, Exact):  # smoothed friction follows a realisation, which has no numbers to estimate
         arguments = arguments._replace(base=base)
     elif method.step is None and method.adjoint is None:
         arguments = arguments._replace(method=dataclasses.replace(method, adjoint=diffrax.ForwardMode()))
-    return arguments, np.array(start, float), Record.of(system, times, measured, noise, observe)
+
+    # The measurements; times at which nothing was measured are left out.
+    if not isinstance(measured, Mapping) or not measured:
+        hint = 'such as {"position": x}'
+        raise checks.refused("measured", "be a dict with an array for each channel", measured, hint)
+    own = {} if observe is None else observe
+    if not isinstance(own, Mapping) or not all(callable(function) for function in own.values()):
+        raise checks.refused("observe", "be a dict with a function of simulation and times for each name", observe)
+    known = known_channels(system) | {name: Channel(name, "", function) for name, function in own.items()}
+    if unknown := [name for name in measured if name not in known]:
+        raise ValueError(
+            f"Argument measured must have channels called {checks.one_of(map(repr, known_channels(system)))}, or "
+            f"names of functions in observe, but {unknown[0]!r} was given."
+        )
+    values = np.empty((len(measured), len(at)))
+    for row, (name, column) in enumerate(measured.items()):
+        array = checks.numbers(f"measured[{name!r}]", column)
+        if array.shape != at.shape or np.any(np.isinf(array)):
+            demand = f"hold one number for each of the {len(at)} times, NaN where nothing was measured"
+            raise checks.refused(f"measured[{name!r}]", demand, column)
+        values[row] = array
+    if unused := [name for name in own if name not in measured]:
+        raise ValueError(f"Argument observe must name channels of measured, but {unused[0]!r} is none of them.")
+    given = checked_noise(noise, measured)
+    for name in given:
+        checks.positive(f"noise[{name!r}]", given[name])
+    kept = np.any(np.isfinite(values), axis=0)
+    if np.count_nonzero(np.isfinite(values)) < 3:
+        raise ValueError("Argument measured must hold at least three numbers, but all others are NaN.")
+    deviations = np.array([float(given.get(name, np.nan)) for name in measured])
+    record = Record(at[kept], tuple(known[name] for name in measured), values[:, kept], deviations)
+    return arguments, np.array(start, float), record
 
 
 # Whether residuals are white noise.

@@ -30,8 +30,8 @@ from .._systems.system import System
 from .._uncertainty.design import table
 from .._uncertainty.numbers import matching, numbers_in, parameters_of, quantity_at
 from .parameters import checked_model, identity
-from .problem import EstimatedNumbers, FittedMotion, loop_steps, predicted, static_holds
-from .record import Observer, Windows, asked
+from .record import Observer, Windows, asked, checked_noise
+from .search import EstimatedNumbers, FittedMotion, loop_steps, predicted, static_holds
 
 # `log_likelihood`: how likely a record of motion is, as a function for samplers of posteriors.
 
@@ -127,11 +127,7 @@ class LogLikelihood(eqx.Module):
 
     def _sigma(self, noise: Mapping[str, ArrayLike] | None) -> FloatArray:
         """The standard deviation of each channel, (channels,)."""
-        given = {} if noise is None else noise
-        if not isinstance(given, Mapping):
-            raise checks.refused("noise", "be a dict with a standard deviation for each channel", noise)
-        if unknown := [name for name in given if name not in self.channels]:
-            raise ValueError(f"Argument noise must name channels of measured, but {unknown[0]!r} is none of them.")
+        given = checked_noise(noise, self.channels)
         known = zip(self.channels, self._is_known, strict=True)
         if missing := [name for name, is_known in known if not is_known and name not in given]:
             raise ValueError(

@@ -1,19 +1,181 @@
-"""The search for the numbers that explain a record best: in windows of it, and as one motion."""
+"""The search for the numbers that explain a record best, in windows and as one motion: what is fitted, and how."""
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from scipy import optimize, sparse, stats
 
-from .._dynamics.common.method import Arguments, Exact
+from .._dynamics.common.method import Arguments, Exact, Regularized
+from .._dynamics.common.path import SegmentLaws, padded_length
+from .._dynamics.simulate import simulate
+from .._dynamics.simulation import Simulation
+from .._dynamics.sticks import ALL
+from .._dynamics.switched.engine import SwitchedEngine, steps_for
+from .._excitation.excitation import BaseMotion, excitation_of, merged
+from .._excitation.segments import first_segment, segment_at
+from .._foundation.fields import Quantity, modules_in
+from .._foundation.types import BoolArray, FloatArray, Scalar
 from .._numerics.derivatives import as_arrays
-from .._uncertainty.numbers import Parameter, with_numbers
+from .._systems.friction import FrictionLaw
+from .._systems.system import System
+from .._uncertainty.numbers import NumberPath, Parameter, with_numbers
 from .parameters import Transform
-from .problem import EstimatedNumbers, FittedMotion, loop_steps, slip_speeds, with_slopes
-from .record import Record, Windows, start_guess
+from .record import Observer, Record, Windows, start_guess
+
+# What is fitted: numbers of a system and its base, and the states in which windows of the record begin.
+
+
+_ROUND_OFF = 1e-12  # relative, of static friction below kinetic
+
+
+class Sensor(eqx.Module):
+    """What a channel shows: what it measures, a time `delay` ago, and a constant `offset` more."""
+
+    delay: Annotated[Scalar, Quantity("s")] = 0.0
+    offset: Annotated[Scalar, Quantity()] = 0.0
+
+
+class EstimatedNumbers(NamedTuple):
+    """Where the numbers to be estimated stand. `clock`: a delay of the whole record; `sensors`: of the channels, or
+    none if all are as they should be.
+    """
+
+    system: System
+    base: BaseMotion
+    clock: Sensor = Sensor()
+    sensors: tuple[Sensor, ...] = ()
+
+
+def static_holds(setting: EstimatedNumbers) -> BoolArray:
+    """Whether in no friction law static friction is below kinetic friction."""
+    holds = jnp.ones((), bool)
+    for law in modules_in(setting):
+        if isinstance(law, FrictionLaw) and law.inner_state is None and not law.depends_on_direction:
+            kinetic = jnp.asarray(law.kinetic(jnp.zeros(())))
+            holds = holds & (jnp.asarray(law.static) >= kinetic * (1 - _ROUND_OFF))
+    return holds
+
+
+class FittedMotion(eqx.Module):
+    """The motion as a function of the numbers to be estimated (`paths`, by their `transform`) and of states at starts.
+
+    States are searched as differences from `state_origin` (windows, coordinates); contacts that are `resting` at a
+    start (windows, modes) have no relative velocity there, whatever the state.
+    """
+
+    setting: EstimatedNumbers
+    state_origin: Array
+    resting: Array | None
+    method: Exact | Regularized
+    transform: Transform
+    paths: tuple[NumberPath, ...] = eqx.field(static=True)
+    observers: tuple[Observer, ...] = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+
+    def setting_at(self, numbers: FloatArray) -> EstimatedNumbers:
+        """System, base and sensors with other numbers, (parameters,)."""
+        return with_numbers(self.setting, self.paths, numbers)
+
+    def observed(
+        self, x: FloatArray, s: FloatArray, origin: FloatArray, resting: BoolArray | None, window: Windows
+    ) -> FloatArray:
+        """What is seen of one window's motion, (channels, times); NaN if it does not reach the window's end, and for
+        static friction below kinetic friction.
+        """
+        setting, y = self.setting_at(self.transform.numbers(x)), origin + s
+        system, base, clock, sensors = setting
+        begin, end, times = map(jnp.asarray, (window.begins, window.ends, window.times))
+        if isinstance(self.method, Regularized):
+            one = simulate(system, base, t1=end, y0=tuple(y), method=self.method)
+        else:
+            excitation, step = Arguments(system, merged(base, end), self.method, end).checked_step()
+            given = end, tuple(y), step, self.steps, self.method.solver
+            engine = SwitchedEngine(system, excitation, *given, quantities=ALL)
+            run = engine.run(*engine.follow(y.dtype, t0=begin, resting=resting))
+            one = Simulation(system, base, end, self.method, *run)
+        if sensors:
+            shown, late = zip(self.observers, sensors, strict=True), times - clock.delay
+            seen = jnp.stack([observe(one, late - sensor.delay) + sensor.offset for observe, sensor in shown])
+        else:
+            seen = jnp.stack([observe(one, times) for observe in self.observers])
+        return jnp.where(static_holds(setting), seen, jnp.nan)
+
+
+def loop_steps(arguments: Arguments, share: float, spare: int = 0) -> int:
+    """Loop steps for this share of the time until the end, and `spare` ones; as many as the method says, if it does."""
+    system, _, method, t1 = arguments
+    if isinstance(method, Regularized):  # knows them itself
+        return 0
+    if method.max_steps is not None:
+        return method.max_steps
+    excitation, step = arguments.checked_step()
+    return padded_length(int(share * steps_for(system, excitation, t1, step)) + spare)
+
+
+def with_slopes(model: FittedMotion, windows: Windows, x: FloatArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What is seen of the motions in all windows, (windows, channels, times), and its derivatives by `x` and the own
+    state of each window, (windows, channels, times, parameters + coordinates).
+
+    `x` (parameters,), `s` (windows, coordinates). In forward mode: each window depends on few numbers.
+    """
+    number = x.shape[0]
+
+    def both(
+        joined: FloatArray, origin: FloatArray, resting: BoolArray | None, window: Windows
+    ) -> tuple[FloatArray, FloatArray]:
+        seen = model.observed(joined[:number], joined[number:], origin, resting, window)
+        return seen, seen
+
+    joined = jnp.concatenate([jnp.broadcast_to(x, (s.shape[0], number)), s], axis=1)
+    slopes, seen = jax.vmap(jax.jacfwd(both, has_aux=True))(joined, model.state_origin, model.resting, windows)
+    return seen, slopes
+
+
+@eqx.filter_custom_jvp
+def predicted(model: FittedMotion, windows: Windows, x: FloatArray, s: FloatArray) -> FloatArray:
+    """What is seen of the motions in all windows, (windows, channels, times), with derivatives of first order by x, s.
+
+    They are all computed at once, by `with_slopes`; reverse mode multiplies by them. Where a motion does not reach its
+    end they are zero, so that a `where` can leave it out.
+    """
+    return jax.vmap(model.observed, in_axes=(None, 0, 0, 0, 0))(x, s, model.state_origin, model.resting, windows)
+
+
+@predicted.def_jvp
+def _(primals: Any, tangents: Any) -> tuple[FloatArray, FloatArray]:
+    (model, windows, x, s), (of_model, of_windows, dx, ds) = primals, tangents
+    assert not jax.tree.leaves((of_model, of_windows)), "only x and s have derivatives"
+    dx, ds = jnp.zeros_like(x) if dx is None else dx, jnp.zeros_like(s) if ds is None else ds
+    seen, slopes = with_slopes(model, windows, x, s)
+    slopes = jnp.where(jnp.isfinite(seen)[..., None], slopes, 0)
+    changes = jnp.concatenate([jnp.broadcast_to(dx, (s.shape[0], x.shape[0])), ds], axis=1)
+    return seen, jnp.einsum("wctp,wp->wct", slopes, changes)
+
+
+@eqx.filter_jit
+def slip_speeds(setting: EstimatedNumbers, solver: Any, times: FloatArray, states: FloatArray) -> FloatArray:
+    """The sizes of the relative velocities of contacts in `states` (times, coordinates) at `times` (s), (times, modes)
+    or (times,); infinite for modes that are no contacts.
+    """
+    system, base, *_ = setting
+    excitation, dtype = excitation_of(merged(base, times[-1])), states.dtype
+    laws = SegmentLaws.of(system, excitation)
+    model = system.switched_model(excitation.signal, solver)
+    firsts = tuple(first_segment(law, jnp.zeros(2, jnp.uint32), dtype) for law in laws.all)
+
+    def at(t: FloatArray, y: FloatArray) -> FloatArray:
+        segments = tuple(segment_at(law, first, t) for law, first in zip(laws.all, firsts, strict=True))
+        forcing, state = model.forcing(t, laws.segments(segments)), model.start(tuple(y), dtype)
+        speeds = jnp.abs(model.relative_velocity(forcing, jnp.zeros((), dtype), state))
+        modes = model.at_rest(forcing, state).shape
+        return jnp.full(modes, jnp.inf).at[: len(speeds)].set(speeds) if modes else speeds
+
+    return jax.vmap(at)(times, states)
+
 
 # The search for the numbers that explain a record best: nonlinear least squares, by scipy.
 #
@@ -62,14 +224,6 @@ class Residuals(NamedTuple):
         return float(np.sum(np.square(self.residuals)))
 
 
-class Fit(NamedTuple):
-    """The end of a search: where, what is seen there (not standardised), and whether it converged."""
-
-    point: SearchPoint
-    seen: Residuals
-    converged: bool
-
-
 class FitProblem(NamedTuple):
     """A model and the windows of a record."""
 
@@ -88,7 +242,7 @@ class FitProblem(NamedTuple):
         there = self.windows.is_measured
         return Residuals(np.where(there, seen - self.windows.values, 0), np.where(there[..., None], slopes, 0))
 
-    def search(self, sigma: np.ndarray, start: SearchPoint, free: Free) -> Fit:
+    def search(self, sigma: np.ndarray, start: SearchPoint, free: Free) -> "FoundFit":
         """The least-squares fit from `start`, with the noise `sigma` (channels,)."""
         number = int(np.count_nonzero(free.x))
         latest: list[tuple[np.ndarray, Residuals]] = []
@@ -118,7 +272,7 @@ class FitProblem(NamedTuple):
             )
 
         if not len(begin):
-            return Fit(start, self.seen(start), True)
+            return FoundFit(self, free, sigma, start, self.seen(start), True)
         box = self.model.transform.box
         low, high = (
             np.pad(1 + end[free.x], (0, len(begin) - number), constant_values=beyond)
@@ -127,7 +281,8 @@ class FitProblem(NamedTuple):
         options: dict[str, Any] = {"jac": jacobian, "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS}
         tolerances: dict[str, Any] = {"ftol": _TOLERANCE, "xtol": _TOLERANCE, "gtol": None}
         found = optimize.least_squares(residuals, begin, bounds=(low, high), **options, **tolerances)
-        fit = self._at(point(found.x), found.status > 0)
+        at_end = point(found.x)
+        fit = FoundFit(self, free, sigma, at_end, self.seen(at_end), found.status > 0)
         # SciPy comes as near to a bound as its tolerance asks, and never there; to some only slowly, as to static
         # friction as large as kinetic one, where nothing depends on the difference to first order.
         x = fit.point.x
@@ -135,12 +290,27 @@ class FitProblem(NamedTuple):
         ends = np.where(free.x & (np.abs(x - nearest) < _NEAR_BOUND), nearest, x)
         if np.array_equal(ends, x):
             return fit
-        there = self._at(fit.point._replace(x=ends), fit.converged)
-        most = fit.seen.over(sigma).chi_squared * (1 + _TOLERANCE)
-        return there if there.seen.over(sigma).chi_squared <= most else fit
+        at_bound = fit.point._replace(x=ends)
+        there = fit._replace(point=at_bound, raw=self.seen(at_bound))
+        return there if there.seen.chi_squared <= fit.seen.chi_squared * (1 + _TOLERANCE) else fit
 
-    def _at(self, point: SearchPoint, converged: bool) -> Fit:
-        return Fit(point, self.seen(point), converged)
+
+class FoundFit(NamedTuple):
+    """The end of a search: its problem, what was searched, the noise `sigma` of each channel, (channels,), where it
+    ended, what is seen there (`raw`: not standardised), and whether it converged.
+    """
+
+    problem: FitProblem
+    free: Free
+    sigma: np.ndarray
+    point: SearchPoint
+    raw: Residuals
+    converged: bool
+
+    @property
+    def seen(self) -> Residuals:
+        """The residuals, standardised."""
+        return self.raw.over(self.sigma)
 
 
 def matrix_of(seen: Residuals, free: Free) -> np.ndarray | sparse.coo_matrix:
@@ -259,20 +429,6 @@ class Search(NamedTuple):
         return loop_steps(self.arguments._replace(system=system, base=base), share, _SPARE)
 
 
-class FoundFit(NamedTuple):
-    """A fit, its problem, what was searched, and the noise of each channel, (channels,)."""
-
-    problem: FitProblem
-    fit: Fit
-    free: Free
-    sigma: np.ndarray
-
-    @property
-    def seen(self) -> Residuals:
-        """Its residuals, standardised."""
-        return self.fit.seen.over(self.sigma)
-
-
 def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None = None) -> FoundFit:
     """The fit in windows from `x`, with the noise that is not known estimated, or with `sigma`."""
     free = Free(np.ones(len(x), bool), len(cuts.firsts) > 1 or search.y0 is None)
@@ -292,9 +448,9 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
         )
     found = _with_noise(problem, search.record, start, free, sigma)
     # The motion where the search ended may need more steps than it had.
-    while search.steps(problem.windows, numbers := search.transform.numbers(found.fit.point.x)) > problem.model.steps:
+    while search.steps(problem.windows, numbers := search.transform.numbers(found.point.x)) > problem.model.steps:
         problem = search.problem(cuts, numbers, more)
-        found = _with_noise(problem, search.record, found.fit.point, free, sigma)
+        found = _with_noise(problem, search.record, found.point, free, sigma)
     return found
 
 
@@ -311,7 +467,7 @@ def _with_noise(
     `about`: where to begin with that.
     """
     if sigma is not None:
-        return FoundFit(problem, problem.search(sigma, start, free), free, sigma)
+        return problem.search(sigma, start, free)
     known = np.isfinite(record.noise)
     spread = np.nanstd(record.values, axis=1)
     least = 1e-10 * np.nanmax(np.abs(record.values), axis=1) + np.finfo(float).tiny
@@ -319,15 +475,15 @@ def _with_noise(
     fit = problem.search(sigma, start, free)
     for _ in range(_MOST_ROUNDS if not np.all(known) else 0):
         spent = (np.count_nonzero(free.x) + free.s * fit.point.s.size) * record.counts / record.counts.sum()
-        squares = np.sum(fit.seen.residuals**2, axis=(0, 2)) / np.maximum(record.counts - spent, 1)
+        squares = np.sum(fit.raw.residuals**2, axis=(0, 2)) / np.maximum(record.counts - spent, 1)
         new = np.where(known, record.noise, np.maximum(np.sqrt(squares), least))
         is_settled = np.all(np.abs(new - sigma) < 1e-4 * sigma)
         sigma = new
         if is_settled:
-            break
+            return fit._replace(sigma=sigma)
         # Of a single channel too: what holds numbers near their first guesses weighs more the larger the noise.
         fit = problem.search(sigma, fit.point, free)
-    return FoundFit(problem, fit, free, sigma)
+    return fit
 
 
 def as_one(search: Search, found: FoundFit) -> FoundFit | float:
@@ -337,14 +493,14 @@ def as_one(search: Search, found: FoundFit) -> FoundFit | float:
     cuts = search.cuts(1)
     if search.begins_where_measured:
         model = found.problem.model
-        state = np.asarray(model.state_origin)[:1] + found.fit.point.s[:1]
+        state = np.asarray(model.state_origin)[:1] + found.point.s[:1]
         cuts = cuts._replace(states=state, resting=None if model.resting is None else np.asarray(model.resting)[:1])
     try:
-        whole = fitted(search, cuts, found.fit.point.x, found.sigma)
+        whole = fitted(search, cuts, found.point.x, found.sigma)
     except ValueError:
         return np.inf
     growth = whole.seen.chi_squared - found.seen.chi_squared
-    fewer = found.fit.point.s.size - (search.y0 is None) * whole.fit.point.s.size
-    if not whole.fit.converged or growth > stats.chi2.isf(_CONTRADICTION, fewer):
+    fewer = found.point.s.size - (search.y0 is None) * whole.point.s.size
+    if not whole.converged or growth > stats.chi2.isf(_CONTRADICTION, fewer):
         return growth
-    return _with_noise(whole.problem, search.record, whole.fit.point, whole.free, None, found.sigma)
+    return _with_noise(whole.problem, search.record, whole.point, whole.free, None, found.sigma)

@@ -1,8 +1,8 @@
 """Moments of stick sequences: which, what was observed of them, how a model has them, and how both are weighed."""
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,17 +15,8 @@ from .._foundation.types import InitialState, Scalar, Status
 from .._sensitivity import estimate
 from .._sensitivity.call import cheaper, products_among, source_of
 from .._sensitivity.estimate import Estimator
-from .._sensitivity.estimators import (
-    differenced,
-    parts_of_sequences,
-    run_chunks,
-)
-from .._sensitivity.problem import (
-    buffer_sizes_for,
-    problem_of,
-    relative_bandwidth_of,
-    require_correctable,
-)
+from .._sensitivity.estimators import differenced, parts_of_sequences, run_chunks
+from .._sensitivity.problem import buffer_sizes_for, problem_of, relative_bandwidth_of, require_correctable
 from .._sensitivity.statistic import (
     BufferSizes,
     OfOutput,
@@ -37,7 +28,6 @@ from .._sensitivity.statistic import (
     statistics_of,
 )
 from .._statistics.totals import mean_stick_count, mean_total_stick_time
-from .._systems.system import unit_at
 from .._uncertainty.inputs import StochasticModel
 
 # Moments of stick sequences: which, what was observed of them, and how the observed ones scatter.
@@ -51,16 +41,10 @@ _DEPENDENT = 1e-9  # smallest eigenvalue of the correlations of moments that do 
 class Product(StickStatistic):
     """The mean over realisations of the product of two numbers whose means are statistics."""
 
+    name: str
+    unit: str
     one: StickStatistic
     other: StickStatistic
-
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return f"{self.one.name} * {self.other.name}"
-
-    @property
-    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return f"{self.one.unit} * {self.other.unit}"
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         (a, _), (b, one) = self.one.parts(sticks, t1), self.other.parts(sticks, t1)
@@ -71,15 +55,9 @@ class Product(StickStatistic):
 class FromRecordedSticks(StickStatistic):
     """A statistic found from recorded sticks, where it could be found from totals too: in the same way as others."""
 
+    name: str
+    unit: str
     of: StickStatistic
-
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return self.of.name
-
-    @property
-    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return self.of.unit
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         return self.of.parts(sticks, t1)
@@ -108,14 +86,6 @@ class Observed(NamedTuple):
         """Their number."""
         return len(self.values)
 
-    def only(self, chosen: Sequence[int]) -> "Observed":
-        """The same with fewer moments."""
-        at = list(chosen)
-        statistics = tuple(self.statistics[index] for index in at)
-        return Observed(
-            statistics, self.mean[at], self.covariance[np.ix_(at, at)], self.values[:, at], self.t1, self.has_ratios
-        )
-
 
 def moments_of(moments: object) -> tuple[StickStatistic, ...]:
     """`moments` as statistics. Raises ValueError for what is no list of statistics of sticks."""
@@ -135,35 +105,57 @@ def moments_of(moments: object) -> tuple[StickStatistic, ...]:
     return found
 
 
-def observed_ensembles(observed: object) -> dict[str, Ensemble]:
-    """The ensemble of each experiment, by the name of the argument. Raises ValueError for anything else, and where
-    nothing can be learned.
+def observations_of(observed: object, moments: object, is_likelihood: bool) -> list[Observed]:
+    """What the ensemble of each experiment says of the moments. Raises ValueError for anything else, and where nothing
+    can be learned.
     """
+    statistics, found = moments_of(moments), []
+    if is_likelihood:
+        statistics = tuple(FromRecordedSticks(one.name, one.unit, one) for one in statistics)
     several = list(observed) if isinstance(observed, (list, tuple)) else [observed]
-    found: dict[str, Ensemble] = {}
+    if not several:
+        raise checks.refused("observed", "be an Ensemble or a list of them, at least one", observed)
     for number, one in enumerate(several):
         name = "observed" if len(several) == 1 else f"observed[{number}]"
-        if not isinstance(one, Ensemble):
-            raise checks.refused(name, "be an Ensemble, as Ensemble.from_sticks makes one of measured sticks", one)
-        if unfinished := sum(count for status, count in one.status_counts.items() if status != Status.FINISHED):
+        recordings = checked_recordings(name, one)
+        seen = observed_moments(statistics, recordings)
+        if is_likelihood and seen.has_ratios:
             raise ValueError(
-                f"Argument {name} must hold realisations that reached t1, but {unfinished} of {one.samples} did not; "
-                "leave these out."
+                'Argument moments must hold means over all realisations with objective="likelihood", but '
+                f"{', '.join(repr(one.name) for one in seen.statistics)} were given, one of which is a ratio of two "
+                "means; take both means, such as mean_total_stick_time and mean_stick_count."
             )
-        if one.flat_sticks is None:
-            raise ValueError(
-                f"Argument {name} must hold every stick, but this ensemble did not keep them; simulate it with "
-                'keep="sticks".'
-            )
-        if not len(one.flat_sticks.start):
-            raise ValueError(
-                f"Argument {name} must hold sticks, but its {one.samples} recordings have none: nothing of sticks can "
-                "be fitted to them."
-            )
-        found[name] = one
-    if not found:
-        raise checks.refused("observed", "be an Ensemble or a list of them, at least one", observed)
+        if not is_likelihood:
+            fixed = without_scatter(seen)
+            if moments is None and fixed and seen.recordings > len(statistics):
+                seen = observed_moments(tuple(one for one in statistics if one not in fixed), recordings)
+            check_covariance(seen, name)
+        found.append(seen)
     return found
+
+
+def checked_recordings(name: str, one: object) -> Ensemble:
+    """The ensemble of an experiment, the argument `name`. Raises ValueError for anything else, and for one without
+    sticks of all its recordings.
+    """
+    if not isinstance(one, Ensemble):
+        raise checks.refused(name, "be an Ensemble, as Ensemble.from_sticks makes one of measured sticks", one)
+    if unfinished := sum(count for status, count in one.status_counts.items() if status != Status.FINISHED):
+        raise ValueError(
+            f"Argument {name} must hold realisations that reached t1, but {unfinished} of {one.samples} did not; "
+            "leave these out."
+        )
+    if one.flat_sticks is None:
+        raise ValueError(
+            f"Argument {name} must hold every stick, but this ensemble did not keep them; simulate it with "
+            'keep="sticks".'
+        )
+    if not len(one.flat_sticks.start):
+        raise ValueError(
+            f"Argument {name} must hold sticks, but its {one.samples} recordings have none: nothing of sticks can "
+            "be fitted to them."
+        )
+    return one
 
 
 def observed_moments(statistics: tuple[StickStatistic, ...], ensemble: Ensemble) -> Observed:
@@ -185,10 +177,10 @@ def observed_moments(statistics: tuple[StickStatistic, ...], ensemble: Ensemble)
     return Observed(statistics, np.array(means), covariance, table, t1, has_ratios)
 
 
-def without_scatter(observed: Observed) -> list[int]:
+def without_scatter(observed: Observed) -> list[StickStatistic]:
     """The moments that have the same value in all recordings."""
-    spread = np.ptp(observed.values, axis=0)
-    return [int(at) for at in np.flatnonzero(spread <= _ROUND_OFF * np.abs(observed.mean))]
+    is_fixed = np.ptp(observed.values, axis=0) <= _ROUND_OFF * np.abs(observed.mean)
+    return [one for one, fixed in zip(observed.statistics, is_fixed, strict=True) if fixed]
 
 
 def check_covariance(observed: Observed, name: str) -> None:
@@ -201,7 +193,7 @@ def check_covariance(observed: Observed, name: str) -> None:
         )
     if fixed := without_scatter(observed):
         raise ValueError(
-            f"Argument moments must differ between recordings, but {observed.statistics[fixed[0]].name!r} is the same "
+            f"Argument moments must differ between recordings, but {fixed[0].name!r} is the same "
             f"in all of {name}; leave it out."
         )
     spread = np.sqrt(np.diag(observed.covariance))
@@ -271,7 +263,7 @@ class Simulator:
 
     - `statistics`, `t1` (s), `samples`, `key`, `wrt`, `method`, `threads`: as for `sensitivity`.
     - `estimator`: that of the derivatives; None: for each kind of statistic the cheaper one.
-    - `units`: of the parameters, and `products`: sentences about those that act together only, both once it was called.
+    - `products`: sentences about parameters that act together only, once it was called.
     - `fewest`: what buffers hold at least, so that their size suffices nearby too: each size is compiled anew.
     """
 
@@ -283,7 +275,6 @@ class Simulator:
     method: Exact | Regularized
     threads: int | None
     estimator: Estimator | None
-    units: tuple[str, ...] = ()
     products: frozenset[str] = frozenset()
     fewest: tuple[int, ...] = (0, 0, 0)
 
@@ -299,7 +290,6 @@ class Simulator:
             if any(size > room for size, room in zip(needed, self.fewest, strict=True)):
                 self.fewest = tuple(2 ** math.ceil(math.log2(1.2 * size + 1)) for size in needed)
             pilot = pilot._replace(fewest=BufferSizes(*self.fewest))
-        self.units = tuple(unit_at(problem.model, parameter.path) for parameter in problem.parameters)
         kinds, sources, widest = problem.kinds(), [], relative_bandwidth_of(problem, pilot)
         for kind in kinds:
             if (self.estimator or cheaper(kind)) == "finite-difference":
@@ -364,6 +354,12 @@ class FitPart(NamedTuple):
     scores: _Square
 
     @classmethod
+    def nothing(cls, parameters: int) -> "FitPart":
+        """Where there is no model: no minimum is there, and a search goes back."""
+        none = np.zeros((parameters, parameters))
+        return cls(np.inf, none[0], np.eye(parameters), none, none)
+
+    @classmethod
     def total(cls, parts: "list[FitPart]") -> "FitPart":
         """The sum of independent parts."""
         return cls(*(sum(each) for each in zip(*parts, strict=True)))  # pyright: ignore[reportArgumentType]
@@ -393,8 +389,9 @@ def by_moments(observed: Observed, simulated: Simulated, covariance: Float[np.nd
 
 def with_products(statistics: tuple[StickStatistic, ...]) -> tuple[StickStatistic, ...]:
     """The statistics and behind them their products with themselves and each other, as the normal likelihood needs."""
-    one, other = np.triu_indices(len(statistics))
-    return (*statistics, *(Product(statistics[i], statistics[j]) for i, j in zip(one, other, strict=True)))
+    pairs = itertools.combinations_with_replacement(statistics, 2)
+    products = [Product(f"{one.name} * {other.name}", f"{one.unit} * {other.unit}", one, other) for one, other in pairs]
+    return (*statistics, *products)
 
 
 def by_likelihood(observed: Observed, simulated: Simulated) -> FitPart:

@@ -20,23 +20,18 @@ from .._sensitivity.call import check_estimator, require_differences
 from .._sensitivity.estimate import Estimator
 from .._sensitivity.statistic import AnyStatistic
 from .._statistics.estimate import Estimate, correlated_estimates
-from .._systems.system import System
+from .._systems.system import System, unit_at
 from .parameters import Models, covariance_of
 from .stick_moments import (
     FitPart,
-    FromRecordedSticks,
     Observed,
     Simulated,
     Simulator,
     by_likelihood,
     by_moments,
-    check_covariance,
     covariance_of_misfit,
-    moments_of,
-    observed_ensembles,
-    observed_moments,
+    observations_of,
     with_products,
-    without_scatter,
 )
 
 # The search for the parameters of a fit, by SciPy's trust region, and how well they are determined.
@@ -62,8 +57,8 @@ class SearchEnd(NamedTuple):
     stands: bool
 
 
-def minimised(at: Callable[[_Vector], FitPart | None], x: _Vector, most: int) -> SearchEnd:
-    """The minimum near `x` of what `at` returns, None where there is nothing.
+def minimised(at: Callable[[_Vector], FitPart], x: _Vector, most: int) -> SearchEnd:
+    """The minimum near `x` of what `at` returns, which finds what it returned before again.
 
     `most`: iterations. The trust region is in coordinates, that of logarithms for most parameters.
     """
@@ -71,42 +66,26 @@ def minimised(at: Callable[[_Vector], FitPart | None], x: _Vector, most: int) ->
 
     stands, last = 0, np.inf
 
-    def value(x: _Vector) -> float:
-        found = at(x)
-        return np.inf if found is None else found.value
-
     def stop(intermediate_result: Any) -> None:
         nonlocal stands, last
-        now = np.asarray(intermediate_result.x)
-        stands = 0 if value(now) < last - _GAINED else stands + 1
-        last = min(last, value(now))
-        if stands >= _STANDS or gain(at(now)) < _ENOUGH:
+        now = at(np.asarray(intermediate_result.x))
+        stands = 0 if now.value < last - _GAINED else stands + 1
+        last = min(last, now.value)
+        if stands >= _STANDS or gain(now) < _ENOUGH:
             raise StopIteration
-
-    def gradient(x: _Vector) -> _Vector:
-        found = at(x)
-        return np.zeros(len(x)) if found is None else found.gradient
-
-    def hessian(x: _Vector) -> _Square:
-        # SciPy asks for it where there is nothing too, before it goes back.
-        found = at(x)
-        return np.eye(len(x)) if found is None else found.hessian
 
     if gain(at(x)) >= _ENOUGH:
         found = optimize.minimize(
-            value, x, method="trust-exact", jac=gradient, hess=hessian, callback=stop,
+            lambda x: at(x).value, x, jac=lambda x: at(x).gradient, hess=lambda x: at(x).hessian,
+            method="trust-exact", callback=stop,
             options={"initial_trust_radius": 0.5, "max_trust_radius": 2.0, "maxiter": most, "gtol": 0.0},
         )  # fmt: skip
         x = np.asarray(found.x)
-    end = at(x)
-    assert end is not None
-    return SearchEnd(x, end, stands >= _STANDS)
+    return SearchEnd(x, at(x), stands >= _STANDS)
 
 
-def gain(part: FitPart | None) -> float:
+def gain(part: FitPart) -> float:
     """What the step of Gauss and Newton would gain, in squared standard errors."""
-    if part is None:
-        return np.inf
     step = np.linalg.lstsq(part.hessian, part.gradient, rcond=_EXACT)[0]
     return float(step @ part.gradient)
 
@@ -262,16 +241,16 @@ class StickCalibration(Mapping[str, Estimate]):
                 f"Hansen's test: {test.statistic:.3g} with {test.degrees_of_freedom} degrees of freedom, "
                 f"p = {test.p_value:.3g}"
             )
-        several = len(self.systems) > 1
-        lines += [f"  {f'experiment {one.experiment}, ' if several else ''}{one}" for one in self.moments]
+        lines += [f"  {self._where(one)}{one}" for one in self.moments]
         return "\n".join([*lines, *self.remarks])
+
+    def _where(self, one: MomentFit) -> str:
+        return f"experiment {one.experiment}, " if len(self.systems) > 1 else ""
 
     def _repr_html_(self) -> str:
         rows = [(name, one.without_name().replace("+-", "±")) for name, one in self.estimates.items()]
-        several = len(self.systems) > 1
         for one in self.moments:
-            where = f"experiment {one.experiment}, " if several else ""
-            rows.append((f"{where}{one.observed.name}", f"misfit of {one.residual:+.1f} standard errors"))
+            rows.append((f"{self._where(one)}{one.observed.name}", f"misfit of {one.residual:+.1f} standard errors"))
         test = self.overidentification
         if test is not None and test.degrees_of_freedom:
             rows.append(("Hansen's test", f"p = {test.p_value:.3g}"))
@@ -398,25 +377,9 @@ def calibrate_sticks(
     checks.chosen("objective", objective, get_args(Objective))
     check_estimator(estimator)
     require_differences(estimator, method)
-    ensembles = observed_ensembles(observed)
-    models = Models.of(system, law, y0, wrt, len(ensembles))
-    statistics, observations, is_likelihood = moments_of(moments), [], objective == "likelihood"
-    if is_likelihood:
-        statistics = tuple(map(FromRecordedSticks, statistics))
-    for name, one in ensembles.items():
-        seen = observed_moments(statistics, one)
-        if moments is None and not is_likelihood and seen.recordings > len(statistics):
-            fixed = without_scatter(seen)
-            seen = seen.only([at for at in range(len(statistics)) if at not in fixed])
-        if not is_likelihood:
-            check_covariance(seen, name)
-        elif seen.has_ratios:
-            raise ValueError(
-                'Argument moments must hold means over all realisations with objective="likelihood", but '
-                f"{', '.join(repr(one.name) for one in seen.statistics)} were given, one of which is a ratio of two "
-                "means; take both means, such as mean_total_stick_time and mean_stick_count."
-            )
-        observations.append(seen)
+    is_likelihood = objective == "likelihood"
+    observations = observations_of(observed, moments, is_likelihood)
+    models = Models.of(system, law, y0, wrt, len(observations))
     number, parameters = sum(len(one.mean) for one in observations), len(models.names)
     if not is_likelihood and number < parameters:
         raise ValueError(
@@ -483,10 +446,10 @@ class _Fit:
         """What was observed and simulated in each experiment, at coordinates `x` that have been simulated."""
         return list(zip(self.observations, self.at(x) or [], strict=True))
 
-    def part(self, x: _Vector, covariances: list[Float[np.ndarray, "moments moments"]] | None = None) -> FitPart | None:
+    def part(self, x: _Vector, covariances: list[Float[np.ndarray, "moments moments"]] | None = None) -> FitPart:
         """What all experiments add up to at `x`; `covariances` of the misfits, by default from the recordings."""
         if self.at(x) is None:
-            return None
+            return FitPart.nothing(len(x))
         if self.is_likelihood:
             return FitPart.total([by_likelihood(*pair) for pair in self.pairs(x)])
         known = covariances or [covariance_of_misfit(*pair) for pair in self.pairs(x)]
@@ -532,7 +495,8 @@ class _Fit:
             p_value = float(stats.chi2.sf(statistic, freedom)) if freedom else math.nan
             test = Overidentification(statistic, freedom, p_value)
         # The errors of the likelihood rest on simulations alone.
-        samples, units = self.simulators[0].samples, self.simulators[0].units
+        samples = self.simulators[0].samples
+        units = [unit_at(models.models[0], parameter.path) for parameter in models.parameters[0]]
         size = samples if self.is_likelihood else recordings
         estimates = correlated_estimates(models.names, values, units, covariance, size)
         unfinished, ends = sum(simulated.unfinished for _, simulated in self.pairs(found.x)), models.at(values)

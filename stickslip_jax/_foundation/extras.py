@@ -35,6 +35,8 @@ def require_explorer() -> None:
 
 Entries: TypeAlias = dict[str, Any]
 """Variables or coordinates by name, as xarray takes them."""
+Dataset: TypeAlias = "xarray.Dataset"
+"""For annotations, without xarray."""
 
 
 def variable(

@@ -29,8 +29,10 @@ class Parameter(NamedTuple):
     value: float
 
 
-def parameters_of(where: Mapping[str, object], wrt: object) -> tuple[Parameter, ...]:
-    """The parameters named by `wrt`, a name or several.
+def parameters_of(
+    where: Mapping[str, object], wrt: object, others: Mapping[str, Parameter] = {}
+) -> tuple[Parameter, ...]:
+    """The parameters named by `wrt`, a name or several; `others` that may be named, too, by their full names.
 
     `where` holds the objects to search: "system", "law" and "y0". A parameter's name is that of a field, such as "mu"
     or "rate"; where several fields have it, with the names before it, as in "law.speed". Initial values are "y0[0]",
@@ -42,6 +44,9 @@ def parameters_of(where: Mapping[str, object], wrt: object) -> tuple[Parameter, 
     known = list(numbers_in(where))
     found = []
     for name in names:
+        if name in others:
+            found.append(others[name])
+            continue
         path, value = known[matching("wrt", name, [path for path, _ in known])]
         if value is None:
             raise ValueError(

@@ -1,8 +1,7 @@
 """Nonlinear dynamics with sticks: sections, bifurcation diagrams, basins, periodic orbits, Lyapunov exponents."""
 
 from ._basins import basins
-from ._branches import BranchEvent
-from ._continuation import OrbitBranch, continue_orbit
+from ._continuation import BranchEvent, OrbitBranch, continue_orbit
 from ._lyapunov import lyapunov_exponents
 from ._orbits import Mode, PeriodicOrbit, periodic_orbit
 from ._sections import Crossing, bifurcation_diagram, event_section, stroboscopic_section

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -13,16 +13,11 @@ from .._dynamics.common.method import EXACT, Exact
 from .._dynamics.simulate import simulate
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.extras import Entries, flags, variable
+from .._foundation.extras import Dataset, Entries, flags, variable
 from .._foundation.types import Scalar, Status
 from .._systems.system import System, checked_system
-from ._cases import Cases, Turns, cases_of
-from ._following import START, Folder, dataset_of, follow, kept_in, warn_of_unfinished, within_turn
-from ._settling import RECURS, checked_periods, settled
-
-if TYPE_CHECKING:
-    import xarray
-
+from ._cases import START, Cases, Turns, cases_of, within_turn
+from ._following import RECURS, Folder, checked_periods, follow, kept_in, settled
 
 # Attractors matched across many motions: which of them end on the same one.
 
@@ -159,7 +154,7 @@ def basins(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """Which starts end on which attractor, and the share of each basin.
 
     Each start is followed for `transient` periods and seen at the ends of `kept` more. Motions that stick all that time
@@ -197,16 +192,13 @@ def basins(
         SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
-    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
-    checks.positive("tolerance", tolerance)
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient, tolerance)
     most = checks.whole_number("most", most)
     checks.bounded("level", level, above=0, below=1)
     grid, starts = _starts(system, y0)
     cases = cases_of(system, base, starts, None, period, method)
     with kept_in(folder, cases, {"function": "basins", "transient": transient, "kept": kept}) as stored:
-        seen = follow(cases, transient, kept, progress, stored)
-        seen, found, _ = settled(cases, seen, lasted, RECURS, progress, stored)
-    warn_of_unfinished(seen)
+        seen, found, _ = settled(cases, lasted, RECURS, progress, stored)
     states, finished = np.asarray(seen.states), seen.status == int(Status.FINISHED)
     times = seen.stick_time.reshape(len(states), kept, -1)
     lasting = np.asarray(cases.cycle.duration)[:, None, None]
@@ -265,7 +257,7 @@ def basins(
         column = name.replace(" ", "_")
         coordinates[column] = variable(column, values, f"initial {name}", units[name])
     # A grid has its own dimensions in place of that of the starts.
-    return dataset_of(cases if grid is None else cases._replace(shape=()), variables, coordinates)
+    return (cases if grid is None else cases._replace(shape=())).dataset(variables, coordinates)
 
 
 def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.ndarray]:

@@ -2,8 +2,8 @@
 itself.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -16,18 +16,18 @@ from .._dynamics.common.method import Arguments, Exact, check_fixed, slowest_tim
 from .._dynamics.common.path import Run, SegmentLaws
 from .._dynamics.engine_choice import Choice, engine_for
 from .._dynamics.simulate import simulate
-from .._dynamics.simulation import Simulation
+from .._dynamics.simulation import Simulation, provenance, source
 from .._dynamics.switched.engine import SwitchedEngine, steps_for
-from .._ensemble.points import Points, Setter, check_points, points_of, setter_of, setting_of
+from .._ensemble.points import Points, Setter, check_points, label_and_unit, points_of, setter_of, setting_of
 from .._excitation.excitation import BaseMotion, excitation_of, motion_of
 from .._excitation.motion import Motion, Signal, UserMotion
 from .._foundation import checks
-from .._foundation.extras import require_labels
+from .._foundation.extras import Dataset, Entries, flags, labeled_dataset, require_labels, variable
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Number, Scalar, Status
 from .._numerics.derivatives import NotKnown, as_arrays, values_of
-from .._systems.system import System
+from .._systems.system import System, checked_system
 from .._uncertainty.numbers import with_numbers
 
 # The period of what drives a system: its base, and the forces in its fields.
@@ -153,14 +153,15 @@ def drive_period(system: object, base: object, given: Scalar | None, by_itself: 
     Raises ValueError where none is given or known, and where what drives the system does not repeat itself after it.
     """
     found = repetitions(system, base, by_itself)
-    parts = [part for _, part in found]
-    if any(part is None for part in parts):
-        return given if given is not None else period_of(found, None)[0]
-    changing = [part for part in parts if checks.is_traced(part) or float(part) > 0]
-    if not changing or given is not None:
-        if not any(map(checks.is_traced, [*parts, given])):
-            period_of(found, given or 1.0)
-        return given if changing else None
+    changing: list[Any] = [part for _, part in found if part is None or checks.is_traced(part) or float(part) > 0]
+    if not changing:
+        return None
+    is_traced = any(map(checks.is_traced, [*changing, given]))
+    if not is_traced or any(part is None for part in changing):
+        period, _ = period_of(found, given)
+        return given if period is given else float(period)
+    if given is not None:
+        return given
     if len(changing) == 1:
         return changing[0]
     try:
@@ -174,14 +175,6 @@ def drive_period(system: object, base: object, given: Scalar | None, by_itself: 
     if len(cycles) > 1:
         raise ValueError("Argument period must be given (s): the motions that drive these systems have no common one.")
     return float(cycles[0]) * changing[0]
-
-
-def checked_period(period: object) -> Scalar | None:
-    """`period`, a positive time (s) or None."""
-    if period is None:
-        return None
-    checks.positive("period", period, "s")
-    return period  # pyright: ignore[reportReturnType] - checked
 
 
 # Whether the equations of a user's system change with time by themselves, apart from the motions that drive them.
@@ -307,6 +300,19 @@ Turns = tuple[float | None, ...]
 
 MOST_PERIODS = 2**31 - 1
 """In all, as many as 32 bits count."""
+START, CYCLE = "start", "cycle"
+"""Dimensions of results: of many starts, and of the periods."""
+
+
+@runtime_checkable
+class Followed(Protocol):
+    """Results of cases, (cases,): the `Status`, and how often round-off decided."""
+
+    @property
+    def status(self) -> Array: ...
+
+    @property
+    def near_grazing_count(self) -> Array: ...
 
 
 class Cases(NamedTuple):
@@ -348,6 +354,66 @@ class Cases(NamedTuple):
         """Those cases alone, from other `starts` (cases, coordinates)."""
         return self._replace(cycle=self.cycle.of(which), starts=starts, shape=(len(which),))
 
+    # --- results over the cases as labelled arrays: the grid of parameters, then the starts
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names of the dimensions of the cases."""
+        own = tuple(one.name for one in self.points.dimensions)
+        return own + ((START,) if len(self.shape) > len(own) else ())
+
+    def variable(
+        self, values: Any, long_name: str, unit: str = "1", more: tuple[str, ...] = (), **attributes: object
+    ) -> tuple[Any, ...]:
+        """A variable whose `values`, (cases, ...), are put on the grid of the cases, with the dimensions `more`."""
+        values = np.asarray(values)
+        grid = values.reshape((*self.shape, *values.shape[1:]))
+        return variable((*self.dimensions, *more), grid, long_name, unit, **attributes)
+
+    def variables_of(self, states: np.ndarray, more: str, where: str) -> Entries:
+        """A variable for each number of the `states`, (cases, ..., coordinates), with the dimension `more`."""
+        found = {}
+        for number, coordinate in enumerate(self.system.coordinates):
+            column = within_turn(states[..., number], coordinate.period)
+            label = f"{coordinate.name} {where}"
+            found[coordinate.variable] = self.variable(column, label, coordinate.unit, (more,))
+        return found
+
+    def outcome(self, found: Followed) -> Entries:
+        """Whether each case was followed to the end, and how often round-off decided about an event."""
+        status = found.status.astype(np.int8)
+        return {
+            "status": self.variable(status, "whether the case was followed to the end", **flags(Status)),
+            "near_grazing_count": self.variable(found.near_grazing_count, "number of events decided by round-off"),
+        }
+
+    def dataset(self, variables: Entries, coordinates: Entries) -> Dataset:
+        """The data set of `variables` over the cases, with the values of parameters and the starts as coordinates."""
+        setting = self.setter.setting
+        found: Entries = {}
+        for one in self.points.dimensions:
+            for number, name in enumerate(one.parameters):
+                label, unit = label_and_unit(setting, name)
+                found[name] = variable(one.name, one.values[:, number], label, unit)
+        if self.dimensions[-1:] == (START,):
+            starts = self.starts[: self.shape[-1]]
+            for column, coordinate in zip(starts.T, self.system.coordinates, strict=True):
+                name = f"initial_{coordinate.variable}"
+                found[name] = variable(START, column, f"initial {coordinate.name}", coordinate.unit)
+        about = {**source(), **provenance(self.system, setting.law, setting.method)}
+        return labeled_dataset(apart(variables, found), {**found, **coordinates}, about)
+
+
+def within_turn(column: np.ndarray, period: float | None) -> np.ndarray:
+    """Numbers of a coordinate, between 0 and its `period` if it turns."""
+    return column if period is None else np.mod(column, period)
+
+
+def apart(variables: Entries, parameters: Iterable[str]) -> Entries:
+    """`variables`, with an underscore after the name of each that is called as a parameter is: "period_"."""
+    taken = set(parameters)
+    return {f"{name}_" if name in taken else name: entry for name, entry in variables.items()}
+
 
 def checked_numbers(transient: object, kept: object, most: int = MOST_PERIODS) -> tuple[int, int]:
     """The numbers of periods, checked; at most so many in all."""
@@ -371,10 +437,8 @@ def cases_of(
 
     Raises ValueError for what cannot be followed from period to period, and ImportError without the extra ``study``.
     """
-    require_threads_of_jax()
     require_labels()
-    if not isinstance(method, Exact):
-        raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
+    check_repeats(system, base, period, method)
     if checks.holds_traced(system, base, y0, period):
         raise ValueError(
             "Sections, diagrams, basins and exponents need numbers, but JAX is tracing an argument: call them outside "
@@ -382,8 +446,6 @@ def cases_of(
             "transformed."
         )
     setting = setting_of(system, base, None, method)
-    check_fixed(system=system, base=base)
-    check_repeats(base)
     several = y0 is not None and checks.dimensions(y0) == 2
     if several:
         starts = checks.numbers("y0", y0, ndim=2)
@@ -400,7 +462,7 @@ def cases_of(
     if over is not None:
         check_points(setter, points, lambda point: setter(points.values(point)))
         rows = np.array([points.values(point) for point in range(points.number)], float)
-    period, dtype = checked_period(period), working_dtype(stacklevel=5)
+    dtype = working_dtype(stacklevel=5)
 
     # The period of each case, of its parameters alone.
     setting, grid = setter.setting, np.repeat(rows, len(starts), axis=0)
@@ -434,8 +496,15 @@ def cases_of(
     return Cases(Cycle(every, bases, durations, method), begins, shape, points, setter, driven)
 
 
-def check_repeats(base: BaseMotion) -> None:
-    """Raise ValueError for a base that is random."""
+def check_repeats(system: System, base: BaseMotion, period: Scalar | None, method: object) -> None:
+    """Raise ValueError for what cannot be followed from period to period, as a base that is random."""
+    require_threads_of_jax()
+    if not isinstance(method, Exact):
+        raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
+    if period is not None:
+        checks.positive("period", period, "s")
+    checked_system(system)
+    check_fixed(system=system, base=base)
     if motion_of(base).is_random:
         raise ValueError(
             f"Argument base must repeat itself, but the random law {type(base).__name__} was given; simulate_ensemble "

@@ -1,18 +1,20 @@
-"""Cases followed from period to period, in blocks over threads, kept in a folder if one is named."""
+"""Cases followed from period to period until they have settled, in blocks over threads, and kept in a folder."""
 
 import contextlib
 import hashlib
 import io
 import json
+import math
 import os
 import types
 import warnings
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -21,13 +23,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from .._dynamics.common.method import Exact
 from .._dynamics.simulate import code_of
-from .._dynamics.simulation import provenance, source
 from .._dynamics.sticks import Sticks
 from .._ensemble.encoding import (
     Encoder,
     ForeignFileError,
     SweepError,
+    cannot_write,
     id_of,
     locked,
     versions,
@@ -35,18 +38,13 @@ from .._ensemble.encoding import (
     without_header,
 )
 from .._ensemble.parts import progress_bar
-from .._ensemble.points import label_and_unit
 from .._foundation import checks
-from .._foundation.extras import Entries, flags, labeled_dataset, variable
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory
 from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
-from ._cases import Cases, Cycle
-
-if TYPE_CHECKING:
-    import xarray
-
+from ._cases import MOST_PERIODS, Cases, Cycle, Followed, Turns, checked_numbers
+from ._orbits import periodic_orbit
 
 # Blocks of results kept in a folder, so that a call that was stopped goes on where it was.
 
@@ -60,26 +58,22 @@ _FEW = 32
 _FORMAT = "stickslip_jax nonlinear 1"
 
 
+@dataclass(frozen=True)
 class Kept:
     """The blocks in a `folder` that belong to the call of this `identity`; without a folder none."""
 
-    def __init__(self, folder: Path | None = None, identity: bytes = b""):
-        self._folder, self._identity = folder, identity
-
-    @property
-    def is_used(self) -> bool:
-        """Whether blocks are kept."""
-        return self._folder is not None
+    folder: Path | None = None
+    identity: bytes = b""
 
     def block(self, name: str, kind: Callable[..., T], run: Callable[[], T]) -> T:
         """The results of a block, arrays of NumPy in a `kind` of tuple: those that are kept, or what `run` returns."""
-        if self._folder is None:
+        if self.folder is None:
             return run()
-        path = self._folder / (name + _ENDING)
+        path = self.folder / (name + _ENDING)
         try:
             whole = read_regular(path)
             # They are not compressed.
-            arrays = unpacked_arrays(without_header(self._identity, path.name, whole), 2 * len(whole))
+            arrays = unpacked_arrays(without_header(self.identity, path.name, whole), 2 * len(whole))
         except (FileNotFoundError, ValueError, zipfile.BadZipFile):
             arrays = None  # what is damaged is done again, and replaced
         except (ForeignFileError, OSError) as error:
@@ -94,9 +88,9 @@ class Kept:
         data = io.BytesIO()
         np.savez(data, *results)
         try:
-            write_whole(path, with_header(self._identity, path.name, data.getvalue()))
+            write_whole(path, with_header(self.identity, path.name, data.getvalue()))
         except OSError as error:
-            raise _cannot_write(path.parent, error) from error
+            raise cannot_write(path.parent, error) from error
 
 
 @contextlib.contextmanager
@@ -119,15 +113,8 @@ def kept_in(folder: Folder | None, cases: Cases, what: Mapping[str, int | str]) 
             remove_unfinished(path)
             write_whole(path / _DESCRIPTION, json.dumps(body, indent=1).encode())
         except OSError as error:
-            raise _cannot_write(path, error) from error
+            raise cannot_write(path, error) from error
         yield Kept(path, id_of(body))
-
-
-def _cannot_write(folder: Path, error: OSError) -> SweepError:
-    return SweepError(
-        f"{folder} cannot be written ({error.strerror or error}); choose another folder, or make it writable and run "
-        "again: what is done is kept."
-    )
 
 
 def _description(cases: Cases, what: Mapping[str, int | str]) -> dict[str, Any]:
@@ -214,6 +201,9 @@ _PARTS = 20  # in which values are followed one after another, so that progress 
 _MOST_DOUBLINGS = 6  # of the number of steps in a period, before a case is given up
 
 
+Direction = Literal["start", "up", "down"]
+
+
 class SeenCases(NamedTuple):
     """What is seen of each case at the ends of the periods kept: states (cases, periods, coordinates), sticks (cases,
     periods) or (cases, periods, contacts), and of each case (cases,) the `Status` and how often round-off decided.
@@ -231,17 +221,6 @@ class SeenCases(NamedTuple):
     longest_stick: Array
     status: Array
     near_grazing_count: Array
-
-
-@runtime_checkable
-class Followed(Protocol):
-    """Results of cases, (cases,): the `Status`, and how often round-off decided."""
-
-    @property
-    def status(self) -> Array: ...
-
-    @property
-    def near_grazing_count(self) -> Array: ...
 
 
 FollowedT = TypeVar("FollowedT", bound=Followed)
@@ -320,15 +299,12 @@ def _next_start(last: Array, starts: Array) -> Array:
     return jnp.where(jnp.all(jnp.isfinite(last), axis=1, keepdims=True), last, starts)
 
 
-def follow_along(
-    cases: Cases, transient: int, kept: int, progress: bool | None, stored: Kept, *, descending: bool
+def _along(
+    cases: Cases, transient: int, kept: int, progress: bool | None, stored: Kept, direction: Direction
 ) -> SeenCases:
-    """As `follow`, each value of the first parameter from where the one before it ended, in the order of its values.
-
-    `descending`: from the last value to the first.
-    """
+    """As `follow`, each value of the first parameter from where the one before it ended."""
     values = cases.shape[0]
-    order = np.arange(values)[:: -1 if descending else 1]
+    order = np.arange(values)[:: -1 if direction == "down" else 1]
     by_value = np.arange(cases.number).reshape(values, -1)[order]
     size = -(-values // _PARTS)
     # The last part repeats its last value, so that all are of one size, and compiled once.
@@ -341,7 +317,7 @@ def follow_along(
             def run(cycle: Cycle, part: np.ndarray = part, begin: Array = begin) -> SeenCases:
                 return _follow_along(cycle.of(part), begin, starts, jnp.asarray(transient, jnp.int32), kept=kept)
 
-            name = f"{'down' if descending else 'up'}-{number:04}"
+            name = f"{direction}-{number:04}"
             found.append(stored.block(name, SeenCases, lambda run=run: _with_enough_steps(cases, run)))
             begin = _next_start(jnp.asarray(found[-1].states[-1, :, -1]), starts)
             bar.advance(min(part.size, cases.number - (len(found) - 1) * part.size))
@@ -351,27 +327,26 @@ def follow_along(
 
 
 def follow(
-    cases: Cases, transient: int, kept: int, progress: bool | None = None, stored: Kept | None = None
-) -> SeenCases:
-    """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy."""
+    cases: Cases, transient: int, kept: int, progress: bool | None = None, stored: Kept | None = None,
+    direction: Direction = "start",
+) -> SeenCases:  # fmt: skip
+    """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy.
+
+    `direction`: whether each case begins from its start, or each value of the first parameter from where the one before
+    it ended, in the order of the values ("up") or backwards ("down").
+    """
     numbers = cases.starts.shape[1] + 3 * (cases.system.tracks.contacts or 1)
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the states at the ends of so many periods")
-    return in_blocks(cases, periods_of(transient, kept), SeenCases, progress, stored or Kept())
-
-
-def periods_of(transient: int, kept: int) -> Callable[[Cycle, Array], SeenCases]:
-    """How the cases of a block are followed for `in_blocks`."""
-
-    def run(cycle: Cycle, starts: Array) -> SeenCases:
-        return _follow(cycle, starts, jnp.asarray(transient, jnp.int32), kept=kept)
-
-    return run
+    if direction != "start":
+        return _along(cases, transient, kept, progress, stored or Kept(), direction)
+    run = partial(_follow, transient=jnp.asarray(transient, jnp.int32), kept=kept)
+    return in_blocks(cases, run, SeenCases, progress, stored or Kept())
 
 
 def block_size(number: int, stored: Kept) -> int:
     """How many cases are followed side by side."""
     # Blocks that are stored are the same on every machine.
-    return min(_LANES, -(-number // (_STORED_BLOCKS if stored.is_used else cores())))
+    return min(_LANES, -(-number // (_STORED_BLOCKS if stored.folder else cores())))
 
 
 def in_blocks(
@@ -423,8 +398,8 @@ def _with_enough_steps(cases: Cases, run: Callable[[Cycle], FollowedT]) -> Follo
 # Warnings of cases that were not followed to the end.
 
 
-def warn_of_unfinished(found: Followed) -> None:
-    """Warn (RuntimeWarning) the caller's caller of cases that were not followed to the end, and say why."""
+def warn_of_unfinished(found: Followed, stacklevel: int = 3) -> None:
+    """Warn (RuntimeWarning) of cases that were not followed to the end, and say why; by default the caller's caller."""
     bad = found.status[found.status != int(Status.FINISHED)]
     if len(bad):
         codes, counts = np.unique(bad, return_counts=True)
@@ -433,7 +408,7 @@ def warn_of_unfinished(found: Followed) -> None:
             f"{len(bad)} of {len(found.status)} cases were not followed to the end: {'; '.join(why)}. They hold NaN "
             "from there on, and the variable status says which they are.",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=stacklevel,
         )
 
 
@@ -449,72 +424,228 @@ def warn_of_unsettled(unsettled: np.ndarray, so_far: str, argument: str, stackle
         )
 
 
-# Results over cases as labelled arrays: the grid of parameters, then the starts.
+# After how many returns a motion repeats itself, and whether it has settled.
 
 
-START, CYCLE = "start", "cycle"
+_ROUND_OFF = 100  # times the spacing of numbers of the size of the largest number of the state
+_LEAST = 8  # returns by which one sees whether differences fall
+_COMPARED = 16  # differences of several returns: of fewer, chance would make all smaller too often
+_SYSTEMATIC = 0.9  # of the differences: smaller than those before, or larger
+_FAST = 0.1  # of the largest in the first half: those of the second half
+_FAR_LESS = 1e-2  # of the differences of all smaller numbers of returns, which change
+_LEFT = 0.5  # tolerances: the way that is left
+_RETURNS = 1, 2, 3, 4, 5, 6, 8  # of orbits near which a motion may turn
+_FITS = 0.003  # of each difference: what an affine map may leave of it
+_SHRINKS = 0.05  # the least change of differences over what is seen, as a logarithm
+_RANK = 1e-6  # of the largest singular value: directions in which the motion does not turn
+UNSETTLED = -1
+RECURS = 1e-6  # relative: states this near are the same
 
 
-def dimensions_of(cases: Cases) -> tuple[str, ...]:
-    """Names of the dimensions of the cases."""
-    own = tuple(one.name for one in cases.points.dimensions)
-    return own + ((START,) if len(cases.shape) > len(own) else ())
+def recurrence(states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: Turns) -> np.ndarray:
+    """The smallest number of returns after which all `states` recur, (cases,); 0 where none is found, and -1 where the
+    motion has not settled.
 
-
-def states_of(cases: Cases, states: np.ndarray, more: tuple[str, ...], where: str) -> Entries:
-    """A variable for each number of the `states`, (cases, ..., coordinates), with the dimensions `more`."""
-    found = {}
-    for number, coordinate in enumerate(cases.system.coordinates):
-        column = within_turn(states[..., number], coordinate.period)
-        found[coordinate.variable] = on_grid(cases, column, f"{coordinate.name} {where}", coordinate.unit, more)
+    Of the states (cases, returns, coordinates), at least twice as many returns are needed as the number found. They
+    recur if each number comes back to within `tolerance` times its largest size in the same motion, `sizes` (cases,
+    coordinates), or to round-off: other cases, which may be far larger, do not matter. `periods`: of coordinates that
+    turn. A motion that still comes nearer to its attractor, or leaves an orbit that is unstable, has not settled: the
+    differences of the number of returns for which they are smallest still fall, or grow, return after return; if they
+    are within the tolerance, by more than it until they were to have fallen to zero; or it turns about the orbit (see
+    `_turning`). Of fewer than eight returns this is not seen.
+    """
+    found = np.zeros(len(states), int)
+    recurring: list[np.ndarray] = []
+    late, late_size = found.copy(), np.full(len(states), np.inf)
+    least, is_changing = late_size.copy(), np.zeros(len(states), bool)
+    for number, error in _differences(states, sizes, tolerance, periods):
+        size, left, changes = _tendency(error, number)
+        recurs = np.all(error <= 1, axis=1)  # False where a state is NaN
+        recurring.append(recurs)
+        if not np.all(np.isfinite(size) | np.isnan(size)):  # too few to see whether they change
+            late_size = np.where((late == 0) & recurs, np.max(error, axis=1), late_size)
+            late = np.where((late == 0) & recurs, number, late)
+            continue
+        settled = (found == 0) & recurs & (~changes | (left <= _LEFT))
+        # Where it comes nearer from both sides in turn, it is twice the number that tells the way that is left.
+        for divisor in [one for one in range(1, number + 1) if number % one == 0]:
+            found = np.where((found == 0) & settled & recurring[divisor - 1], divisor, found)
+        # A smaller number that recurs from now on: the larger one only seems to be that of the motion.
+        found = np.where((found == 0) & changes & (size <= 1) & ~recurs, UNSETTLED, found)
+        is_changing = np.where(size < least, changes & (size > 0), is_changing)
+        least = np.fmin(size, least)
+    found = np.where((found == 0) & (~is_changing | (late_size < _FAR_LESS * least)), late, found)
+    found = np.where((found == 0) & is_changing, UNSETTLED, found)
+    (others,) = np.nonzero(found == 0)
+    for _, number in _turning(states[others], sizes[others], tolerance, periods):
+        found[others[np.isfinite(number)]] = UNSETTLED
     return found
 
 
-def within_turn(column: np.ndarray, period: float | None) -> np.ndarray:
-    """Numbers of a coordinate, between 0 and its `period` if it turns."""
-    return column if period is None else np.mod(column, period)
-
-
-def on_grid(
-    cases: Cases, values: Any, long_name: str, unit: str = "1", more: tuple[str, ...] = (), **attributes: object
-) -> tuple[Any, ...]:
-    """A variable whose `values`, (cases, ...), are put on the grid of the cases."""
-    values = np.asarray(values)
-    grid = values.reshape((*cases.shape, *values.shape[1:]))
-    return variable((*dimensions_of(cases), *more), grid, long_name, unit, **attributes)
-
-
-def outcome_of(cases: Cases, found: Followed) -> Entries:
-    """Whether each case was followed to the end, and how often round-off decided about an event."""
-    status = found.status.astype(np.int8)
-    return {
-        "status": on_grid(cases, status, "whether the case was followed to the end", **flags(Status)),
-        "near_grazing_count": on_grid(cases, found.near_grazing_count, "number of events decided by round-off"),
-    }
-
-
-def dataset_of(cases: Cases, variables: Entries, coordinates: Entries | None = None) -> "xarray.Dataset":
-    """The data set of `variables` over the cases, with the values of parameters and the starts as coordinates.
-
-    Raises:
-        ImportError: Without the extra ``study``.
+def _differences(
+    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: Turns
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Each number of returns, and how far the states are from those so many returns later, in tolerances, (cases,
+    returns); 0 for round-off.
     """
-    setting = cases.setter.setting
-    found: Entries = {}
-    for one in cases.points.dimensions:
-        for number, name in enumerate(one.parameters):
-            label, unit = label_and_unit(setting, name)
-            found[name] = variable(one.name, one.values[:, number], label, unit)
-    if dimensions_of(cases)[-1:] == (START,):
-        starts = cases.starts[: cases.shape[-1]]
-        for column, coordinate in zip(starts.T, cases.system.coordinates, strict=True):
-            name = f"initial_{coordinate.variable}"
-            found[name] = variable(START, column, f"initial {coordinate.name}", coordinate.unit)
-    about = {**source(), **provenance(cases.system, setting.law, setting.method)}
-    return labeled_dataset(apart(variables, found), {**found, **(coordinates or {})}, about)
+    smallest, limit = _limits(states, sizes, tolerance, periods)
+    for number in range(1, states.shape[1] // 2 + 1):
+        change = np.abs(_the_shorter_way(states[:, number:] - states[:, :-number], periods))
+        yield number, np.max(np.where(change <= smallest, 0, change) / limit, axis=2)
 
 
-def apart(variables: Entries, parameters: Iterable[str]) -> Entries:
-    """`variables`, with an underscore after the name of each that is called as a parameter is: "period_"."""
-    taken = set(parameters)
-    return {f"{name}_" if name in taken else name: entry for name, entry in variables.items()}
+def _limits(states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: Turns) -> tuple[np.ndarray, np.ndarray]:
+    """Of each case and coordinate the round-off, and the tolerance or the round-off, (cases, 1, coordinates)."""
+    scale = _scales(states, sizes, periods)
+    smallest = _ROUND_OFF * np.finfo(states.dtype).eps * np.max(scale, axis=1, keepdims=True)
+    limit = np.fmax(tolerance * scale, smallest)[:, None]
+    return smallest[:, None], np.where(limit > 0, limit, 1)  # 1: of a motion that has always been at zero
+
+
+def _scales(states: np.ndarray, sizes: np.ndarray, periods: Turns) -> np.ndarray:
+    """The largest size of each number of the states (cases, returns, coordinates), 1 of those that turn."""
+    turns = np.array([period is not None for period in periods])
+    return np.where(turns, 1.0, np.fmax(sizes, np.max(np.abs(states), axis=1)))
+
+
+def _the_shorter_way(change: np.ndarray, periods: Turns) -> np.ndarray:
+    """A change of the state, (..., coordinates), of coordinates that turn the shorter way."""
+    turns = np.array([period or np.inf for period in periods])
+    return change - np.where(np.isfinite(turns), turns, 0) * np.round(change / turns)
+
+
+def _turning(
+    states: np.ndarray, sizes: np.ndarray, tolerance: float, periods: Turns
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Numbers of returns, and how far states are from the orbit of so many that they turn about, in tolerances, (cases,
+    ); infinity where they do not.
+
+    Near an orbit the return map is affine: each difference of states is a matrix times the one before. It is found by
+    least squares from the second half of the states; where it leaves nearly nothing of any difference, and its largest
+    multiplier says that differences fall or grow, the motion has not settled, however the multiplier turns them.
+    """
+    smallest, limit = _limits(states, sizes, tolerance, periods)
+    for number in _RETURNS:
+        some = states[:, ::-1][:, ::number][:, ::-1]
+        some = some[:, some.shape[1] // 2 :]
+        if not len(states) or some.shape[1] < max(_LEAST, 2 * some.shape[2] + 2):
+            continue
+        change = _the_shorter_way(np.diff(some, axis=1), periods)
+        change = np.where(np.abs(change) <= smallest, 0, change)
+        moves = np.all(np.any(change != 0, axis=2), axis=1) & np.all(np.isfinite(change), axis=(1, 2))
+        change = np.where(moves[:, None, None], change / limit, 1)
+        before, after = change[:, :-1], change[:, 1:]
+        matrix = np.linalg.pinv(before, rcond=_RANK) @ after
+        rest, size = (np.max(np.abs(values), axis=2) for values in (after - before @ matrix, before))
+        largest = np.max(np.abs(np.linalg.eigvals(matrix)), axis=1)
+        shrinks = np.abs(np.log(np.where(largest == 0, 1, largest))) * after.shape[1] >= _SHRINKS
+        to_orbit = np.linalg.pinv(np.eye(matrix.shape[-1]) - matrix)
+        left = np.max(np.abs(change[:, -1:] @ to_orbit), axis=(1, 2))
+        yield number, np.where(moves & shrinks & np.all(rest <= _FITS * size, axis=1), left, np.inf)
+
+
+def _tendency(error: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of differences (cases, returns): the largest of the second half, the way that is left until they have fallen to
+    zero, and whether they change systematically; infinity, infinity and False of too few.
+    """
+    returns = error.shape[1]
+    half = returns // 2
+    if returns + number < _LEAST or not half or (number > 1 and returns - number < _COMPARED):
+        unknown = np.full(len(error), np.inf)
+        return unknown, unknown, np.zeros(len(error), bool)
+    first, second = np.max(error[:, :half], axis=1), np.max(error[:, half:], axis=1)
+    ratio = np.divide(second, first, out=np.where(second > 0, np.inf, 0.0), where=first > 0)
+    # Each later half is smaller by the same ratio, and holds so many differences one after another.
+    left = np.where(ratio < 1, second * half / number * ratio / np.where(ratio < 1, 1 - ratio, 1), np.inf)
+    step = min(number, returns - half)
+    falls = np.mean(error[:, step:] < error[:, :-step], axis=1)
+    grows = np.mean(error[:, step:] > error[:, :-step], axis=1)
+    changes = (second > 0) & ((falls >= _SYSTEMATIC) | (grows >= _SYSTEMATIC) | (ratio < _FAST))
+    return second, left, changes
+
+
+# Motions that go on until they have settled.
+
+
+_LONGEST = 16  # times the transient periods, by default
+_FEW_LANES = 64  # of blocks that are not made smaller where few cases have not settled
+_MOST_ORBITS = 50  # cases that are decided by an orbit
+_NEAR = 3.0  # times as far as the motion still moves: the orbit that it comes nearer to
+
+
+def checked_periods(transient: object, kept: object, longest: object, tolerance: object) -> tuple[int, int, int]:
+    """The numbers of periods before those that are kept, of these, and the largest of those before; checked, as is the
+    tolerance.
+    """
+    checks.positive("tolerance", tolerance)
+    before, kept = checked_numbers(transient, kept)
+    most = MOST_PERIODS - kept
+    if longest is None:
+        return before, kept, min(_LONGEST * before, most)
+    return before, kept, checks.whole_number("longest_transient", longest, minimum=before, maximum=most)
+
+
+def settled(
+    cases: Cases, lasted: tuple[int, int, int], tolerance: float, progress: bool | None, stored: Kept,
+    direction: Direction = "start",
+) -> tuple[SeenCases, np.ndarray, np.ndarray]:  # fmt: skip
+    """What is seen of the cases, as by `follow`; of those that have not settled, in later periods: twice as many before
+    those that are kept, again and again. Also the `recurrence` of each case, and how many periods more came before
+    those, (cases,).
+
+    `lasted`: the numbers of periods before those that are kept, of these, and the largest of those before. Where it has
+    not settled then, the multipliers of the orbit that a motion comes nearer to decide. Warns (RuntimeWarning) of the
+    others, unless none was to go on, and of cases that were not followed to the end.
+    """
+    transient, kept, longest = lasted
+    seen = jax.tree.map(np.array, follow(cases, transient, kept, progress, stored, direction))
+    size = block_size(cases.number, stored)
+    states, sizes = np.asarray(seen.states), np.asarray(seen.sizes)  # the same memory, which later periods are put into
+    more, last = np.zeros(cases.number, int), transient
+    found = recurrence(states, sizes, tolerance, cases.turns)
+    while last < longest and np.any(found == UNSETTLED):
+        which = np.flatnonzero(found == UNSETTLED)
+        gone, last = last + kept, min(2 * last, longest)
+        last = max(last, gone)
+        # Few block sizes, because each is compiled.
+        small = size if size < _FEW_LANES else min(size, 4 ** math.ceil(math.log(len(which), 4)))
+        own = cases.of(which, states[which, -1])
+        name = f"more-{last}-{hashlib.sha256(which.tobytes() + own.starts.tobytes()).hexdigest()[:12]}"
+        run = partial(_follow, transient=jnp.asarray(last - gone, jnp.int32), kept=kept)
+        later = in_blocks(own, run, SeenCases, progress, stored, small, name)
+        later = later._replace(near_grazing_count=later.near_grazing_count + seen.near_grazing_count[which])
+        for whole, part in zip(seen, later, strict=True):
+            whole[which] = part
+        more[which] = last - transient
+        found[which] = recurrence(states[which], sizes[which], tolerance, cases.turns)
+    if cases.driven and longest > transient:
+        for case in np.flatnonzero(found == UNSETTLED)[:_MOST_ORBITS]:
+            found[case] = _by_orbits(cases, int(case), states[case], sizes[case], tolerance)
+    if longest > transient:
+        so_far = f"{transient + np.max(more)} periods"
+        warn_of_unsettled(found == UNSETTLED, so_far, "longest_transient", stacklevel=4)
+    warn_of_unfinished(seen, stacklevel=4)
+    return seen, found, more
+
+
+def _by_orbits(cases: Cases, case: int, states: np.ndarray, sizes: np.ndarray, tolerance: float) -> int:
+    """The number of periods of the stable orbit that a motion comes nearer to; -1 where none is found near it."""
+    seen = states[None], sizes[None], tolerance, cases.turns
+    # The numbers of returns of the orbits to which it comes nearer, and how far it may still be from them (tolerances).
+    near = []
+    for number, error in _differences(*seen):
+        size, _, changes = _tendency(error, number)
+        if changes[0] and 0 < size[0] < np.max(error):
+            near.append((number, float(size[0])))
+    near += [(number, float(left[0])) for number, left in _turning(*seen) if np.isfinite(left[0])]
+    one, scale = cases.cycle.of(case), _scales(states[None], sizes[None], cases.turns)[0]
+    y0, steps = tuple(map(float, states[-1])), one.method.max_steps
+    for number, left in near:
+        method = Exact(one.method.step, None if steps is None else number * steps, one.method.solver)
+        period = float(one.duration)
+        orbit = periodic_orbit(one.system, one.base, y0=y0, periods=number, period=period, method=method)
+        change = _the_shorter_way(np.asarray(orbit.state) - states[-1], cases.turns)
+        is_near = np.max(np.abs(change) / scale) <= _NEAR * left * tolerance
+        if bool(orbit.converged) and orbit.is_stable and is_near:
+            return number
+    return UNSETTLED

@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,27 +14,12 @@ from jaxtyping import Array
 from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.extras import Entries, variable
+from .._foundation.extras import Dataset, Entries, variable
 from .._foundation.types import BoolScalar, FloatArray, IntArray, Scalar, Status
 from .._numerics.matrices import orthogonal_factors
 from .._systems.system import System
-from ._cases import Cycle, Over, cases_of, checked_numbers
-from ._following import (
-    CYCLE,
-    START,
-    Folder,
-    dataset_of,
-    dimensions_of,
-    in_blocks,
-    kept_in,
-    on_grid,
-    outcome_of,
-    warn_of_unfinished,
-)
-from ._settling import RECURS, UNSETTLED, recurrence
-
-if TYPE_CHECKING:
-    import xarray
+from ._cases import CYCLE, START, Cycle, Over, cases_of, checked_numbers
+from ._following import RECURS, UNSETTLED, Folder, in_blocks, kept_in, recurrence, warn_of_unfinished
 
 EXPONENT = "exponent"
 _ALIGNED = 50  # periods of the transient in which the directions turn into those of the exponents
@@ -74,7 +59,7 @@ def lyapunov_exponents(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """The Lyapunov exponents of motions, from many starts and over parameters at once.
 
     The directions are carried through each period by the exact derivative of the motion, its sticks and slips included,
@@ -130,15 +115,15 @@ def lyapunov_exponents(
     # The stretches of the first directions are the largest only in the long run: equal ones may come in any order.
     last = -np.sort(-means[:, -1], axis=-1)
     variables: Entries = {
-        "lyapunov_exponent": on_grid(cases, last, "Lyapunov exponent", "1/s", (EXPONENT,)),
-        "running_exponent": on_grid(cases, means, "Lyapunov exponent up to the period", "1/s", (CYCLE, EXPONENT)),
-        "settled": on_grid(cases, settled, "whether the motion has settled"),
-        "period": on_grid(cases, cases.cycle.duration, "period", "s"),
-        **outcome_of(cases, found),
+        "lyapunov_exponent": cases.variable(last, "Lyapunov exponent", "1/s", (EXPONENT,)),
+        "running_exponent": cases.variable(means, "Lyapunov exponent up to the period", "1/s", (CYCLE, EXPONENT)),
+        "settled": cases.variable(settled, "whether the motion has settled"),
+        "period": cases.variable(cases.cycle.duration, "period", "s"),
+        **cases.outcome(found),
     }
-    if dimensions_of(cases)[-1:] == (START,):
+    if cases.dimensions[-1:] == (START,):
         grid = last.reshape((*cases.shape, -1))
-        own = (*dimensions_of(cases)[:-1], EXPONENT)
+        own = (*cases.dimensions[:-1], EXPONENT)
         with np.errstate(invalid="ignore"):
             mean, starts = np.mean(grid, axis=-2), grid.shape[-2]
             error = np.std(grid, axis=-2, ddof=1) / np.sqrt(starts) if starts > 1 else np.full(mean.shape, np.nan)
@@ -149,7 +134,7 @@ def lyapunov_exponents(
         CYCLE: (CYCLE, numbers, {"long_name": "number of the period"}),
         EXPONENT: (EXPONENT, np.arange(1, number + 1), {"long_name": "number of the exponent"}),
     }
-    return dataset_of(cases, variables, coordinates)
+    return cases.dataset(variables, coordinates)
 
 
 @eqx.filter_jit

@@ -1,6 +1,10 @@
-"""Periodic orbits, with sticks or without: Newton's method on the return map, with its exact derivatives."""
+"""Periodic orbits, with sticks or without: Newton's method on the return map, with its exact derivatives; and their
+equations along a parameter.
+"""
 
+import dataclasses
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,19 +14,29 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from .._dynamics.common.method import EXACT, Arguments, Exact, check_fixed, slowest_time, state_of, working_dtype
+from .._dynamics.common.method import EXACT, Arguments, Exact, slowest_time, state_of, working_dtype
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
 from .._dynamics.switched.engine import StepPath, follow_steps
+from .._ensemble.points import Setter, SweepSetting
 from .._excitation.excitation import BaseMotion, motion_of
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation import checks
 from .._foundation.methods import WithMethods
-from .._foundation.processes import require_threads_of_jax
-from .._foundation.types import BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar
+from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar, Status
 from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
-from .._systems.system import System, checked_system
-from ._cases import Cycle, changes_by_itself, check_repeats, check_signals, checked_period, drive_period, steps_in
+from .._systems.system import System
+from .._uncertainty.numbers import NumberPath, with_numbers
+from ._cases import (
+    Cycle,
+    changes_by_itself,
+    check_repeats,
+    check_signals,
+    drive_period,
+    steps_in,
+    without_turns,
+)
 
 # The sequence of modes of a trajectory: which contacts stick, and which slip in which direction.
 
@@ -63,17 +77,10 @@ def sequence(modes: tuple[Mode, ...]) -> tuple[tuple[int, ...], ...]:
     return min(turns)
 
 
-def stick_count(modes: tuple[Mode, ...]) -> int:
-    """The number of sticks of all contacts on a closed orbit; one that lasts for all of it counts."""
-    return _count(modes, 0)
-
-
-def slip_count(modes: tuple[Mode, ...]) -> int:
-    """The number of slips in one direction of all contacts on a closed orbit; one that lasts for all of it counts."""
-    return _count(modes, 1) + _count(modes, -1)
-
-
-def _count(modes: tuple[Mode, ...], sign: int) -> int:
+def count(modes: tuple[Mode, ...], sign: int) -> int:
+    """The number of sticks (`sign` 0), or of slips in one direction, of all contacts on a closed orbit; one that lasts
+    for all of it counts.
+    """
     found = np.array(sequence(modes)) == sign
     begun = found & ~np.roll(found, 1, axis=0)
     return int(np.sum(begun) + np.sum(np.all(found, axis=0)))
@@ -184,9 +191,9 @@ def multipliers_of(matrix: np.ndarray) -> np.ndarray:
     return found[np.argsort(-np.abs(found), kind="stable")]
 
 
-def without_trivial(multipliers: np.ndarray) -> np.ndarray:
-    """Without the multiplier that is nearest to 1: that along the motion, where nothing drives the system."""
-    return np.delete(multipliers, np.argmin(np.abs(multipliers - 1)))
+def own_multipliers(multipliers: np.ndarray, driven: bool) -> np.ndarray:
+    """Where nothing drives the system, without the multiplier that is nearest to 1: that along the motion."""
+    return multipliers if driven else np.delete(multipliers, np.argmin(np.abs(multipliers - 1)))
 
 
 def guessed_period(system: System, base: BaseMotion, start: Any, method: Exact) -> float:
@@ -278,8 +285,7 @@ class PeriodicOrbit(WithMethods):
     @property
     def is_stable(self) -> bool:
         """Whether all multipliers are inside the unit circle; without a drive, all but the one that is 1."""
-        found = np.asarray(self.multipliers)
-        return bool(np.all(np.abs(found if self.is_driven else without_trivial(found)) < 1))
+        return bool(np.all(np.abs(own_multipliers(np.asarray(self.multipliers), self.is_driven)) < 1))
 
     @property
     def simulation(self) -> Simulation:
@@ -340,18 +346,12 @@ def periodic_orbit(
     >>> print(orbit.period.round(9), orbit.multipliers.round(8))
     12.001031295 [1.+0.j 0.+0.j]
     """
-    require_threads_of_jax()
+    check_repeats(system, base, period, method)
     periods = checks.whole_number("periods", periods)
     iterations = checks.whole_number("iterations", iterations)
-    if not isinstance(method, Exact):
-        raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
-    system = checked_system(system)
-    check_fixed(system=system, base=base)
     start = state_of(system, y0)
-    check_repeats(base)
     dtype = working_dtype()
     motion = motion_of(base)
-    period = checked_period(period)
     by_itself = changes_by_itself(system, base, start, period)
     duration = drive_period(system, motion, period, by_itself)
     driven = duration is not None
@@ -431,3 +431,193 @@ def _size(state: FloatArray, residual: FloatArray) -> FloatScalar:
     sizes = jnp.maximum(jnp.abs(state), jnp.abs(state + residual))
     scale = jnp.maximum(sizes, _LEAST_SCALE * jnp.max(sizes))
     return jnp.max(jnp.abs(residual) / jnp.where(scale > 0, scale, 1))
+
+
+# The equations of a periodic orbit as a function of its state, its period and a parameter, for continuation.
+
+
+_MOST_STEPS = 4  # times what the first orbit needs
+_FAR = 0.05  # of the period, from the begin of an orbit to the next event
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluated:
+    """The equations at one point: their `value` (size,), the `matrix` of derivatives (size, size + 1); the `duration`
+    (s) and the `modes` of the orbit, and whether something drives it (`driven`).
+    """
+
+    value: np.ndarray
+    matrix: np.ndarray
+    duration: float
+    modes: tuple[Mode, ...]
+    driven: bool
+
+    @cached_property
+    def multipliers(self) -> np.ndarray:
+        """The Floquet multipliers, the largest first."""
+        size = len(self.value) - (not self.driven)
+        return multipliers_of(self.matrix[:size, :size] + np.eye(size))
+
+    @property
+    def own_multipliers(self) -> np.ndarray:
+        """The multipliers without the one that is 1 where nothing drives the system."""
+        return own_multipliers(self.multipliers, self.driven)
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether they are inside the unit circle."""
+        return bool(np.all(np.abs(self.own_multipliers) < 1))
+
+    @property
+    def stick_fraction(self) -> float:
+        """The share of the period in sticks, mean over the contacts."""
+        stuck = sum((mode.end - mode.start) * np.mean([sign == 0 for sign in mode.signs]) for mode in self.modes)
+        return float(stuck / self.duration)
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether all contacts stick all the time."""
+        return not any(any(mode.signs) for mode in self.modes)
+
+    @property
+    def order(self) -> tuple[object, ...]:
+        """The sequence of modes, and that with which the period begins: where it changes, the branch has a corner."""
+        return sequence(self.modes), self.modes[0].signs
+
+    @property
+    def is_far_from_events(self) -> bool:
+        """Whether the orbit begins in the midst of a mode."""
+        first, last, least = self.modes[0], self.modes[-1], _FAR * self.duration
+        return len(self.modes) == 1 or (first.end > least and last.end - last.start > least)
+
+
+class Plane(NamedTuple):
+    """Where an orbit that nothing drives begins: on the plane through `point` across `normal`."""
+
+    point: AnyArray
+    normal: AnyArray
+
+
+class Equations:
+    """Of unknowns (coordinates, then the period if nothing drives the system, then the parameter): the state comes
+    back, and without a drive it begins on the `plane`, which is given then.
+    """
+
+    plane: Plane | None = None
+
+    def __init__(self, orbit: PeriodicOrbit, setter: Setter, parameter: str, dtype: np.dtype):
+        """`orbit`: where the branch begins; its period is so many periods of the drive, or one that was given.
+        `setter`: of the `parameter`.
+        """
+        setting, driven, duration = setter.setting, orbit.is_driven, float(orbit.period)
+        self._setter, self._first, self._path = setter, duration, setter.paths[parameter]
+        self.driven, self._dtype, self.itemsize = driven, dtype, dtype.itemsize
+        self._setting = as_arrays(setting, dtype)
+        self.coordinates = len(setting.system.coordinates)
+        motion = motion_of(setting.law)
+        self._by_itself = driven and changes_by_itself(setting.system, setting.law, setting.y0, duration)
+        self._drive = None
+        try:
+            drive = drive_period(setting.system, motion, None, self._by_itself)
+        except ValueError:  # it is not known without being given
+            self._drive = duration
+            drive = drive_period(setting.system, motion, duration, self._by_itself)
+        self.periods = 1 if drive is None else round(duration / float(drive))
+        realized = motion.realized_until(duration)
+        self.steps = steps_in(setting.system, realized, orbit.method, duration, by_steps=True)
+        if self.steps is None:
+            self.steps = orbit.method.max_steps
+        self._most_each = _MOST_STEPS * (self.steps or 0)
+        self._capacity = None
+        if driven and isinstance(motion, PiecewiseConstantLaw):
+            self._capacity = motion.checked_capacity(duration) + 1
+
+    @property
+    def size(self) -> int:
+        """The number of equations."""
+        return self.coordinates + (not self.driven)
+
+    def at(self, unknowns: np.ndarray, periods: int | None = None) -> Evaluated | None:
+        """The equations at a point; None where the motion cannot be followed there, or the parameter may not be.
+
+        `periods`: of the drive; by default those of the orbit.
+        """
+        size, periods = self.coordinates, self.periods if periods is None else periods
+        if not self.driven and not unknowns[size] > 0:
+            return None
+        try:
+            self._setter((float(unknowns[-1]),))
+        except ValueError:  # the parameter may not have this value
+            return None
+        plane = None if self.plane is None else Plane(*(jnp.asarray(one, self._dtype) for one in self.plane))
+        while True:
+            found = _evaluate(
+                self._setting, jnp.asarray(unknowns, self._dtype), plane, path=self._path,
+                driven=self.driven, by_itself=self._by_itself, periods=periods, drive=self._drive, steps=self.steps,
+                capacity=self._capacity,
+            )  # fmt: skip
+            value, matrix, times, signs, status, duration = map(np.asarray, found)
+            most = self._most_each * max(float(duration) / self._first, 1)
+            if int(status) != int(Status.OUT_OF_STEPS) or not self.steps or self.steps >= most:
+                break
+            self.steps *= 2
+        if int(status) != int(Status.FINISHED) or not (np.all(np.isfinite(value)) and np.all(np.isfinite(matrix))):
+            return None
+        return Evaluated(value, matrix, float(duration), modes_between(times, signs, float(duration)), self.driven)
+
+    def half_way(self, unknowns: np.ndarray) -> np.ndarray | None:
+        """What the state moves in half of the period, (coordinates,); None where the drive does not repeat itself in
+        it, or the motion cannot be followed.
+        """
+        if self.driven and self.periods % 2:
+            return None
+        found = self.at(*self.halved(unknowns))
+        return None if found is None else found.value[: self.coordinates]
+
+    def halved(self, unknowns: np.ndarray) -> tuple[np.ndarray, int | None]:
+        """The unknowns with half of the period, and half of the periods of the drive, None without one."""
+        half = np.array(unknowns, float)
+        if self.driven:
+            return half, self.periods // 2
+        half[self.coordinates] /= 2
+        return half, None
+
+
+@eqx.filter_jit
+def _evaluate(
+    setting: SweepSetting, unknowns: FloatArray, plane: Plane | None, *, path: NumberPath, driven: bool,
+    by_itself: bool, periods: int, drive: float | None, steps: int | None, capacity: int | None,
+) -> tuple[Array, ...]:  # fmt: skip
+    """The equations, their derivatives, the time and the signs at the begin of each loop step, the `Status`, and the
+    duration (s).
+    """
+    coordinates, dtype = len(setting.system.coordinates), unknowns.dtype
+
+    def function(unknowns: FloatArray):
+        y, parameter = unknowns[:coordinates], unknowns[-1]
+        changed = with_numbers(setting, (path,), [parameter])
+        motion = motion_of(changed.law)
+        if driven:
+            period = drive_period(changed.system, motion, drive, by_itself)
+            assert period is not None
+            duration = periods * jnp.asarray(period, dtype)
+        else:
+            duration = unknowns[coordinates]
+        if capacity is not None and isinstance(motion, PiecewiseConstantLaw):
+            base = motion.sample(None, duration, capacity=capacity)
+        else:
+            base = motion.realized_until(duration)
+        method = Exact(setting.method.step, steps, setting.method.solver)
+        run = Cycle(changed.system, base, duration, method).by_steps(y)
+        assert isinstance(run.path, StepPath)
+        value = without_turns(setting.system, jnp.stack(run.final_state) - y)
+        if plane is not None:
+            value = jnp.append(value, jnp.sum(plane.normal * (y - plane.point)))
+        return value, (run.path.beginnings.t, run.path.beginnings.sign, run.status, duration)
+
+    def along(direction: FloatArray):
+        return jax.jvp(function, (unknowns,), (direction,), has_aux=True)
+
+    unit = jnp.eye(len(unknowns), dtype=dtype)
+    value, matrix, more = jax.vmap(along, out_axes=(None, 1, None))(unit)
+    return value, matrix, *more

@@ -1,7 +1,7 @@
 """Sections of motions: states once a period, bifurcation diagrams that show them, and states at events."""
 
 import warnings
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import jax
@@ -15,33 +15,27 @@ from .._dynamics.common.path import Run
 from .._dynamics.switched.engine import StepBeginnings, StepPath, state_in_step
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.extras import Entries
+from .._foundation.extras import Dataset, Entries
 from .._foundation.fields import Checked, Quantity
 from .._foundation.processes import require_memory
 from .._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
 from .._systems.switched_model import SwitchedModel
 from .._systems.system import System
-from ._cases import Cases, Cycle, Over, cases_of, checked_numbers
+from ._cases import CYCLE, Cases, Cycle, Over, cases_of, checked_numbers
 from ._following import (
-    CYCLE,
+    RECURS,
+    UNSETTLED,
+    Direction,
     Folder,
     SeenCases,
-    dataset_of,
-    follow,
-    follow_along,
+    checked_periods,
     in_blocks,
     kept_in,
-    on_grid,
-    outcome_of,
-    states_of,
+    recurrence,
+    settled,
     warn_of_unfinished,
     warn_of_unsettled,
 )
-from ._settling import RECURS, UNSETTLED, checked_periods, recurrence, settled
-
-if TYPE_CHECKING:
-    import xarray
-
 
 # States once a period of the drive: stroboscopic sections, and the bifurcation diagrams that they make.
 
@@ -63,7 +57,7 @@ def stroboscopic_section(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """States once a period of what drives the system, after a transient: for many starts and parameters at once.
 
     Args:
@@ -109,32 +103,28 @@ def stroboscopic_section(
     >>> section.recurrence.values
     array([1, 1])
     """
-    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
-    checks.positive("tolerance", tolerance)
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient, tolerance)
     cases = cases_of(system, base, y0, over, period, method)
     what = {"function": "stroboscopic_section", "transient": transient, "kept": kept}
     with kept_in(folder, cases, what) as stored:
-        seen = follow(cases, transient, kept, progress, stored)
-        found = settled(cases, seen, lasted, float(tolerance), progress, stored)
-    warn_of_unfinished(found[0])
-    return section_of(cases, *found, transient)
+        return section_of(cases, *settled(cases, lasted, float(tolerance), progress, stored), transient)
 
 
-def section_of(cases: Cases, seen: SeenCases, found: np.ndarray, more: np.ndarray, transient: int) -> "xarray.Dataset":
+def section_of(cases: Cases, seen: SeenCases, found: np.ndarray, more: np.ndarray, transient: int) -> Dataset:
     """The data set of what was seen, of the recurrences `found` and the periods `more` of each case, (cases,)."""
     each = (CYCLE,) if np.ndim(seen.stick_time) == 2 else (CYCLE, CONTACT)
     variables: Entries = {
-        **states_of(cases, np.asarray(seen.states), (CYCLE,), "at the end of the period"),
-        "stick_time": on_grid(cases, seen.stick_time, "time in sticks in the period", "s", each),
-        "stick_count": on_grid(cases, seen.stick_count, "number of sticks that begin in the period", "1", each),
-        "longest_stick": on_grid(cases, seen.longest_stick, "longest stick of the period", "s", each),
-        "recurrence": on_grid(cases, found, "number of periods after which the motion repeats itself"),
-        "more_periods": on_grid(cases, more, "number of periods for which it went on until it had settled"),
-        "period": on_grid(cases, cases.cycle.duration, "period", "s"),
-        **outcome_of(cases, seen),
+        **cases.variables_of(np.asarray(seen.states), CYCLE, "at the end of the period"),
+        "stick_time": cases.variable(seen.stick_time, "time in sticks in the period", "s", each),
+        "stick_count": cases.variable(seen.stick_count, "number of sticks that begin in the period", "1", each),
+        "longest_stick": cases.variable(seen.longest_stick, "longest stick of the period", "s", each),
+        "recurrence": cases.variable(found, "number of periods after which the motion repeats itself"),
+        "more_periods": cases.variable(more, "number of periods for which it went on until it had settled"),
+        "period": cases.variable(cases.cycle.duration, "period", "s"),
+        **cases.outcome(seen),
     }
     numbers = np.arange(transient + 1, transient + np.shape(seen.states)[1] + 1)
-    return dataset_of(cases, variables, {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})})
+    return cases.dataset(variables, {CYCLE: (CYCLE, numbers, {"long_name": "number of the period"})})
 
 
 # Bifurcation diagrams: what motions settle on, over the values of parameters.
@@ -159,7 +149,7 @@ def bifurcation_diagram(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """States once a period over the values of parameters, from the same starts or following the attractor.
 
     Args:
@@ -189,29 +179,21 @@ def bifurcation_diagram(
         SweepError: For a folder that holds something else or cannot be written.
         ImportError: Without the extra ``study``.
     """
-    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient)
-    checks.positive("tolerance", tolerance)
+    lasted = transient, kept, _ = checked_periods(transient, kept, longest_transient, tolerance)
     checks.chosen("follow_attractor", follow_attractor, get_args(Follow))
     cases = cases_of(system, base, y0, over, period, method)
     what = {"function": "bifurcation_diagram", "transient": transient, "kept": kept}
+    each: tuple[Direction, ...] = ("up", "down") if follow_attractor == "both" else (follow_attractor,)
+    found: list[Dataset] = []
     with kept_in(folder, cases, what) as stored:
-        if follow_attractor == "start":
-            seen = {"start": follow(cases, transient, kept, progress, stored)}
-        else:
-            directions = ("up", "down") if follow_attractor == "both" else (follow_attractor,)
-            seen = {
-                one: follow_along(cases, transient, kept, progress, stored, descending=one == "down")
-                for one in directions
-            }
-        every = [settled(cases, one, lasted, float(tolerance), progress, stored) for one in seen.values()]
-    for one in every:
-        warn_of_unfinished(one[0])
-    found = [section_of(cases, *one, transient) for one in every]
+        for one in each:
+            done = settled(cases, lasted, float(tolerance), progress, stored, one)
+            found.append(section_of(cases, *done, transient))
     if len(found) == 1:
         return found[0]
     import xarray as xr  # noqa: PLC0415 - an extra, which was there to make the parts
 
-    directions = xr.DataArray(list(seen), dims=DIRECTION, name=DIRECTION, attrs={"long_name": "direction"})
+    directions = xr.DataArray(list(each), dims=DIRECTION, name=DIRECTION, attrs={"long_name": "direction"})
     return xr.concat(found, directions, combine_attrs="override")
 
 
@@ -260,21 +242,8 @@ class _Found(NamedTuple):
     most_passages: Array  # in one period, of a coordinate through the value
 
 
-class _Carry(NamedTuple):
-    y: FloatArray
-    sign: FloatArray  # at the end of the last period; NaN before the first
-    found: _Found
-
-
-class _Event(NamedTuple):
-    """What is looked for: a mode of a contact that begins or ends, or a coordinate, by number, that passes a value."""
-
-    mode: str | None = None
-    contact: int = 0
-    coordinate: int = 0
-    value: float = 0.0
-    direction: int = 0
-    turn: float | None = None  # the coordinate's period
+_Carry = tuple[FloatArray, FloatArray, _Found]
+"""The state, the sign at the end of the last period (NaN before the first), and what was found."""
 
 
 def event_section(
@@ -291,7 +260,7 @@ def event_section(
     method: Exact = EXACT,
     progress: bool | None = None,
     folder: Folder | None = None,
-) -> "xarray.Dataset":
+) -> Dataset:
     """States at events of one kind, after a transient: for many starts and parameters at once.
 
     Args:
@@ -327,16 +296,11 @@ def event_section(
     cases = cases_of(system, base, y0, over, period, method, for_events=True)
     numbers = cases.starts.shape[1] + 1
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the times and states of so many events")
-    options, names = get_args(ModeEvent), [coordinate.name for coordinate in cases.system.coordinates]
+    options = get_args(ModeEvent)
     if isinstance(of, Crossing):
-        checks.chosen("of.coordinate", of.coordinate, names)
-        place = names.index(of.coordinate)
-        event = _Event(
-            coordinate=place, value=float(of.value), direction=of.direction, turn=cases.system.coordinates[place].period
-        )
+        checks.chosen("of.coordinate", of.coordinate, [coordinate.name for coordinate in cases.system.coordinates])
     elif isinstance(of, str) and of in options:
-        last = (cases.system.tracks.contacts or 1) - 1
-        event = _Event(of, checks.whole_number("contact", contact, minimum=0, maximum=last))
+        contact = checks.whole_number("contact", contact, minimum=0, maximum=(cases.system.tracks.contacts or 1) - 1)
     else:
         raise ValueError(
             f"Argument of must be {checks.one_of(map(repr, options))}, or a Crossing(coordinate, value), but "
@@ -347,7 +311,7 @@ def event_section(
     def run(cycle: Cycle, starts: Array) -> _Found:
         counts, slots = [jnp.asarray(number, jnp.int32) for number in (transient, most)], _SLOTS
         while True:
-            found = _find(cycle, starts, *counts, kept=kept, event=event, slots=slots)
+            found = _find(cycle, starts, *counts, kept=kept, of=of, contact=contact, slots=slots)
             if (needed := int(jnp.max(found.most_passages))) <= slots:
                 return found
             slots = 2 * needed
@@ -379,20 +343,21 @@ def event_section(
     # A case goes on while others of its block do: what it then finds does not count.
     number = np.minimum(found.number, transient + kept)
     variables: Entries = {
-        "time": on_grid(cases, times, "time of the event", "s", (EVENT,)),
-        **states_of(cases, states, (EVENT,), "at the event"),
-        "recurrence": on_grid(cases, recurs, "number of events after which the motion repeats itself"),
-        "event_count": on_grid(cases, number, "number of events found"),
-        **outcome_of(cases, found),
+        "time": cases.variable(times, "time of the event", "s", (EVENT,)),
+        **cases.variables_of(states, EVENT, "at the event"),
+        "recurrence": cases.variable(recurs, "number of events after which the motion repeats itself"),
+        "event_count": cases.variable(number, "number of events found"),
+        **cases.outcome(found),
     }
     numbers = np.arange(transient + 1, transient + kept + 1)
-    return dataset_of(cases, variables, {EVENT: (EVENT, numbers, {"long_name": "number of the event"})})
+    return cases.dataset(variables, {EVENT: (EVENT, numbers, {"long_name": "number of the event"})})
 
 
 @eqx.filter_jit
 def _find(
-    cycle: Cycle, starts: Array, transient: IntArray, most: IntArray, *, kept: int, event: _Event, slots: int
-) -> _Found:
+    cycle: Cycle, starts: Array, transient: IntArray, most: IntArray, *, kept: int, of: ModeEvent | Crossing,
+    contact: int, slots: int,
+) -> _Found:  # fmt: skip
     cases, size = starts.shape
     none = jnp.zeros(cases, jnp.int32)
 
@@ -400,21 +365,22 @@ def _find(
         return jnp.full(shape, jnp.nan, starts.dtype)
 
     nothing = _Found(none, unknown(cases, kept), unknown(cases, kept, size), none, none, none)
-    first = _Carry(starts, unknown(cases), nothing)
+    first = starts, unknown(cases), nothing
 
     def over_period(own: Cycle, carry: _Carry, number: IntArray) -> _Carry:
-        run, found = own.by_steps(carry.y), carry.found
+        y, last, found = carry
+        run = own.by_steps(y)
         path = run.path
         assert isinstance(path, StepPath)
         model, begun = path.model, path.beginnings
-        sign = begun.sign if begun.sign.ndim == 1 else begun.sign[:, event.contact]
+        sign = begun.sign if begun.sign.ndim == 1 else begun.sign[:, contact]
         passages = jnp.zeros((), jnp.int32)
-        if event.mode is None:
-            happens, times, states, passages = _passages(model, begun, run, event, slots)
+        if isinstance(of, Crossing):
+            happens, times, states, passages = _passages(own.system, model, begun, run, of, slots)
         else:
             # At the begin of which steps the event is, by the sign of the relative velocity before and from there on.
-            before = jnp.append(jnp.where(jnp.isnan(carry.sign), sign[0], carry.sign), sign[:-1])
-            begins = _BEGINS.get(event.mode)
+            before = jnp.append(jnp.where(jnp.isnan(last), sign[0], last), sign[:-1])
+            begins = _BEGINS.get(of)
             happens = (before == 0) & (sign != 0) if begins is None else (before != begins) & (sign == begins)
             times, states = begun.t, jnp.stack(jax.vmap(lambda y: jnp.stack(model.numbers(y)))(begun.y))
         started = number * own.duration
@@ -430,7 +396,7 @@ def _find(
             found.near_grazing_count + run.near_grazing_count.astype(jnp.int32),
             jnp.maximum(found.most_passages, passages),
         )
-        return _Carry(y, sign[-1], found)
+        return y, sign[-1], found
 
     def goes_on(state: tuple[IntArray, _Carry]) -> BoolArray:
         number, (_, _, found) = state
@@ -442,21 +408,28 @@ def _find(
         of_all = eqx.filter_vmap(over_period, in_axes=(eqx.if_array(0), eqx.if_array(0), None))
         return number + 1, of_all(cycle, carry, number)
 
-    _, carry = lax.while_loop(goes_on, one_period, (jnp.zeros((), jnp.int32), first))
-    return carry.found
+    return lax.while_loop(goes_on, one_period, (jnp.zeros((), jnp.int32), first))[1][2]
 
 
 def _passages(
-    model: SwitchedModel, begun: StepBeginnings, run: Run, event: _Event, slots: int
+    system: System, model: SwitchedModel, begun: StepBeginnings, run: Run, crossing: Crossing, slots: int
 ) -> tuple[BoolArray, FloatArray, FloatArray, IntArray]:
     """Whether, when and in what state a coordinate passes the value, in slots, and how often it does."""
-    values = _beyond(jax.vmap(lambda y: model.numbers(y)[event.coordinate])(begun.y), event)
-    after = jnp.append(values[1:], _beyond(run.final_state[event.coordinate], event))
+    place = [coordinate.name for coordinate in system.coordinates].index(crossing.coordinate)
+    turn = system.coordinates[place].period
+
+    def beyond(numbers: FloatArray) -> FloatArray:
+        """How far the coordinate is beyond the value; an angle by at most half a turn."""
+        past = numbers - crossing.value
+        return past if turn is None else past - turn * jnp.round(past / turn)
+
+    values = beyond(jax.vmap(lambda y: model.numbers(y)[place])(begun.y))
+    after = jnp.append(values[1:], beyond(run.final_state[place]))
     up, down = (values < 0) & (after >= 0), (values > 0) & (after <= 0)
-    if event.turn is not None:  # half a turn away from the value it changes its sign too
-        near = jnp.abs(after - values) < event.turn / 2
+    if turn is not None:  # half a turn away from the value it changes its sign too
+        near = jnp.abs(after - values) < turn / 2
         up, down = up & near, down & near
-    passes = up if event.direction > 0 else down if event.direction < 0 else up | down
+    passes = up if crossing.direction > 0 else down if crossing.direction < 0 else up | down
     (steps,) = jnp.nonzero(passes, size=slots, fill_value=-1)
     lengths = jnp.append(begun.t[1:], run.time_reached) - begun.t
 
@@ -468,8 +441,7 @@ def _passages(
             low, high, h = state
             y = state_in_step(model, here, h)
             rates = model.rates(model.forcing(here.t, here.segments), h, y, here.sign)
-            value = _beyond(model.numbers(y)[event.coordinate], event)
-            rate = model.numbers(rates)[event.coordinate]
+            value, rate = beyond(model.numbers(y)[place]), model.numbers(rates)[place]
             is_before = (value < 0) == rises
             low, high = jnp.where(is_before, h, low), jnp.where(is_before, high, h)
             newton = h - value / jnp.where(rate == 0, 1, rate)
@@ -483,9 +455,3 @@ def _passages(
 
     times, states = jax.vmap(locate)(steps)
     return steps >= 0, times, states, jnp.sum(passes, dtype=jnp.int32)
-
-
-def _beyond(numbers: FloatArray, event: _Event) -> FloatArray:
-    """How far a coordinate is beyond the value; of an angle, by at most half a turn."""
-    beyond = numbers - event.value
-    return beyond if event.turn is None else beyond - event.turn * jnp.round(beyond / event.turn)

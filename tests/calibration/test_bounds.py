@@ -10,9 +10,9 @@ import pytest
 from scipy import optimize, stats
 
 import stickslip_jax as ss
-from stickslip_jax._calibration.information import all_bounds, information_of
+from stickslip_jax._calibration.call import all_bounds, information_of
 from stickslip_jax._calibration.parameters import Transform, identity
-from stickslip_jax._calibration.search import Fit, FitProblem, FoundFit, Free, Residuals, SearchPoint
+from stickslip_jax._calibration.search import FitProblem, FoundFit, Free, Residuals, SearchPoint
 
 SETS = 200
 TIMES = np.linspace(0, 20, 401)
@@ -140,20 +140,20 @@ def test_errors_that_end_where_the_motion_changes(beyond, high):
 
         def search(self, sigma, start, free):
             assert not free.x.any()
-            return Fit(start, self.seen(start), True)
+            return FoundFit(self, free, sigma, start, self.seen(start), True)
 
     model: Any = SimpleNamespace(transform=identity(1, np.dtype(float)))
     problem = Bent(model, cast(Any, None))
     at, sigma, free = SearchPoint(np.zeros(1), np.zeros((1, 0))), np.ones(1), Free(np.ones(1, bool), False)
-    fit = Fit(at, problem.seen(at), True)
+    fit = FoundFit(problem, free, sigma, at, problem.seen(at), True)
     told = information_of(fit.seen, 1)
-    found, is_told = all_bounds(FoundFit(problem, fit, free, sigma), told, np.inf)
+    found, is_told = all_bounds(fit, told, np.inf)
     assert is_told.all()
     assert bool(found) == (high is not None)
     if high is not None:
         np.testing.assert_allclose(np.array(found[0]) * size, [-1.645, high], rtol=1e-3)
     # Of a search that did not end nothing more is computed.
-    assert not all_bounds(FoundFit(problem, fit._replace(converged=False), free, sigma), told, np.inf)[0]
+    assert not all_bounds(fit._replace(converged=False), told, np.inf)[0]
 
 
 @pytest.mark.parametrize(("straight_in", "ends"), [("number", None), ("logarithm", (0.7197, 1.3895))])
@@ -170,14 +170,14 @@ def test_errors_are_those_of_the_number_not_of_its_logarithm(straight_in, ends):
             return Residuals(np.array([[[residual / 0.2]]]), np.array([[[[slope / 0.2]]]]))
 
         def search(self, sigma, start, free):
-            return Fit(start, self.seen(start), True)
+            return FoundFit(self, free, sigma, start, self.seen(start), True)
 
     one, none = np.ones(1), np.zeros(1)
     transform = Transform(one, none, one * np.inf, none, one, np.zeros((1, 1)))
     problem = Straight(cast(Any, SimpleNamespace(transform=transform)), cast(Any, None))
     at, free = SearchPoint(none, np.zeros((1, 0))), Free(np.ones(1, bool), False)
-    fit = Fit(at, problem.seen(at), True)
-    found, _ = all_bounds(FoundFit(problem, fit, free, one), information_of(fit.seen, 1), np.inf)
+    fit = FoundFit(problem, free, one, at, problem.seen(at), True)
+    found, _ = all_bounds(fit, information_of(fit.seen, 1), np.inf)
     assert bool(found) == (ends is not None)
     if ends is not None:
         np.testing.assert_allclose(np.array(found[0]), ends, rtol=1e-3)

@@ -175,7 +175,9 @@ def test_search_goes_back_where_there_is_nothing():
     def at(x):
         asked.append(x)
         away = x - wanted
-        return None if x[0] > 0.4 else FitPart(0.5 * away @ bend @ away, bend @ away, 0.6 * bend, 0 * bend, bend)
+        if x[0] > 0.4:
+            return FitPart.nothing(2)
+        return FitPart(0.5 * away @ bend @ away, bend @ away, 0.6 * bend, 0 * bend, bend)
 
     assert minimised(at, np.zeros(2), 60).x == pytest.approx(wanted, abs=1e-4)
     assert any(x[0] > 0.4 for x in asked)

@@ -1,5 +1,6 @@
 """Orbits followed along a parameter: what happens on the way, against closed forms and other programs' results."""
 
+import dataclasses
 import itertools
 import math
 
@@ -10,9 +11,8 @@ from support.turning import DRAG, FAR, Disc
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
-from stickslip_jax.nonlinear._branches import Equations, Evaluated, OrbitPoint, change_of_modes
-from stickslip_jax.nonlinear._continuation import _Branch
-from stickslip_jax.nonlinear._orbits import Mode, sequence, stick_count
+from stickslip_jax.nonlinear._continuation import OrbitPoint, _Branch, change_of_modes
+from stickslip_jax.nonlinear._orbits import Equations, Evaluated, Mode, count, sequence
 
 BELT = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.5, mu_static=1.0, stribeck_speed=0.5), damping=0.1)
 LAST_SPEED = 1.836600973
@@ -232,13 +232,13 @@ class Circle(Equations):
     def __init__(self):
         self.coordinates, self.driven, self.itemsize = 1, True, 8
 
-    def at(self, unknowns, plane):
-        return Evaluated(np.array([np.dot(unknowns, unknowns) - 1]), 2 * unknowns[None], 1.0, self.modes, 1)
+    def at(self, unknowns):
+        return Evaluated(np.array([np.dot(unknowns, unknowns) - 1]), 2 * unknowns[None], 1.0, self.modes, True)
 
     def point(self, angle):
         """The point at an angle, its tangent toward larger ones."""
         unknowns = np.array([math.cos(angle), math.sin(angle)])
-        return OrbitPoint(unknowns, self.at(unknowns, None), np.array([-math.sin(angle), math.cos(angle)]), 1)
+        return OrbitPoint(unknowns, self.at(unknowns), np.array([-math.sin(angle), math.cos(angle)]), 1)
 
 
 def test_events_are_located_where_a_branch_turns_far_between_two_points():
@@ -254,17 +254,17 @@ def test_events_are_located_where_a_branch_turns_far_between_two_points():
 def test_a_mode_that_passes_the_begin_of_the_period_is_told():
     """The sequence of modes remains, but that the period begins with another one is a corner of the branch."""
     slips = Circle().point(0)
-    sticks = OrbitPoint(slips.unknowns, slips.found._replace(modes=Circle.modes[::-1]), slips.tangent, 1)
+    sticks = OrbitPoint(slips.unknowns, dataclasses.replace(slips.found, modes=Circle.modes[::-1]), slips.tangent, 1)
     assert change_of_modes(slips, sticks) is None
-    assert slips.order != sticks.order
+    assert slips.found.order != sticks.found.order
 
 
 def test_sequence_of_modes():
     modes = (Mode((1,), 0, 1), Mode((0,), 1, 2), Mode((-1,), 2, 3), Mode((1,), 3, 4))
     assert sequence(modes) == ((-1,), (1,), (0,))
-    assert stick_count(modes) == 1
-    assert stick_count((Mode((0,), 0, 1),)) == 1
-    assert stick_count((Mode((0, 1), 0, 1), Mode((0, 0), 1, 2))) == 2
+    assert count(modes, 0) == 1
+    assert count((Mode((0,), 0, 1),), 0) == 1
+    assert count((Mode((0, 1), 0, 1), Mode((0, 0), 1, 2)), 0) == 2
 
 
 BAD = {

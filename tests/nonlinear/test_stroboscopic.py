@@ -11,8 +11,7 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
 from stickslip_jax.nonlinear._cases import cases_of
-from stickslip_jax.nonlinear._following import follow
-from stickslip_jax.nonlinear._settling import recurrence
+from stickslip_jax.nonlinear._following import follow, recurrence
 
 HARMONIC = ss.Harmonic(amplitude=0.8, angular_frequency=1.3)
 DAMPED = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.4, mu_static=0.6, stribeck_speed=0.5), damping=0.05)
