@@ -8,7 +8,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, SupportsFloat, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, Protocol, SupportsFloat, TypeAlias, cast, runtime_checkable
 
 import numpy as np
 
@@ -192,7 +192,8 @@ class Computable:
 
 def _estimate_of(given: Any) -> Any:
     """The estimate of what has one; other things as they are."""
-    return given.estimate if isinstance(given, Computable) and not isinstance(given, Estimate) else given
+    has_one = isinstance(given, Computable) and not isinstance(given, Estimate)
+    return cast(Any, given).estimate if has_one else given
 
 
 def _computed(how: Callable[..., Any], one: object, other: object, *options: Any) -> Any:

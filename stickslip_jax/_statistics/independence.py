@@ -5,7 +5,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy import optimize, stats
@@ -33,7 +33,7 @@ def anderson_darling(groups: list[np.ndarray]) -> tuple[float, float]:
         return 0.0, 1.0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of its p-value, which ends at 0.25 and 0.001
-        normalized = float(stats.anderson_ksamp(groups).statistic)
+        normalized = float(cast(Any, stats.anderson_ksamp(groups)).statistic)
     # The limit is sum_j X_j / (j (j + 1)), X_j chi-square of k - 1 degrees: mean k - 1, variance below.
     limit_deviation = math.sqrt(2 * degrees * (math.pi**2 / 3 - 3))
     return normalized, limit_tail(degrees + normalized * limit_deviation, degrees)
