@@ -309,17 +309,16 @@ class Simulator:
         influence = [np.zeros((moments * (1 + parameters), len(half.mean))) for half in accumulated.halves]
         for row, statistic in enumerate(self.statistics):
             place = order.index(statistic)
-            one, own = accumulated.single(place), accumulated.slice_of(place)
-            above, below = one.moments.mean[:2]
-            weight = np.zeros(len(one.moments.mean))
-            if one.moments.number and below > 0:
+            whole = accumulated.single(place, 0).moments
+            above, below = whole.mean[:2]
+            if whole.number and below > 0:
                 mean[row] = above / below
-                weight[:2] = 1 / below, -mean[row] / below
-            share = one.halves[0].number / max(one.moments.number, 1)
-            for half, part in zip(influence, (share, 1 - share), strict=True):
-                half[row, own] = part * weight
-            for at, window in enumerate(zip(one.columns, one.in_window, strict=True)):
-                found, _, influences = estimate.estimate_by_windows(one, *window, None)
+                share = accumulated.halves[0].number / max(whole.number, 1)
+                for half, part in zip(influence, (share, 1 - share), strict=True):
+                    half[row, accumulated.columns(place, 0)[:2]] = part / below, -part * mean[row] / below
+            for at in range(parameters):
+                found, _, influences = estimate.estimate_by_windows(accumulated.single(place, at), None)
+                own = accumulated.columns(place, at)
                 slope[row, at] = found.derivative
                 for half, by_half in zip(influence, influences, strict=True):
                     half[moments + row * parameters + at, own] = np.nan_to_num(by_half)

@@ -19,7 +19,6 @@ from .._foundation.types import AnyArray, FloatArray, FloatScalar, KeyData, Numb
 from .._numerics.derivatives import NotKnown
 from .._numerics.elementary import key_data_of, random_words
 from .._uncertainty.inputs import SampledLaw, UserLaw
-from .._uncertainty.numbers import NumberPath
 from .motion import Motion, Parts, RandomSignal, Signal, SourceVoltage, UserMotion
 from .piecewise_constant import Interval, PiecewiseConstantLaw, VelocitySteps
 from .segments import SegmentLaw, SegmentTable, marked, no_key
@@ -61,13 +60,6 @@ class WithJumps(Motion):
         smooth, base, *_ = self.motion.parts()
         base = tuple(_Reseeded(law) if law.is_random else law for law in base)
         return Parts(smooth, base + self.jumps.parts().base, has_key_per_part=True)
-
-    def path_in_excitation(self, path: NumberPath) -> NumberPath:
-        part, *rest = path
-        if part == "jumps":
-            return "base", -1, *rest
-        is_reseeded = self.motion.is_random and self.motion.parts().base
-        return self.motion.path_in_excitation(("law", *rest) if is_reseeded else tuple(rest))
 
     @property
     def covered_time(self) -> float:
@@ -175,11 +167,6 @@ def excitation_of(base: BaseMotion, name: str = "base") -> Excitation:
     return Excitation(*motion_of(base, name).parts())
 
 
-def path_in_excitation(base: BaseMotion, path: NumberPath) -> NumberPath:
-    """The path in ``excitation_of(base)`` of the number that has the `path` in `base`."""
-    return base.path_in_excitation(path) if isinstance(base, Motion) else ("smooth", "motion", *path)
-
-
 def _is_users(base: object) -> bool:
     is_other = not isinstance(base, (Motion, type))
     return is_other and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
@@ -278,13 +265,6 @@ def merged(base: BaseMotion, t1: Scalar) -> BaseMotion:
         jumps = merged(base.jumps, t1)
         return base if jumps is base.jumps else eqx.tree_at(lambda whole: whole.jumps, base, jumps)
     return Merged(base, t1) if isinstance(base, PiecewiseConstantLaw) and not is_of_package(base) else base
-
-
-def path_in_merged(base: BaseMotion, path: NumberPath) -> NumberPath:
-    """The path in ``merged(base, t1)`` of the number that has the `path` in `base`."""
-    if isinstance(base, WithJumps) and path[:1] == ("jumps",):
-        return "jumps", *path_in_merged(base.jumps, path[1:])
-    return ("law", *path) if merged(base, 0.0) is not base else path
 
 
 # The base velocity of any motion at any times.

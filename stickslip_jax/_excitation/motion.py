@@ -20,7 +20,6 @@ from .._foundation.fields import Checked, Quantity, is_of_package
 from .._foundation.methods import Module
 from .._foundation.types import AnyArray, FloatArray, KeyData, Number, Scalar
 from .._numerics.elementary import key_data_of, random_words, sincos, uniform
-from .._uncertainty.numbers import NumberPath
 
 if TYPE_CHECKING:
     from .segments import SegmentLaw
@@ -57,11 +56,6 @@ class Motion(Module):
         """Its smooth part and its parts in segments."""
         name, part = self.part_of_excitation, cast(Any, self)
         return Parts()._replace(**{name: part if name == "smooth" else (part,)})
-
-    def path_in_excitation(self, path: NumberPath) -> NumberPath:
-        """The path in the `Excitation` of its parts of the number that has the `path` in it."""
-        name = self.part_of_excitation
-        return (name, *path) if name == "smooth" else (name, 0, *path)
 
     @property
     def covered_time(self) -> float:

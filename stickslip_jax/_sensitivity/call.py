@@ -14,7 +14,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from .._dynamics.common.lanes import Job, summarize
+from .._dynamics.common.lanes import Job, summarize, with_leaves
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.simulate import simulate
 from .._ensemble.setup import EnsembleSetup
@@ -30,14 +30,14 @@ from . import estimate
 from .counting import recording
 from .estimate import Estimator, Sensitivities, Sensitivity, results_of
 from .estimators import (
-    JointAccumulator,
+    Accumulator,
     Source,
     counted,
     counting_engine,
     differenced,
     recorded,
     run_chunks,
-    score_paths,
+    score_leaves,
 )
 from .problem import (
     LANES,
@@ -69,7 +69,7 @@ from .statistic import (
 _PROPORTIONAL = 1e-9  # of the squares: what is not proportional, relative to the whole
 
 
-def products_among(problem: SensitivityProblem, accumulated: JointAccumulator) -> list[str]:
+def products_among(problem: SensitivityProblem, accumulated: Accumulator) -> list[str]:
     """A sentence for each pair of parameters whose derivatives are proportional in every sample."""
     first, second = accumulated.halves
     moments, found = first.merge(second), []
@@ -103,16 +103,15 @@ def products_among(problem: SensitivityProblem, accumulated: JointAccumulator) -
     return found
 
 
-def _columns(accumulated: JointAccumulator, parameter: int, squares: np.ndarray) -> np.ndarray:
+def _columns(accumulated: Accumulator, parameter: int, squares: np.ndarray) -> np.ndarray:
     """The columns of the derivatives of all statistics by a parameter: pathwise ones, unless these are 0 or not known.
 
     Kernels, and differences, estimate event parts to first order only: they are less exactly proportional.
     """
-    each = [(accumulated.slice_of(number).start, accumulated.single(number).columns[parameter])
-            for number in range(len(accumulated.sizes))]  # fmt: skip
-    pathwise = np.array([first + one.pathwise + part for first, one in each for part in (0, 1)])
-    whole = [first + column + part for first, one in each for column in one.derivative for part in (0, 1)]
-    return pathwise if np.any(squares[pathwise, pathwise] > 0) else np.array(whole)
+    each = [accumulated.columns(number, parameter)[2:] for number in range(len(accumulated.in_window))]
+    pathwise = np.concatenate([columns[-2:] for columns in each])
+    whole = np.concatenate([columns[:-2] for columns in each])
+    return pathwise if np.any(squares[pathwise, pathwise] > 0) else whole
 
 
 # `sensitivity`: derivatives of stick statistics, corrected for sticks that appear and vanish.
@@ -221,9 +220,9 @@ def sensitivity(
             warn_at_special_speeds(kinds[0], grazing)
     disagreeing = [
         parameter.name
-        for one in map(accumulated.single, checked)
-        for parameter, where, in_window in zip(problem.parameters, one.columns, one.in_window, strict=True)
-        if parameter.name not in grazing and estimate.windows_disagree(one, where, in_window)
+        for number in checked
+        for place, parameter in enumerate(problem.parameters)
+        if parameter.name not in grazing and estimate.windows_disagree(accumulated.single(number, place))
     ]
     if disagreeing:
         warnings.warn(
@@ -252,8 +251,7 @@ def _asked_for(
     elasticity: bool, estimator: Estimator | None, step: float | None, relative_bandwidth: float | None
 ) -> Estimator | None:
     """The estimator that the options ask for, if any. Raises ValueError for what they must not be."""
-    if not isinstance(elasticity, bool):
-        raise ValueError(f"Argument elasticity must be True or False, but {checks.show(elasticity)} was given.")
+    checks.truth("elasticity", elasticity)
     check_estimator(estimator)
     options: tuple[tuple[str, float | None, Estimator], ...] = (
         ("step", step, "finite-difference"), ("relative_bandwidth", relative_bandwidth, "corrected")
@@ -262,9 +260,7 @@ def _asked_for(
         if value is not None:
             checks.positive(name, value)
             if estimator not in (None, of):
-                raise ValueError(
-                    f"Argument {name} must be left out with estimator={estimator!r}, but {value} was given."
-                )
+                raise checks.refused(name, f"be left out with estimator={estimator!r}", value)
     if step is not None and relative_bandwidth is not None:
         raise ValueError(
             f"Argument step must be left out with relative_bandwidth, but step={step} and relative_bandwidth="
@@ -473,13 +469,12 @@ def _counted(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: 
     # One window, the widest: comparing several is not possible inside a compiled function.
     engine = counting_engine(problem, pilot, np.array([] if problem.is_paired else [bandwidth]))
     weights = jnp.asarray(problem.totals[0].weights(problem.t1), problem.dtype)
-    paths = problem.paths("engine")
+    leaves, by = problem.leaves, score_leaves(problem, engine)
     varying = problem.varying_leaves(0, rows * LANES)
-    by = score_paths(engine, paths)
 
     def means(values: Array, varied: Array | None = None) -> Array:
         # The likelihood knows a rate beside the law's, and the derivative is by that one.
-        here = with_numbers(with_numbers(engine, paths, values), by, values if varied is None else varied)
+        here = with_leaves(with_leaves(engine, leaves, values), by, values if varied is None else varied)
         job = Job(here, problem.key_data, np.uint32(0), np.int32(rows), varying)
         counted = summarize(job, lanes=LANES, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
@@ -492,13 +487,13 @@ def _counted(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: 
 
 def _recorded(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
     """Means by recorded stick sequences."""
-    engine, paths, buffer = problem.engine(), problem.paths(), buffer_sizes_for(problem, pilot)
+    engine, leaves, buffer = problem.engine(), problem.leaves, buffer_sizes_for(problem, pilot)
     buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.is_paired else 2 * buffer.candidates)
     bandwidths = np.array([bandwidth])
     varying = tuple(jnp.asarray(column) for column in problem.varying_leaves(0, rows * LANES))
 
     def means(values: Array, varied: Array | None = None) -> Array:
-        here = with_numbers(engine, paths, values if varied is None else varied)
+        here = with_leaves(engine, leaves, values if varied is None else varied)
         here = wrapped(here, partial(recording, first=problem.first_segment))
 
         def chunk(first):

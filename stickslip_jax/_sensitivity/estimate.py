@@ -18,7 +18,7 @@ from .._statistics.estimate import (
     unit_of_product,
 )
 from .._systems.system import unit_at
-from .estimators import Accumulator, DerivativeColumns, JointAccumulator
+from .estimators import Accumulator, Windows
 from .problem import SensitivityProblem
 
 # Sensitivities and their standard errors from means over realisations (delta method).
@@ -146,41 +146,27 @@ class Gradient(NamedTuple):
     pathwise: float
 
 
-def gradient_of_ratio(moments: Moments, column: int, path_column: int, elasticity_at: float | None) -> Gradient:
-    """The derivative of ``a / b`` by a parameter, from the `moments` of rows ``[a, b, ...]``.
+def gradient_of_ratio(moments: Moments, window: int, elasticity_at: float | None) -> tuple[Gradient, np.ndarray]:
+    """The derivative of ``a / b`` by a parameter, as a window shows it, from moments as in `Windows`; and its own
+    derivative by the means of all columns.
 
-    Columns `column` and the next hold the derivatives of a and b, `path_column` and the next their pathwise parts.
     `elasticity_at`: the parameter's value, for elasticities. Undefined results are NaN.
     """
     mean, covariance = moments.mean, moments.covariance_of_mean
-    a, b = mean[:2]
+    (a, b), unknown = mean[:2], np.full(len(mean), math.nan)
     if moments.number == 0 or not b > 0:
-        return Gradient(*[math.nan] * 5)
+        return Gradient(*[math.nan] * 5), unknown
     value = float(a / b)
     of_value = np.zeros(len(mean))
     of_value[:2] = 1 / b, -value / b
     value_error = _error(of_value, covariance)
-    (derivative, _), (pathwise, _) = (_ratio_derivative(mean, at) for at in (column, path_column))
+    (derivative, slope), (pathwise, _) = (_ratio_derivative(mean, at) for at in (2 + 2 * window, len(mean) - 2))
     if elasticity_at is not None:
         if value == 0:
-            return Gradient(0.0, value_error, math.nan, math.nan, math.nan)
-        derivative, pathwise = (elasticity_at / value * slope for slope in (derivative, pathwise))
-    error = _error(slope_by_means(moments, column, elasticity_at), covariance)
-    return Gradient(value, value_error, derivative, error, pathwise)
-
-
-def slope_by_means(moments: Moments, column: int, elasticity_at: float | None) -> np.ndarray:
-    """The derivative by the means of all columns of what `gradient_of_ratio` returns as the derivative."""
-    mean = moments.mean
-    a, b = mean[:2]
-    if moments.number == 0 or not b > 0 or (elasticity_at is not None and a == 0):
-        return np.full(len(mean), math.nan)
-    derivative, slope = _ratio_derivative(mean, column)
-    if elasticity_at is None:
-        return slope
-    value, of_value = a / b, np.zeros(len(mean))
-    of_value[:2] = 1 / b, -a / b**2
-    return elasticity_at / value * (slope - derivative / value * of_value)
+            return Gradient(0.0, value_error, math.nan, math.nan, math.nan), unknown
+        slope = elasticity_at / value * (slope - derivative / value * of_value)
+        derivative, pathwise = (elasticity_at / value * one for one in (derivative, pathwise))
+    return Gradient(value, value_error, derivative, _error(slope, covariance), pathwise), slope
 
 
 def _ratio_derivative(mean: np.ndarray, column: int) -> tuple[float, np.ndarray]:
@@ -206,9 +192,6 @@ def _error(gradient: np.ndarray, covariance: np.ndarray) -> float:
 # samples chooses for the other: given the choice, the error is that of a fixed window.
 
 
-_InWindow: TypeAlias = Float[np.ndarray, " windows"]
-"""How many sticks each window holds."""
-
 COUNTED, PAIRED, RECORDED = (1.0, 0.25), (1.0, 0.25), (1.0, 0.5, 0.25, 0.125)  # relative widths to choose from
 OUTPUT = (1.0, 0.25, 0.0625)
 FEW = 100  # sticks: a narrower window with fewer is too noisy to judge others by
@@ -218,7 +201,7 @@ _ROUND_OFF = 1e-12  # relative
 
 
 def estimate_by_windows(
-    accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow, elasticity_at: float | None
+    seen: Windows, elasticity_at: float | None
 ) -> tuple[Gradient, int, tuple[np.ndarray, np.ndarray]]:
     """The derivative by one parameter; the index of its window, the narrower one where the halves differ; and the
     derivative of the first by the mean of every column in the first and in the second half.
@@ -226,49 +209,42 @@ def estimate_by_windows(
     `elasticity_at`: the parameter's value, for elasticities. Where no two windows agree (`windows_disagree`), the error
     is NaN: that of the narrowest window says nothing of its bias.
     """
-    whole, halves = accumulator.moments, accumulator.halves
-    first, second = halves
-
-    def derivative(moments: Moments, window: int) -> Gradient:
-        return gradient_of_ratio(moments, columns.derivative[window], columns.pathwise, elasticity_at)
-
-    def slope(moments: Moments, window: int) -> np.ndarray:
-        return slope_by_means(moments, columns.derivative[window], elasticity_at)
-
-    if windows_disagree(accumulator, columns, in_window):
-        narrowest, unknown = _usable(columns, in_window)[-1], np.full_like(whole.mean, math.nan)
-        return derivative(whole, narrowest)._replace(standard_error=math.nan), narrowest, (unknown, unknown)
-    for_second, for_first = (_widest(half, columns, in_window, _AGREE, accumulator.tolerance) for half in halves)
+    whole, (first, second) = seen.moments, seen.halves
+    if windows_disagree(seen):
+        narrowest, unknown = _usable(seen.in_window)[-1], np.full_like(whole.mean, math.nan)
+        found, _ = gradient_of_ratio(whole, narrowest, elasticity_at)
+        return found._replace(standard_error=math.nan), narrowest, (unknown, unknown)
+    for_second, for_first = (_widest(half, seen, _AGREE) for half in seen.halves)
     window, share = max(for_first, for_second), first.number / max(whole.number, 1)
-    found = derivative(whole, window)
+    found, slope = gradient_of_ratio(whole, window, elasticity_at)
     if for_first == for_second:
-        both = slope(whole, window)
-        return found, window, (share * both, (1 - share) * both)
-    one, other = derivative(first, for_first), derivative(second, for_second)
+        return found, window, (share * slope, (1 - share) * slope)
+    one, by_first = gradient_of_ratio(first, for_first, elasticity_at)
+    other, by_second = gradient_of_ratio(second, for_second, elasticity_at)
     mixed = share * one.derivative + (1 - share) * other.derivative
     error = math.hypot(share * one.standard_error, (1 - share) * other.standard_error)
-    by_means = share * slope(first, for_first), (1 - share) * slope(second, for_second)
+    by_means = share * by_first, (1 - share) * by_second
     return found._replace(derivative=mixed, standard_error=error), window, by_means
 
 
-def windows_disagree(accumulator: Accumulator, columns: DerivativeColumns, in_window: _InWindow) -> bool:
+def windows_disagree(seen: Windows) -> bool:
     """Whether even the two narrowest windows with enough sticks disagree by more than chance explains."""
-    usable = _usable(columns, in_window)
-    widest = _widest(accumulator.moments, columns, in_window, _DISAGREE, accumulator.tolerance)
-    return len(usable) > 1 and widest == usable[-1]
+    usable = _usable(seen.in_window)
+    return len(usable) > 1 and _widest(seen.moments, seen, _DISAGREE) == usable[-1]
 
 
-def _usable(columns: DerivativeColumns, in_window: _InWindow) -> list[int]:
+def _usable(in_window: Float[np.ndarray, " windows"]) -> list[int]:
     """Indices of the widest window and of all others with enough sticks."""
-    return [window for window in range(len(columns.derivative)) if window == 0 or in_window[window] >= FEW]
+    return [window for window, sticks in enumerate(in_window) if window == 0 or sticks >= FEW]
 
 
-def _widest(moments: Moments, columns: DerivativeColumns, in_window: _InWindow, agree: float, tolerance: float) -> int:
+def _widest(moments: Moments, seen: Windows, agree: float) -> int:
     """Index of the widest window whose derivative is within `agree` standard errors of those of all narrower ones.
 
-    Standard errors of their difference; and besides it may be off by `tolerance` standard errors of the derivative.
+    By the `moments` of all samples, or of a half. Standard errors of their difference; and besides it may be off by a
+    `tolerance`, in standard errors of the derivative.
     """
-    usable = _usable(columns, in_window)
+    usable = _usable(seen.in_window)
     mean, covariance = moments.mean, moments.covariance_of_mean
     a, b = mean[:2]
     if moments.number < 2 or not b > 0:
@@ -276,12 +252,12 @@ def _widest(moments: Moments, columns: DerivativeColumns, in_window: _InWindow, 
 
     def weights(window: int) -> Float[np.ndarray, " columns"]:
         # Of the derivative (da - (a / b) db) / b, linear in the means of its two columns.
-        of, column = np.zeros(len(mean)), columns.derivative[window]
-        of[column : column + 2] = 1 / b, -a / b**2
+        of = np.zeros(len(mean))
+        of[2 + 2 * window : 4 + 2 * window] = 1 / b, -a / b**2
         return of
 
     for number, window in enumerate(usable):
-        slack = tolerance * math.sqrt(max(weights(window) @ covariance @ weights(window), 0.0))
+        slack = seen.tolerance * math.sqrt(max(weights(window) @ covariance @ weights(window), 0.0))
         differences = [weights(window) - weights(narrower) for narrower in usable[number + 1 :]]
         # Windows that give the same, as by the likelihood of the switches, differ by round-off only.
         limits = [agree * math.sqrt(max(of @ covariance @ of, 0.0)) + _ROUND_OFF * (abs(of) @ abs(mean)) + slack
@@ -296,7 +272,7 @@ def _widest(moments: Moments, columns: DerivativeColumns, in_window: _InWindow, 
 
 def results_of(
     problem: SensitivityProblem,
-    accumulated: JointAccumulator,
+    accumulated: Accumulator,
     widths: list[np.ndarray],
     elasticity: bool,
     estimator: Estimator,
@@ -310,10 +286,9 @@ def results_of(
     found: list[Sensitivity] = []
     slopes = []
     for number, statistic in enumerate(problem.statistics):
-        one, own = accumulated.single(number), accumulated.slice_of(number)
-        for parameter, where, in_window in zip(problem.parameters, one.columns, one.in_window, strict=True):
-            at = parameter.value if elasticity else None
-            gradient, window, by_means = estimate_by_windows(one, where, in_window, at)
+        for place, parameter in enumerate(problem.parameters):
+            seen = accumulated.single(number, place)
+            gradient, window, by_means = estimate_by_windows(seen, parameter.value if elasticity else None)
             if parameter.name in without_derivative:
                 gradient = gradient._replace(derivative=math.nan, standard_error=math.nan)
             if estimator != "corrected":
@@ -327,26 +302,26 @@ def results_of(
                 event=gradient.derivative - gradient.pathwise,
                 is_elasticity=elasticity,
                 estimator=estimator,
-                samples=one.moments.number,
+                samples=seen.moments.number,
                 asked=problem.samples,
-                sticks_in_window=int(in_window[window]),
+                sticks_in_window=int(seen.in_window[window]),
                 relative_bandwidth=float(widths[number][window]),
                 parameter_unit=unit_at(problem.model, parameter.path),
                 origin=tuple(int(word) for word in np.asarray(problem.key_data)),
             )
             found.append(result)
             whole = np.zeros((2, len(accumulated.halves[0].mean)))
-            whole[:, own] = by_means
+            whole[:, accumulated.columns(number, place)] = by_means
             slopes.append(whole)
     covariance = np.zeros((len(slopes), len(slopes)))
     for moments, of in zip(accumulated.halves, np.stack(slopes, axis=1), strict=True):
         covariance = covariance + of @ moments.covariance_of_mean @ of.T
-    spread = np.sqrt(np.diag(covariance))
+    spread, errors = np.sqrt(np.diag(covariance)), np.array([one.standard_error for one in found])
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = np.where(spread[:, None] * spread > 0, covariance / (spread[:, None] * spread), 0)
-    np.fill_diagonal(correlation, 1)
-    errors = np.array([one.standard_error for one in found])
-    shared = SharedErrors(correlation * errors[:, None] * errors)
+        scale = np.where(spread > 0, errors / spread, 0)
+    covariance = covariance * scale[:, None] * scale
+    np.fill_diagonal(covariance, errors**2)
+    shared = SharedErrors(covariance)
     found = [dataclasses.replace(one, _shared=(shared, place)) for place, one in enumerate(found)]
     each = len(problem.parameters)
     by_statistic = [found[first : first + each] for first in range(0, len(found), each)]

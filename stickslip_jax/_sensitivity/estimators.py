@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial, reduce
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .._compiler import WIDE_VECTORS, CompiledNatively
-from .._dynamics.common.lanes import Engine, Job, SampleTotals, summarize
+from .._dynamics.common.lanes import Engine, Job, SampleTotals, summarize, with_leaves
 from .._dynamics.engine_choice import compiled_for
 from .._dynamics.sticks import FlatSticks
 from .._ensemble.call import simulate_batch
@@ -25,7 +25,7 @@ from .._numerics.sums import Moments
 from .._statistics.accumulator import Numbering
 from .._systems.system import is_built_in
 from .._uncertainty.inputs import StochasticModel
-from .._uncertainty.numbers import NumberPath, check_numbers, number_at, with_numbers
+from .._uncertainty.numbers import check_numbers, with_numbers
 from .boundaries import BoundarySums, FirstSegment
 from .counting import IntervalCounting, Likelihood, StepCounting, recording
 from .problem import LANES, ROWS, Pilot, SensitivityProblem, buffer_sizes_for
@@ -54,7 +54,7 @@ _Other = TypeVar("_Other")
 class Rows(NamedTuple):
     """Results of samples: numerator and denominator, their derivatives, and the pathwise parts of these.
 
-    `in_window`: how many distances were inside each window. `tolerance`: as in `Accumulator`.
+    `in_window`: how many distances were inside each window. `tolerance`: as in `Windows`.
     """
 
     status: Int[np.ndarray, " samples"]
@@ -66,39 +66,23 @@ class Rows(NamedTuple):
 
     @property
     def columns(self) -> Float[np.ndarray, "samples columns"]:
-        """The numbers to take moments of."""
-        columns = (np.moveaxis(leaf, 1, 0).reshape(len(self.parts), -1) for leaf in (self.slopes, self.pathwise))
-        return np.concatenate([self.parts, *columns], axis=1)
+        """The numbers to take moments of: `parts`, and by each parameter their derivatives, the pathwise ones last."""
+        derivatives = np.concatenate([self.slopes, self.pathwise[:, :, None]], axis=2)
+        return np.concatenate([self.parts, np.moveaxis(derivatives, 1, 0).reshape(len(self.parts), -1)], axis=1)
 
 
-class DerivativeColumns(NamedTuple):
-    """First columns of the derivatives of numerator and denominator by one parameter, and of their pathwise parts.
+class Windows(NamedTuple):
+    """One statistic and its derivative by one parameter, as several windows show it.
 
-    `derivative` has one entry per window, the widest first.
-    """
-
-    derivative: tuple[int, ...]
-    pathwise: int
-
-
-class Accumulator(NamedTuple):
-    """Sums over the finished samples: moments of `Rows.columns`, for each half of the samples (every other one).
-
+    - `halves`: moments of numerator and denominator, their derivatives by each window, the widest first, and their
+      pathwise parts, two columns each; for each half of the samples (every other one).
     - `in_window`: how many distances were inside each window.
     - `tolerance`: in standard errors, how far windows may differ where it is not by chance.
     """
 
     halves: tuple[Moments, Moments]
-    in_window: Float[np.ndarray, "parameters windows"]
+    in_window: Float[np.ndarray, " windows"]
     tolerance: float = 0.0
-
-    @property
-    def columns(self) -> tuple[DerivativeColumns, ...]:
-        """Where the derivatives by each parameter stand in the moments."""
-        parameters, windows = self.in_window.shape
-        derivatives = 2 + 2 * np.arange(parameters * windows).reshape(parameters, windows)
-        pathwise = 2 + 2 * (parameters * windows + np.arange(parameters))
-        return tuple(map(DerivativeColumns, map(tuple, derivatives.tolist()), pathwise.tolist()))
 
     @property
     def moments(self) -> Moments:
@@ -106,44 +90,44 @@ class Accumulator(NamedTuple):
         return self.halves[0].merge(self.halves[1])
 
 
-class JointAccumulator(NamedTuple):
-    """The sums of several statistics over the same samples: moments of their columns one after the other, by halves.
+class Accumulator(NamedTuple):
+    """Sums over the finished samples: moments of the `Rows.columns` of all statistics, one after the other, by halves.
 
-    - `sizes`: how many columns each statistic has. `in_window`, `tolerance`: of each, as in `Accumulator`.
+    - `in_window`, `tolerance`: of each statistic, as in `Windows`.
     """
 
     halves: tuple[Moments, Moments]
-    sizes: tuple[int, ...]
     in_window: tuple[Float[np.ndarray, "parameters windows"], ...]
     tolerance: tuple[float, ...]
 
     @classmethod
-    def of(cls, rows: list[Rows]) -> "JointAccumulator":
+    def of(cls, rows: list[Rows]) -> "Accumulator":
         """The sums of one chunk, with the rows of each statistic."""
         done = np.max([one.status for one in rows], axis=0) == Status.FINISHED
-        each = [one.columns for one in rows]
-        columns = np.concatenate(each, axis=1)
+        columns = np.concatenate([one.columns for one in rows], axis=1)
         first, second = (Moments.of(columns[half::2][done[half::2]]) for half in (0, 1))
         in_window = tuple(one.in_window[:, done].sum(axis=1) for one in rows)
-        sizes, tolerance = (tuple(one.shape[1] for one in each), tuple(one.tolerance for one in rows))
-        return cls((first, second), sizes, in_window, tolerance)
+        return cls((first, second), in_window, tuple(one.tolerance for one in rows))
 
-    def merge(self, other: "JointAccumulator") -> "JointAccumulator":
+    def merge(self, other: "Accumulator") -> "Accumulator":
         """The sums of both."""
         first, second = (one.merge(two) for one, two in zip(self.halves, other.halves, strict=True))
         in_window = tuple(one + two for one, two in zip(self.in_window, other.in_window, strict=True))
         return self._replace(halves=(first, second), in_window=in_window)
 
-    def slice_of(self, number: int) -> slice:
-        """The columns of a statistic."""
-        first = sum(self.sizes[:number])
-        return slice(first, first + self.sizes[number])
+    def columns(self, statistic: int, parameter: int) -> Int[np.ndarray, " columns"]:
+        """The columns of a statistic, and of its derivative by a parameter, as `Windows` has them."""
+        first = sum(
+            2 + 2 * parameters * (windows + 1) for parameters, windows in map(np.shape, self.in_window[:statistic])
+        )
+        each = 2 * (self.in_window[statistic].shape[1] + 1)
+        return first + np.concatenate([np.arange(2), 2 + each * parameter + np.arange(each)])
 
-    def single(self, number: int) -> Accumulator:
-        """The sums of one statistic alone."""
-        own = self.slice_of(number)
-        first, second = (Moments(half.number, half.mean[own], half.scatter[own, own]) for half in self.halves)
-        return Accumulator((first, second), self.in_window[number], self.tolerance[number])
+    def single(self, statistic: int, parameter: int) -> Windows:
+        """The sums of one statistic and its derivative by one parameter."""
+        own = self.columns(statistic, parameter)
+        first, second = (Moments(half.number, half.mean[own], half.scatter[np.ix_(own, own)]) for half in self.halves)
+        return Windows((first, second), self.in_window[statistic][parameter], self.tolerance[statistic])
 
 
 class Source(NamedTuple):
@@ -158,34 +142,35 @@ class Source(NamedTuple):
     widths: Float[np.ndarray, " windows"]
 
 
-def run_chunks(sources: list[Source], samples: int, threads: int) -> JointAccumulator:
+def run_chunks(sources: list[Source], samples: int, threads: int) -> Accumulator:
     """The sums over all samples, in chunks, of the statistics of all sources; they do not depend on `threads`."""
     per_chunk = min(source.per_task for source in sources)
     firsts = range(0, samples, per_chunk)
 
-    def simulate(first: int) -> JointAccumulator:
+    def simulate(first: int) -> Accumulator:
         number = min(per_chunk, samples - first)
-        return JointAccumulator.of([rows for source in sources for rows in source.rows(first, number)])
+        return Accumulator.of([rows for source in sources for rows in source.rows(first, number)])
 
     with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
-        return reduce(JointAccumulator.merge, pool.map(simulate, firsts))
+        return reduce(Accumulator.merge, pool.map(simulate, firsts))
 
 
 def derivatives_of(
     function: Callable[[Array], tuple[_Value, _Other]],
     engine: Engine,
-    paths: tuple[NumberPath, ...],
+    leaves: tuple[int, ...],
     dtype: DType,
     chosen: IntArray | None = None,
 ) -> tuple[_Value, _Value, _Other]:
-    """Value of `function` of the engine's numbers at `paths`, its derivatives along a first axis, its other output.
+    """Value of `function` of some `leaves` of the engine, its derivatives along a first axis, its other output.
 
     `chosen`: by which of them; by default by all.
 
     One pass simulates the motion once for all. The numbers are varied in units of their own size (1 where it is 0), so
     that bandwidths of kernels are relative to the parameter.
     """
-    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
+    given = jax.tree.leaves(engine)
+    values = jnp.stack([jnp.asarray(given[leaf], dtype) for leaf in leaves])
     units = jnp.where(values == 0, 1, jnp.abs(values))
 
     def along(direction):
@@ -195,54 +180,49 @@ def derivatives_of(
     return jax.vmap(along, out_axes=(None, 0, None))(directions if chosen is None else directions[chosen])
 
 
-def units_of(tree: Engine | StochasticModel, paths: tuple[NumberPath, ...]) -> Float[np.ndarray, " paths"]:
-    """The units in which `derivatives_of` varies the numbers at `paths`."""
-    return np.array([abs(float(number_at(tree, path))) or 1.0 for path in paths])
-
-
 def _count(
-    job: Job, chosen: AnyArray, *, paths: tuple[NumberPath, ...], lanes: int, rows: int, dtype: DType
+    job: Job, chosen: AnyArray, *, leaves: tuple[int, ...], lanes: int, rows: int, dtype: DType
 ) -> tuple[tuple[Array, Array], tuple[Array, BoundarySums], IntArray]:
     """Total stick time and number of sticks, (rows, lanes); derivatives of stick time, and of the sums in `Counted`, by
-    the `chosen` ones of the numbers at `paths`, (chosen, rows, lanes); and status.
+    the `chosen` ones of some `leaves` of the engine, (chosen, rows, lanes); and status.
     """
 
     def run(values):
-        varied = job._replace(engine=with_numbers(job.engine, paths, values))
+        varied = job._replace(engine=with_leaves(job.engine, leaves, values))
         counted = summarize(varied, lanes=lanes, rows=rows, dtype=dtype)
         return (counted.stick_time, counted.sums), (counted.sticks, counted.status)
 
-    (time, _), slopes, (sticks, status) = derivatives_of(run, job.engine, paths, dtype, jnp.asarray(chosen))
+    (time, _), slopes, (sticks, status) = derivatives_of(run, job.engine, leaves, dtype, jnp.asarray(chosen))
     return (time, sticks), slopes, status
 
 
 def _sequence(
-    statistics: tuple[StickStatistic, ...], job: Job, bandwidths: AnyArray, *, paths: tuple[NumberPath, ...],
+    statistics: tuple[StickStatistic, ...], job: Job, bandwidths: AnyArray, *, leaves: tuple[int, ...],
     lanes: int, buffer: BufferSizes, dtype: DType,
 ) -> tuple[tuple[Features, ...], tuple[Features, ...], RecordedCounts]:  # fmt: skip
-    """`Features` of each statistic, their derivatives by the numbers at `paths` along a first axis, and the counts.
+    """`Features` of each statistic, their derivatives by `leaves` of the engine along a first axis, and the counts.
 
-    The derivatives are pathwise parts, event parts, and how many distances the windows hold; none without `paths`.
+    The derivatives are pathwise parts, event parts, and how many distances the windows hold; none without `leaves`.
     """
 
     def run(values):
-        varied = job._replace(engine=with_numbers(job.engine, paths, values))
+        varied = job._replace(engine=with_leaves(job.engine, leaves, values))
         recorded = record_sequences(varied, lanes=lanes, buffer=buffer, dtype=dtype)
         return tuple(features_of(one, recorded, bandwidths) for one in statistics), recorded.counts
 
-    if not paths:
+    if not leaves:
         features, counts = run(())
         return features, (), counts
-    return derivatives_of(run, job.engine, paths, dtype)
+    return derivatives_of(run, job.engine, leaves, dtype)
 
 
-_COUNT_STATIC = ("paths", "lanes", "rows", "dtype")
+_COUNT_STATIC = ("leaves", "lanes", "rows", "dtype")
 # Native loops and wide vectors only where all compiled functions are the package's own (see `engine_choice.py`).
 count_chunk = {
     True: CompiledNatively(_count, _COUNT_STATIC, compiler_options=WIDE_VECTORS),
     False: jax.jit(_count, static_argnames=_COUNT_STATIC),
 }
-sequence_chunk = jax.jit(_sequence, static_argnames=("statistics", "paths", "lanes", "buffer", "dtype"))
+sequence_chunk = jax.jit(_sequence, static_argnames=("statistics", "leaves", "lanes", "buffer", "dtype"))
 
 
 # Sensitivities by event parts: from engines that count, and from recorded stick sequences.
@@ -257,29 +237,30 @@ def counted(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray, *
 
     `by_score`: whether the derivative by a rate comes from the likelihood; its pathwise part is found beside it.
     """
-    engine, own = counting_engine(problem, pilot, bandwidths), problem.paths("engine")
-    paths = tuple(dict.fromkeys((*score_paths(engine, own), *own))) if by_score else own
-    parameters, places = slice(len(own)), [paths.index(path) for path in own]  # of the derivatives, of pathwise parts
-    units, t1 = units_of(engine, paths)[:, None], problem.t1
-    together = len(paths) if problem.by_intervals else min(len(paths), _TOGETHER)
-    passes = -(-len(paths) // together)
-    chosen = np.minimum(np.arange(passes * together, dtype=np.int32), len(paths) - 1).reshape(passes, together)
+    engine, own = counting_engine(problem, pilot, bandwidths), problem.leaves
+    leaves = tuple(dict.fromkeys((*score_leaves(problem, engine), *own))) if by_score else own
+    parameters, places = slice(len(own)), [leaves.index(leaf) for leaf in own]  # of the derivatives, of pathwise parts
+    given, t1 = jax.tree.leaves(engine), problem.t1
+    units = np.array([abs(float(given[leaf])) or 1.0 for leaf in leaves])[:, None]
+    together = len(leaves) if problem.by_intervals else min(len(leaves), _TOGETHER)
+    passes = -(-len(leaves) // together)
+    chosen = np.minimum(np.arange(passes * together, dtype=np.int32), len(leaves) - 1).reshape(passes, together)
 
     def rows(first: int, number: int) -> list[Rows]:
         job = problem.job(engine, first, LANES * ROWS, -(-number // LANES))
         found = [
-            count_chunk[is_built_in(engine)](job, part, paths=paths, lanes=LANES, rows=ROWS, dtype=problem.dtype)
+            count_chunk[is_built_in(engine)](job, part, leaves=leaves, lanes=LANES, rows=ROWS, dtype=problem.dtype)
             for part in chosen
         ]
         totals, _, status = found[0]  # the same in all
-        slopes = jax.tree.map(lambda *each: np.concatenate(each)[: len(paths)], *(one[1] for one in found))
+        slopes = jax.tree.map(lambda *each: np.concatenate(each)[: len(leaves)], *(one[1] for one in found))
         d_time, (d_events, d_window) = jax.tree.map(lambda leaf: flat(leaf, number), slopes)
         totals = np.stack([flat(leaf, number) for leaf in totals], axis=-1)
         time, event_parts = d_time / units, [leaf / units for leaf in d_events]
         no_window = np.zeros((*time.shape, 1))
         in_window = np.stack(d_window, axis=-1) if d_window else no_window
-        for index, path in enumerate(paths):
-            if "likelihood" in path:  # uses no window: it rests on all sticks
+        for index, leaf in enumerate(leaves):
+            if leaf not in own:  # that of the likelihood uses no window: it rests on all sticks
                 in_window[index] = no_window[index] = totals[:, 1:]
         status = flat(status, number).astype(int)
 
@@ -318,27 +299,27 @@ def counting_engine(
     return wrapped(problem.engine(), counting)
 
 
-def score_paths(engine: Engine, paths: tuple[NumberPath, ...]) -> tuple[NumberPath, ...]:
-    """The `paths`, but where one is that of the rate of the base's gaps, that of the rate the likelihood knows."""
-    counting, outer = single_engine(engine), ("template",) if isinstance(engine, RandomEngine) else ()
+def score_leaves(problem: SensitivityProblem, engine: Engine) -> tuple[int, ...]:
+    """The leaves of the parameters; that of the rate of the base's gaps is the one that the likelihood knows."""
+    counting = single_engine(engine)
     if not isinstance(counting, IntervalCounting) or counting.likelihood is None:
-        return paths
-    rate = (*outer, "engine", "law", counting.engine.law.gap_rate)
-    return tuple((*outer, "likelihood", "rate") if path == rate else path for path in paths)
+        return problem.leaves
+    rate = len(jax.tree.leaves((counting.engine, counting.bandwidths)))  # the likelihood comes next
+    path, each = ("law", counting.engine.law.gap_rate), zip(problem.parameters, problem.leaves, strict=True)
+    return tuple(rate if parameter.path == path else leaf for parameter, leaf in each)
 
 
 def recorded(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) -> Source:
     """Derivatives by all parameters from recorded stick sequences, with a window per bandwidth; without any, the
     pathwise part.
     """
-    engine, paths = problem.engine(), problem.paths("engine")
-    units = units_of(engine, problem.paths())[:, None, None]
+    leaves, units = problem.leaves, problem.units[:, None, None]
     buffer = buffer_sizes_for(problem, pilot)
-    recorder = wrapped(engine, partial(recording, first=problem.first_segment))
+    recorder = wrapped(problem.engine(), partial(recording, first=problem.first_segment))
 
     def rows(first: int, number: int) -> list[Rows]:
         job = problem.job(recorder, first, problem.sequence_lanes)
-        found, slopes, counts = with_sequences(problem, job, buffer, bandwidths, paths)
+        found, slopes, counts = with_sequences(problem, job, buffer, bandwidths, leaves)
         status = np.asarray(counts.status)[:number]
 
         def rows_of(features: Features, slopes: Features) -> Rows:
@@ -353,16 +334,16 @@ def recorded(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray) 
 
 
 def with_sequences(
-    problem: SensitivityProblem, job: Job, buffer: BufferSizes, bandwidths: np.ndarray, paths: tuple[NumberPath, ...]
+    problem: SensitivityProblem, job: Job, buffer: BufferSizes, bandwidths: np.ndarray, leaves: tuple[int, ...]
 ) -> tuple[tuple[Features, ...], tuple[Features, ...], RecordedCounts]:
     """What `sequence_chunk` finds of the samples of a job that records, with larger buffers until all fits.
 
-    `paths`: in the engine that records. Without `bandwidths` nothing but the sticks is recorded.
+    `leaves`: of the engine, to differentiate by. Without `bandwidths` nothing but the sticks is recorded.
     """
     buffer, tries = buffer if len(bandwidths) else buffer._replace(candidates=0), 0
     while True:
         found = sequence_chunk(
-            problem.statistics, job, np.asarray(bandwidths, problem.dtype), paths=paths, lanes=problem.sequence_lanes,
+            problem.statistics, job, np.asarray(bandwidths, problem.dtype), leaves=leaves, lanes=problem.sequence_lanes,
             buffer=buffer, dtype=problem.dtype,
         )  # fmt: skip
         status, sticks, candidates = found[2]
@@ -419,28 +400,32 @@ def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, wi
 
     Raises ValueError if a value at an end is not allowed.
     """
-    tree: Any = problem.model if problem.needs_ensembles else problem.engine()
-    paths = tuple(one.path for one in problem.parameters) if problem.needs_ensembles else problem.paths()
+    by_ensembles, engine, leaves = problem.needs_ensembles, None, (0,) * len(problem.parameters)
+    if not by_ensembles:
+        engine, leaves = problem.engine(), problem.leaves
 
-    def values_at(tree: Any) -> _ValuesOf:
-        if problem.needs_ensembles:
-            return _values_of_ensemble(problem, tree)
-        return partial(_values_of_engine, problem, pilot, tree)
+    def values_of(model: StochasticModel, changed: dict[int, float]) -> _ValuesOf:
+        """The values under a model; `changed`: the leaves of the engine in which it differs from the problem's."""
+        if by_ensembles:
+            return _values_of_ensemble(problem, model)
+        return partial(_values_of_engine, problem, pilot, with_leaves(engine, tuple(changed), changed.values()))
 
     pairs: list[tuple[float, list[_ValuesOf]]] = []  # the half-width, and both ends, for all parameters and steps
-    for path, parameter, unit in zip(paths, problem.parameters, units_of(tree, paths), strict=True):
+    for parameter, unit, leaf in zip(problem.parameters, problem.units, leaves, strict=True):
         for length in steps * unit:
-            ends = [with_numbers(tree, (path,), (float(parameter.value + sign * length),)) for sign in (-1, 1)]
-            try:
-                for end in ends:
-                    check_numbers(end)
-            except ValueError as error:
-                raise ValueError(
-                    f"Argument step (or relative_bandwidth) must be smaller: {parameter.name} = {parameter.value:g} is "
-                    f"to be varied by {length:g}, which it does not allow. {error}"
-                ) from error
-            pairs.append((length, [values_at(end) for end in ends]))
-    centre, pathwise_by = values_at(tree), None
+            ends = []
+            for value in (float(parameter.value - length), float(parameter.value + length)):
+                model = with_numbers(problem.model, (parameter.path,), (value,))
+                try:
+                    check_numbers(model)
+                except ValueError as error:
+                    raise ValueError(
+                        f"Argument step (or relative_bandwidth) must be smaller: {parameter.name} = "
+                        f"{parameter.value:g} is to be varied by {length:g}, which it does not allow. {error}"
+                    ) from error
+                ends.append(values_of(model, {leaf: value}))
+            pairs.append((length, ends))
+    centre, pathwise_by = values_of(problem.model, {}), None
     if with_pathwise:
         find = partial(counted, by_score=False) if problem.is_counted else recorded
         pathwise_by = find(problem, pilot, np.zeros(0))
@@ -455,10 +440,10 @@ def differenced(problem: SensitivityProblem, pilot: Pilot, steps: np.ndarray, wi
         parts, status, _ = centre(first, number)
         slopes, statuses, differs = zip(*(difference(*pair) for pair in pairs), strict=True)
         status = np.max([status, *statuses], axis=0)
-        shape = (len(paths), len(steps), len(parts), number)
+        shape = (len(problem.parameters), len(steps), len(parts), number)
         slopes = np.moveaxis(np.reshape(slopes, (*shape, 2)), (2, 3), (0, 2))
         differs = np.moveaxis(np.reshape(differs, shape), (2, 3), (0, 2)).astype(float)
-        pathwise = np.zeros((len(parts), len(paths), number, 2))
+        pathwise = np.zeros((len(parts), len(problem.parameters), number, 2))
         if pathwise_by is not None:
             pathwise = [one.pathwise for one in pathwise_by.rows(first, number)]
         tolerance = [_TOLERANCE if problem.is_output else 0.0] * len(parts)
@@ -517,9 +502,10 @@ def _values_of_engine(problem: SensitivityProblem, pilot: Pilot, engine: Engine,
 
 
 def _values_of_totals(problem: SensitivityProblem, totals: SampleTotals) -> _Values:
-    stick_time, sticks, slips, status = map(np.asarray, (totals.stick_time, totals.sticks, totals.slips, totals.status))
-    parts = np.stack([one.parts_of(problem.t1, stick_time, sticks, slips) for one in problem.totals])
-    return _Values(parts, status.astype(int), sticks)
+    columns = np.stack([np.asarray(one, float) for one in (totals.stick_time, totals.sticks, totals.slips)], axis=-1)
+    weights = [one.definition.weights(problem.t1) for one in problem.totals]
+    parts = np.stack([columns @ of[:, :3].T + of[:, -1] for of in weights])
+    return _Values(parts, np.asarray(totals.status).astype(int), np.asarray(totals.sticks))
 
 
 def parts_of_sequences(statistic: StickStatistic, sticks: FlatSticks, t1: float, dtype: DType) -> np.ndarray:

@@ -1,16 +1,17 @@
 """A sensitivity problem: statistic, motion and parameters, its pilot simulation, and where no derivative exists."""
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._dynamics.common.lanes import BLOCK, Engine, Job
+from .._dynamics.common.lanes import BLOCK, Engine, Job, with_leaves
 from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, check_method, state_of
 from .._dynamics.engine_choice import engine_for, engines_of_all, sample_engines
 from .._dynamics.interval.arcs import Scales
@@ -24,9 +25,6 @@ from .._excitation.excitation import (
     is_random,
     key_data_for,
     law_of,
-    merged,
-    path_in_excitation,
-    path_in_merged,
 )
 from .._excitation.motion import RandomSignal
 from .._excitation.piecewise_constant import (
@@ -42,7 +40,7 @@ from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
 from .._systems.system import System, require_system
 from .._uncertainty.inputs import Input, Inputs, StochasticModel
-from .._uncertainty.numbers import NumberPath, Parameter, number_at, parameters_of, with_numbers
+from .._uncertainty.numbers import NumberPath, Parameter, leaves_of_numbers, number_at, parameters_of
 from .boundaries import FirstSegment, relative_excess
 from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, RandomEngine, StickStatistic, statistics_of
 
@@ -250,24 +248,32 @@ class SensitivityProblem(NamedTuple):
         assert isinstance(engine, Engine)
         return engine
 
-    def paths(self, *around: str) -> tuple[NumberPath, ...]:
-        """Paths of the parameters in the engine; `around`: where an engine made of it (`wrapped`) holds it."""
-        return tuple(self._path(parameter.path, around) for parameter in self.parameters)
+    @property
+    def units(self) -> Float[np.ndarray, " parameters"]:
+        """The size of each parameter, 1 where it is 0: in these units `derivatives_of` varies them."""
+        return np.array([abs(parameter.value) or 1.0 for parameter in self.parameters])
 
-    def _path(self, path: NumberPath, around: tuple[str, ...]) -> NumberPath:
-        in_engine = path
-        if path[0] == "law":
-            in_law = path_in_merged(self.law, path[1:])
-            in_engine = ("law", *in_law)
-            if not self.by_intervals:
-                in_engine = ("excitation", *path_in_excitation(merged(self.law, self.t1), in_law))
+    @property
+    def leaves(self) -> tuple[int, ...]:
+        """Which leaf of the engine each parameter is; of a distribution's own number, counted from the end.
+
+        So they are the same leaves in an engine made of it (`wrapped`).
+        """
+        paths = tuple(parameter.path for parameter in self.parameters)
         if self.random is None:
-            return (*around, *in_engine)
-        inputs, _, origins = self.random
-        for place, origin in enumerate(origins):
-            if origin is not None and _holds(inputs.entries[origin], path):
-                return ("sources", place, *path[len(inputs.entries[origin].path) :])
-        return ("template", *around, *in_engine)
+            own = StochasticModel(self.system, self.law, self.y0)
+            return leaves_of_numbers(lambda model: self._replace(**model._asdict()).engine(), own, paths)
+        inputs, engine, origins = self.random
+
+        def parts(model: StochasticModel) -> Any:
+            of_model = dataclasses.replace(inputs, model=model)
+            template = sample_engines(of_model, self.method, self.t1, self.dtype, 0, 1).template
+            drawn = (at for source, at in zip(engine.sources, origins, strict=True) if source is not None)
+            return template, [number_at(model, inputs.entries[at].path) for at in drawn if at is not None]
+
+        size, of_template = (len(jax.tree.leaves(tree)) for tree in (engine, engine.template))
+        found = leaves_of_numbers(parts, inputs.model, paths)
+        return tuple(leaf if leaf < of_template else leaf - size for leaf in found)
 
     @property
     def per_task(self) -> int:
@@ -488,20 +494,20 @@ def _zeros(problem: SensitivityProblem, function: _Function) -> tuple[Bool[np.nd
         return np.zeros(0, bool), []
     key_data = random_words(problem.key_data, jnp.arange(_DRAWN, dtype=jnp.uint32))
     # Compiled as one: run operation by operation, it would take longer than the sensitivity itself.
-    found, slopes = _with_slopes(engine, key_data, function=function, paths=problem.paths(), dtype=dtype)
+    found, slopes = _with_slopes(engine, key_data, function=function, leaves=problem.leaves, dtype=dtype)
     zero, moves = np.abs(np.asarray(found)) < _EXACTLY, np.abs(np.asarray(slopes)) > _EXACTLY
     moved = [parameter.name for index, parameter in enumerate(problem.parameters) if np.any(zero & moves[..., index])]
     return zero, moved
 
 
-@partial(jax.jit, static_argnames=("function", "paths", "dtype"))
+@partial(jax.jit, static_argnames=("function", "leaves", "dtype"))
 def _with_slopes(
-    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, paths: tuple[NumberPath, ...], dtype: DType
+    engine: Engine, key_data: tuple[Array, Array], *, function: _Function, leaves: tuple[int, ...], dtype: DType
 ) -> tuple[Array, Array]:
     """Values of the function, and its derivatives by the parameters along a last axis."""
 
     def of(values: Array) -> Array:
-        here = with_numbers(engine, paths, values)
+        here = with_leaves(engine, leaves, values)
 
         def first_velocity(high, low):
             memory = here.law.begin((high, low), dtype)
@@ -510,5 +516,6 @@ def _with_slopes(
 
         return function(here, here.shared(dtype), jax.vmap(first_velocity)(*key_data))
 
-    values = jnp.stack([jnp.asarray(number_at(engine, path), dtype) for path in paths])
+    given = jax.tree.leaves(engine)
+    values = jnp.stack([jnp.asarray(given[leaf], dtype) for leaf in leaves])
     return of(values), jax.jacfwd(of)(values)

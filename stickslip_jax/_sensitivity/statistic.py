@@ -86,12 +86,6 @@ class OfTotals(StickStatistic):
         """Coefficients of total stick time, number of sticks and 1 in numerator and denominator, for `t1` (s)."""
         return self.definition.weights(t1)[:, [0, 1, -1]]
 
-    def parts_of(self, t1: float, stick_time: np.ndarray, sticks: np.ndarray, slips: np.ndarray) -> np.ndarray:
-        """Numerator and denominator of samples with these totals, (samples, 2)."""
-        weights = self.definition.weights(t1)
-        totals = np.stack([np.asarray(one, float) for one in (stick_time, sticks, slips)], axis=-1)
-        return totals @ weights[:, :3].T + weights[:, -1]
-
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         totals = jnp.stack([jnp.sum(sticks.duration), jnp.sum(sticks.mask), jnp.ones_like(sticks.start[0])])
 
@@ -210,9 +204,7 @@ class StickFunctional(StickStatistic):
 
     def __post_init__(self):
         if not callable(self.function):
-            raise ValueError(
-                f"Argument function must be a function of a StickSequence, but {checks.show(self.function)} was given."
-            )
+            raise checks.refused("function", "be a function of a StickSequence", self.function)
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         value = jnp.asarray(self.function(sticks), sticks.start.dtype)
@@ -246,10 +238,8 @@ def statistics_of(statistic: AnyStatistic | Sequence[AnyStatistic]) -> tuple[Sti
     several = list(statistic) if isinstance(statistic, (list, tuple)) else [statistic]
     found = tuple(map(statistic_of, several)) or (statistic_of(statistic),)
     if len({one.name for one in found}) < len(found):
-        raise ValueError(
-            "Argument statistic must hold different statistics, with different names, but "
-            f"{checks.show([one.name for one in found])} were given."
-        )
+        names = [one.name for one in found]
+        raise checks.refused("statistic", "hold different statistics, with different names", names)
     return found
 
 
@@ -261,17 +251,14 @@ def statistic_of(statistic: object) -> StickStatistic:
         statistic = next((one for one in DIFFERENTIABLE if one.name == statistic), statistic)
     if isinstance(statistic, StickStatistic):
         if statistic.is_of_totals and not isinstance(statistic, OfTotals):
-            raise ValueError(
-                f"Argument statistic must have is_of_totals = False, but {checks.show(statistic)} was given: only the "
-                "package's own statistics are found from totals."
-            )
+            hint = "only the package's own statistics are found from totals"
+            raise checks.refused("statistic", "have is_of_totals = False", statistic, hint)
         return statistic
     if isinstance(statistic, StatisticOfTotals) and any(statistic is one for one in DIFFERENTIABLE):
         return OfTotals(statistic)
-    raise ValueError(
-        f"Argument statistic must be {', '.join(map(repr, DIFFERENTIABLE))}, or a StickStatistic such as "
-        f"StickDuration(1), an Output, or a list of them, but {checks.show(statistic)} was given."
-    )
+    known = ", ".join(map(repr, DIFFERENTIABLE))
+    demand = f"be {known}, or a StickStatistic such as StickDuration(1), an Output, or a list of them"
+    raise checks.refused("statistic", demand, statistic)
 
 
 # Engines whose samples differ in numbers drawn from distributions, with derivatives by the distributions' parameters.

@@ -300,12 +300,10 @@ class EnsembleStatistics(ByQuantity):
             hint = f"call simulate_ensemble(..., orders={checks.show(number)})"
             raise checks.refused("number", f"be at most {self.orders}", number, hint)
         number = int(number)
-        skipped = self.numbering.skipped(self.sticks)
-        has = self.sticks.count - skipped >= number
-        at = (self.sticks.first + skipped + number - 1)[has]
+        owner, before = self._that_have(number)
         sums = self.accumulator.by_order.one(number - 1)
         bins = [one._replace(counts=one.counts[number - 1]) for one in self.accumulator.order_bins]
-        distributions = self._of_sticks(sums, bins, at, np.flatnonzero(has), number)
+        distributions = self._of_sticks(sums, bins, before + number, owner, number)
         return OrderStatistics.of(number, "stick", int(sums.number), self.samples, distributions, self.origin)
 
     def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
@@ -339,10 +337,8 @@ class EnsembleStatistics(ByQuantity):
             values = tuple(self._column(of.name)[self._pooled] for of in (of_x, of_y))
             owner = self.sticks.sample[self._pooled]
         else:
-            skipped = self.numbering.skipped(self.sticks)
-            has = self.sticks.count - skipped >= max(number_x, number_y)
-            first, owner = (self.sticks.first + skipped)[has] - 1, np.flatnonzero(has)
-            values = (self._column(of_x.name)[first + number_x], self._column(of_y.name)[first + number_y])
+            owner, before = self._that_have(max(number_x, number_y))
+            values = (self._column(of_x.name)[before + number_x], self._column(of_y.name)[before + number_y])
         exists = np.isfinite(values[0]) & np.isfinite(values[1])
         values, owner = tuple(column[exists] for column in values), owner[exists]
         bins, correlation, sums = None, None, self.accumulator
@@ -395,6 +391,12 @@ class EnsembleStatistics(ByQuantity):
                 caption = f"{body.capitalize()}s by order (mean +- standard error)"
                 tables.append((caption, (body, f"samples with this {body}", *heads), rows))
         return Summary(f"{self.samples:,} samples on [0, {self.t1:g}] s", tuple(tables), ())
+
+    def _that_have(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """The retained samples with a `number`-th stick, and in the sticks the place before the first one of each."""
+        skipped = self.numbering.skipped(self.sticks)
+        has = np.flatnonzero(self.sticks.count - skipped >= number)
+        return has, (self.sticks.first + skipped)[has] - 1
 
     def _total(self, name: str) -> np.ndarray:
         """One of the `TOTALS` of each retained sample."""

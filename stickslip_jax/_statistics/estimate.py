@@ -8,7 +8,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, SupportsFloat, TypeAlias, TypeGuard, runtime_checkable
+from typing import Any, NamedTuple, Protocol, SupportsFloat, TypeAlias, cast, runtime_checkable
 
 import numpy as np
 
@@ -93,7 +93,7 @@ class RatioOfMeans(NamedTuple):
         is within t of its standard errors if ``d^2 <= t^2 (s^2 - 2 w d + v d^2)``: s is the standard error of r, v the
         variance and w the covariance. Where the denominator itself is not surely positive, no ratio is too large.
         """
-        t = _quantile_of_t(estimate.samples - 1, level)
+        t = float(quantile_of_t(estimate.samples - 1, level))
         certain, middle = 1 - t**2 * self.variance, -(t**2) * self.covariance
         square = (t * estimate.standard_error) ** 2
         if square == 0:
@@ -132,8 +132,78 @@ class _Source(NamedTuple):
     shared: tuple[SharedErrors, int] | None = None
 
 
+class Computable:
+    """What can be computed with like a number: an `Estimate`, or what has one as its `estimate`."""
+
+    __array_ufunc__ = None  # arithmetic with NumPy's numbers is left to these methods
+
+    def __float__(self) -> float:
+        return float(_estimate_of(self).value)
+
+    def __neg__(self) -> "Estimate":
+        own = _estimate_of(self)
+        return _combined(f"-{_inside(own)}", -own.value, own.unit, (-1.0, own))
+
+    def __pos__(self) -> "Estimate":
+        return _estimate_of(self)
+
+    def __abs__(self) -> "Estimate":
+        own = _estimate_of(self)
+        return _combined(f"|{own.name}|", abs(own.value), own.unit, (math.copysign(1.0, own.value), own))
+
+    def __add__(self, other: object) -> "Estimate":
+        return _computed(_sum, self, other, "+")
+
+    def __radd__(self, other: object) -> "Estimate":
+        if isinstance(other, int) and other == 0:  # where sum() begins
+            return _estimate_of(self)
+        return _computed(_sum, other, self, "+")
+
+    def __sub__(self, other: object) -> "Estimate":
+        return _computed(_sum, self, other, "-")
+
+    def __rsub__(self, other: object) -> "Estimate":
+        return _computed(_sum, other, self, "-")
+
+    def __mul__(self, other: object) -> "Estimate":
+        return _computed(_product, self, other)
+
+    def __rmul__(self, other: object) -> "Estimate":
+        return _computed(_product, other, self)
+
+    def __truediv__(self, other: object) -> "Estimate":
+        return _computed(_quotient, self, other)
+
+    def __rtruediv__(self, other: object) -> "Estimate":
+        return _computed(_quotient, other, self)
+
+    def __lt__(self, other: object) -> bool:
+        return _computed(_compared, self, other, operator.lt)
+
+    def __le__(self, other: object) -> bool:
+        return _computed(_compared, self, other, operator.le)
+
+    def __gt__(self, other: object) -> bool:
+        return _computed(_compared, self, other, operator.gt)
+
+    def __ge__(self, other: object) -> bool:
+        return _computed(_compared, self, other, operator.ge)
+
+
+def _estimate_of(given: Any) -> Any:
+    """The estimate of what has one; other things as they are."""
+    has_one = isinstance(given, Computable) and not isinstance(given, Estimate)
+    return cast(Any, given).estimate if has_one else given
+
+
+def _computed(how: Callable[..., Any], one: object, other: object, *options: Any) -> Any:
+    """What `how` computes of two numbers, of which one or both have errors; NotImplemented for other things."""
+    pair = _estimate_of(one), _estimate_of(other)
+    return how(*pair, *options) if all(map(_is_number, pair)) else NotImplemented
+
+
 @dataclasses.dataclass(frozen=True)
-class Estimate:
+class Estimate(Computable):
     """An estimate: its value and standard error (one standard deviation), both in `unit`.
 
     - `samples`: the number of independent samples it is from. A value or error that these do not determine is NaN.
@@ -167,8 +237,6 @@ class Estimate:
 
     _shared: tuple[SharedErrors, int] | None = dataclasses.field(default=None, init=False, compare=False, repr=False)
 
-    __array_ufunc__ = None  # arithmetic with NumPy's numbers is left to the methods below
-
     def interval(self, level: float = DEFAULT_LEVEL) -> tuple[float, float]:
         """Confidence interval at `level`; NaN without error.
 
@@ -185,61 +253,11 @@ class Estimate:
             return math.nan, math.nan
         if self.kind is not None:
             return self.kind.interval(self, level)
-        half_width = _quantile_of_t(self.samples - 1, level) * self.standard_error
+        half_width = float(quantile_of_t(self.samples - 1, level)) * self.standard_error
         return self.value - half_width, self.value + half_width
-
-    def __float__(self) -> float:
-        return float(self.value)
 
     def __format__(self, how: str) -> str:
         return format(self.value, how) if how else str(self)
-
-    def __neg__(self) -> "Estimate":
-        return _combined(f"-{_inside(self)}", -self.value, self.unit, (-1.0, self))
-
-    def __pos__(self) -> "Estimate":
-        return self
-
-    def __abs__(self) -> "Estimate":
-        return _combined(f"|{self.name}|", abs(self.value), self.unit, (math.copysign(1.0, self.value), self))
-
-    def __add__(self, other: object) -> "Estimate":
-        return _sum(self, other, "+") if _is_number(other) else NotImplemented
-
-    def __radd__(self, other: object) -> "Estimate":
-        if isinstance(other, int) and other == 0:  # where sum() begins
-            return self
-        return _sum(other, self, "+") if _is_number(other) else NotImplemented
-
-    def __sub__(self, other: object) -> "Estimate":
-        return _sum(self, other, "-") if _is_number(other) else NotImplemented
-
-    def __rsub__(self, other: object) -> "Estimate":
-        return _sum(other, self, "-") if _is_number(other) else NotImplemented
-
-    def __mul__(self, other: object) -> "Estimate":
-        return _product(self, other) if _is_number(other) else NotImplemented
-
-    def __rmul__(self, other: object) -> "Estimate":
-        return _product(other, self) if _is_number(other) else NotImplemented
-
-    def __truediv__(self, other: object) -> "Estimate":
-        return _quotient(self, other) if _is_number(other) else NotImplemented
-
-    def __rtruediv__(self, other: object) -> "Estimate":
-        return _quotient(other, self) if _is_number(other) else NotImplemented
-
-    def __lt__(self, other: object) -> bool:
-        return _compared(self, other, operator.lt) if _is_number(other) else NotImplemented
-
-    def __le__(self, other: object) -> bool:
-        return _compared(self, other, operator.le) if _is_number(other) else NotImplemented
-
-    def __gt__(self, other: object) -> bool:
-        return _compared(self, other, operator.gt) if _is_number(other) else NotImplemented
-
-    def __ge__(self, other: object) -> bool:
-        return _compared(self, other, operator.ge) if _is_number(other) else NotImplemented
 
     def __str__(self) -> str:
         return f"{self.name}: {self.without_name()}"
@@ -271,11 +289,11 @@ class Estimate:
         return f"{shown} ({DEFAULT_LEVEL:.0%}: {low:.4g} to {high:.4g})".replace("%", " %")
 
 
-def _quantile_of_t(freedom: int, level: float) -> float:
-    """How many standard errors the interval of Student's t extends to either side."""
+def quantile_of_t(freedom: Any, level: float) -> Any:
+    """How many standard errors the interval of Student's t extends to either side; `freedom`: a number or an array."""
     from scipy import special  # noqa: PLC0415 - adds a filter of warnings
 
-    return float(special.stdtrit(freedom, (1 + level) / 2))
+    return special.stdtrit(freedom, (1 + level) / 2)
 
 
 def check_level(level: float) -> None:
@@ -295,7 +313,7 @@ def format_with_error(value: float, error: float) -> str:
     return f"{value:.{decimals}f} +- {error:.{decimals}f}"
 
 
-def _is_number(other: object) -> TypeGuard[SupportsFloat]:
+def _is_number(other: object) -> bool:
     """Whether an estimate can be computed with `other`: an estimate, or a real number that JAX does not trace."""
     if isinstance(other, Estimate):
         return True
@@ -430,61 +448,12 @@ def correlated_estimates(
     ]
 
 
-class Computable:
-    """What can be computed with like the `Estimate` that it has."""
-
-    @property
-    def estimate(self) -> Estimate:
-        """Its value, with its error."""
-        raise NotImplementedError("each subclass has its own")
-
-    __array_ufunc__ = None
-
-    def __float__(self) -> float:
-        return float(self.estimate)
-
-    def __neg__(self) -> Estimate:
-        return -self.estimate
-
-    def __abs__(self) -> Estimate:
-        return abs(self.estimate)
-
-    def __add__(self, other: object) -> Estimate:
-        return self.estimate + _plain(other)
-
-    def __radd__(self, other: object) -> Estimate:
-        return _plain(other) + self.estimate
-
-    def __sub__(self, other: object) -> Estimate:
-        return self.estimate - _plain(other)
-
-    def __rsub__(self, other: object) -> Estimate:
-        return _plain(other) - self.estimate
-
-    def __mul__(self, other: object) -> Estimate:
-        return self.estimate * _plain(other)
-
-    def __rmul__(self, other: object) -> Estimate:
-        return _plain(other) * self.estimate
-
-    def __truediv__(self, other: object) -> Estimate:
-        return self.estimate / _plain(other)
-
-    def __rtruediv__(self, other: object) -> Estimate:
-        return _plain(other) / self.estimate
-
-
-def _plain(other: Any) -> Any:
-    """The estimate of what has one; other things as they are."""
-    return other.estimate if isinstance(other, Computable) else other
-
-
 # What the statistics need of an ensemble, and the check that it is one.
 
 
 @runtime_checkable
 class EnsembleLike(Protocol):
-    """The result of `simulate_ensemble`, as far as the statistics of totals use it; see `Ensemble`."""
+    """The result of `simulate_ensemble`, as far as its statistics use it; see `Ensemble`."""
 
     @property
     def t1(self) -> float: ...
@@ -493,17 +462,11 @@ class EnsembleLike(Protocol):
     @property
     def status_counts(self) -> dict[Status, int]: ...
     def finished_sticks(self) -> FlatSticks: ...
+    def numbered_sticks(self) -> FlatSticks: ...
     def require_sticks(self) -> FlatSticks: ...
 
 
-@runtime_checkable
-class WithNumberedSticks(Protocol):
-    """The result of `simulate_ensemble`, as far as the tests of independence use it; see `Ensemble`."""
-
-    def numbered_sticks(self) -> FlatSticks: ...
-
-
-StickSource: TypeAlias = WithNumberedSticks | FlatSticks
+StickSource: TypeAlias = EnsembleLike | FlatSticks
 """An `Ensemble`, or the sticks of many samples themselves."""
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from .._dynamics.sticks import FlatSticks
 from .._foundation import checks
 from .._foundation.types import Ending
-from .estimate import EnsembleLike, StickSource, WithNumberedSticks, require_ensemble
+from .estimate import EnsembleLike, StickSource, require_ensemble
 
 # The quantities whose distributions are estimated: numbers of each stick, of each slip or of each sample.
 #
@@ -145,7 +145,9 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
     checks.chosen("quantity", quantity, TESTED)
     if not (isinstance(starts_before, float) and starts_before == math.inf) and starts_before is not None:
         checks.numeric("starts_before", starts_before)
-    given = source.numbered_sticks() if isinstance(source, WithNumberedSticks) else source
+    given: object = source
+    if not isinstance(source, FlatSticks) and hasattr(source, "numbered_sticks"):
+        given = source.numbered_sticks()
     if not isinstance(given, FlatSticks):
         raise ValueError(
             "Argument source must be the result of simulate_ensemble or its flat_sticks, "

@@ -145,39 +145,27 @@ def sobol_indices(
     assert rows is not None
     pairs = list(combinations(range(factors), 2)) if design.second_order else []
 
-    # Of each output (base rows, indices + 2): the numerators of all indices, first-order, total and second-order, and
-    # the mean and mean square of A and B. Indices are made of their means over base rows.
-    products = []
-    for column in table.T:
-        given = column.reshape(rows, -1)
-        y = given - given.mean()
-        a, b, ab, ba = y[:, :1], y[:, -1:], y[:, 1 : factors + 1], y[:, factors + 1 : -1]
-        second = [ba[:, [i]] * ab[:, [j]] - a * b for i, j in pairs]
-        of_all = [b * (ab - a), (a - ab) ** 2 / 2, *second, (a + b) / 2, (a**2 + b**2) / 2]
-        products.append(np.concatenate(of_all, axis=1))
-
-    # The means over all base rows, then those of resamples of these, which are the same for all outputs.
-    rng = np.random.default_rng(seed)
-    means = [np.empty((1 + resamples, one.shape[1])) for one in products]
-    for mean, one in zip(means, products, strict=True):
-        mean[0] = one.mean(axis=0)
-    for draw in range(1, 1 + resamples):
+    # The numerators of all indices, first-order, total and second-order, and the mean and mean square of A and B, (base
+    # rows, indices + 2, outputs). Indices are made of their means over base rows.
+    y = (table - table.mean(axis=0)).reshape(rows, -1, table.shape[1])
+    a, b, ab, ba = y[:, :1], y[:, -1:], y[:, 1 : factors + 1], y[:, factors + 1 : -1]
+    second = [ba[:, [i]] * ab[:, [j]] - a * b for i, j in pairs]
+    products = np.concatenate([b * (ab - a), (a - ab) ** 2 / 2, *second, (a + b) / 2, (a**2 + b**2) / 2], axis=1)
+    # The means over all base rows, then those of resamples of these.
+    rng, means = np.random.default_rng(seed), [products.mean(axis=0)]
+    for _ in range(resamples):
         weights = np.bincount(rng.integers(rows, size=rows), minlength=rows) / rows
-        for mean, one in zip(means, products, strict=True):
-            mean[draw] = weights @ one
-
-    tails, each = ((1 - level) / 2, (1 + level) / 2), []
-    for mean, column in zip(means, table.T, strict=True):
-        variance = mean[:, -1:] - mean[:, -2:-1] ** 2
-        if np.ptp(column) == 0:
-            variance = np.zeros_like(variance)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            found = mean[:, :-2] / np.where(variance > 0, variance, math.nan)
-        for at, (i, j) in enumerate(pairs, 2 * factors):
-            found[:, at] -= found[:, i] + found[:, j]
-        value, draws = found[0], found[1:]
-        each.append(np.stack([value, draws.std(axis=0, ddof=1), *np.quantile(draws, tails, axis=0)]))
-    statistics = np.stack(each, axis=-1)  # (statistics, indices, outputs): value, error, low, high
+        means.append(np.tensordot(weights, products, axes=1))
+    mean = np.stack(means)
+    variance = mean[:, -1:] - mean[:, -2:-1] ** 2
+    variance[..., np.ptp(table, axis=0) == 0] = 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = mean[:, :-2] / np.where(variance > 0, variance, math.nan)
+    for at, (i, j) in enumerate(pairs, 2 * factors):
+        found[:, at] -= found[:, i] + found[:, j]
+    value, draws, tails = found[0], found[1:], ((1 - level) / 2, (1 + level) / 2)
+    # (statistics, indices, outputs): value, error, low, high
+    statistics = np.stack([value, draws.std(axis=0, ddof=1), *np.quantile(draws, tails, axis=0)])
     if names is None:
         statistics = statistics[..., 0]
     kinds = {"first": statistics[:, :factors], "total": statistics[:, factors : 2 * factors]}

@@ -18,6 +18,7 @@ from .estimate import (
     by_totals,
     check_level,
     origin_of,
+    quantile_of_t,
     require_ensemble,
 )
 from .quantities import StickValue
@@ -183,9 +184,7 @@ class Convergence:
             ValueError: Unless ``0 < level < 1``.
         """
         check_level(level)
-        from scipy import special  # noqa: PLC0415 - adds a filter of warnings
-
-        half_width = special.stdtrit(np.maximum(self.numbers - 1, 1), (1 + level) / 2) * self.errors
+        half_width = quantile_of_t(np.maximum(self.numbers - 1, 1), level) * self.errors
         return self.values - half_width, self.values + half_width
 
     def samples_for(self, relative_error: float) -> int | None:

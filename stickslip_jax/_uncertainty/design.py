@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -167,13 +168,8 @@ def checked_names(names: object) -> tuple[str, ...]:
 
 
 def given_twice(names: Iterable[str]) -> str | None:
-    """The first of `names` that was there before; None if all differ."""
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            return name
-        seen.add(name)
-    return None
+    """The first of `names` that is there again; None if all differ."""
+    return next((name for name, number in Counter(names).items() if number > 1), None)
 
 
 def check_size(rows: int, columns: int, argument: str = "samples") -> None:

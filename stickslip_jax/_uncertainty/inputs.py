@@ -333,11 +333,6 @@ class Inputs:
         """Whether an input is drawn."""
         return any(entry.is_random for entry in self.entries)
 
-    @property
-    def in_start(self) -> bool:
-        """Whether the initial state holds an input."""
-        return any(entry.path[0] == "y0" for entry in self.entries)
-
     def drawn(self, first: int, number: int, dtype: DType) -> tuple[AnyArray, ...]:
         """The values of every input for samples ``first .. first + number - 1``, arrays (number,).
 
@@ -375,7 +370,8 @@ class Inputs:
 
     def with_start(self, y0: tuple[Number, ...]) -> "Inputs":
         """The same inputs; where none of them is an initial value, with the checked initial state `y0`."""
-        return self if self.in_start else dataclasses.replace(self, model=self.model._replace(y0=y0))
+        in_start = any(entry.path[0] == "y0" for entry in self.entries)
+        return self if in_start else dataclasses.replace(self, model=self.model._replace(y0=y0))
 
     def uniforms(self, first: int, number: int, dtype: DType) -> tuple[Array | None, ...]:
         """The uniform numbers that `drawn` draws from, (number,) each; None for arrays."""

@@ -3,7 +3,7 @@
 import dataclasses
 import difflib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -81,15 +81,17 @@ def with_numbers(tree: Any, paths: Sequence[NumberPath], values: Any) -> Any:
     )  # fmt: skip
 
 
+def leaves_of_numbers(build: Callable[[Any], PyTree], tree: Any, paths: Sequence[NumberPath]) -> tuple[int, ...]:
+    """Which leaves of ``build(tree)`` are the numbers of `tree` at `paths`; these must be among them as they are."""
+    marks = [np.float64(number_at(tree, path)) for path in paths]  # objects of their own
+    leaves = jax.tree.leaves(build(with_numbers(tree, paths, marks)))
+    return tuple(next(place for place, leaf in enumerate(leaves) if leaf is mark) for mark in marks)
+
+
 def check_numbers(tree: object) -> None:
     """Run the constructor's checks of all modules in `tree` again. Raises their ValueError."""
-    if isinstance(tree, eqx.Module):
-        for field in dataclasses.fields(tree):
-            check_numbers(getattr(tree, field.name, None))
-        getattr(tree, "__check_init__", lambda: None)()
-    elif isinstance(tree, (tuple, list)):
-        for part in tree:
-            check_numbers(part)
+    for module in reversed(list(modules_in(tree))):  # those inside others first
+        getattr(module, "__check_init__", lambda: None)()
 
 
 def matching(argument: str, name: str, paths: list[NumberPath]) -> int:

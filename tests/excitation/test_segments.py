@@ -12,9 +12,9 @@ from scipy import stats
 from support.segments import documented_law
 
 import stickslip_jax as ss
-from stickslip_jax._excitation.excitation import excitation_of, path_in_excitation
+from stickslip_jax._excitation.excitation import excitation_of
 from stickslip_jax._excitation.segments import first_segment, following_segment
-from stickslip_jax._uncertainty.numbers import number_at
+from stickslip_jax._uncertainty.numbers import leaves_of_numbers, number_at
 
 CHANCE = 1e-3
 KEY = jax.random.key(5)
@@ -222,7 +222,8 @@ PLACES = {
 @pytest.mark.parametrize("case", PLACES)
 def test_parameters_of_laws_are_found_in_their_excitation(case):
     law, path = PLACES[case]
-    assert number_at(excitation_of(law), path_in_excitation(law, path)) == number_at(law, path)
+    (leaf,) = leaves_of_numbers(excitation_of, law, (path,))
+    assert jax.tree.leaves(excitation_of(law))[leaf] == number_at(law, path)
 
 
 def test_sensitivity_by_finite_differences(many):

@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.common.lanes import Job
+from stickslip_jax._dynamics.common.lanes import Job, with_leaves
 from stickslip_jax._numerics.steps import steepest_fall
 from stickslip_jax._numerics.sums import Moments
 from stickslip_jax._sensitivity import estimate, statistic
 from stickslip_jax._sensitivity.boundaries import FirstSegment
 from stickslip_jax._sensitivity.counting import recording
 from stickslip_jax._sensitivity.estimate import gradient_of_ratio
-from stickslip_jax._sensitivity.estimators import Accumulator, DerivativeColumns, derivatives_of
+from stickslip_jax._sensitivity.estimators import Windows, derivatives_of
 from stickslip_jax._sensitivity.problem import buffer_sizes_for, problem_of
 from stickslip_jax._sensitivity.statistic import StickSequence, wrapped
-from stickslip_jax._uncertainty.numbers import with_numbers
 
 LANES = 512
 
@@ -51,10 +50,10 @@ def test_what_is_close_to_a_boundary_crosses_it(name):
     problem, pilot = problem_of(ss.mean_stick_count, system, law, "mu", t1, LANES, jax.random.key(1), y0)
     engine = wrapped(problem.engine(), lambda engine: recording(engine, FirstSegment(False, False)))
     buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
-    paths, mu = problem.paths("engine"), problem.parameters[0].value
+    leaves, mu = problem.leaves, problem.parameters[0].value
 
     def record(values, varying, first):
-        varied = with_numbers(engine, paths, values)
+        varied = with_leaves(engine, leaves, values)
         job = Job(varied, problem.key_data, first, np.int32(1), varying)
         recorded = statistic.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances.two_sided
@@ -63,7 +62,7 @@ def test_what_is_close_to_a_boundary_crosses_it(name):
 
     @jax.jit
     def distances(varying, first):
-        return derivatives_of(lambda values: record(values, varying, first), engine, paths, problem.dtype)
+        return derivatives_of(lambda values: record(values, varying, first), engine, leaves, problem.dtype)
 
     counts = jax.jit(lambda values, varying, first: record(values, varying, first)[1][1])
     right = seen = 0
@@ -91,18 +90,18 @@ def test_distances_move_as_their_derivatives_say(wrt):
     problem, pilot = problem_of(ss.mean_stick_count, system, law, wrt, t1, LANES, jax.random.key(1), y0)
     engine = wrapped(problem.engine(), lambda engine: recording(engine, FirstSegment(False, False)))
     buffer = buffer_sizes_for(problem, pilot._replace(most=39))._replace(candidates=120)
-    paths, value = problem.paths("engine"), problem.parameters[0].value
+    leaves, value = problem.leaves, problem.parameters[0].value
     varying = problem.varying_leaves(0, LANES)
 
     def distances(values):
-        varied = with_numbers(engine, paths, values)
+        varied = with_leaves(engine, leaves, values)
         job = Job(varied, problem.key_data, jnp.uint32(0), np.int32(1), varying)
         recorded = statistic.record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
         found = recorded.distances
         is_active = jnp.stack([distance.is_active for distance in found.two_sided])
         return jnp.stack([distance.value for distance in found.two_sided]), (is_active, found.time)
 
-    _, slopes, (is_active, _) = jax.jit(lambda: derivatives_of(distances, engine, paths, problem.dtype))()
+    _, slopes, (is_active, _) = jax.jit(lambda: derivatives_of(distances, engine, leaves, problem.dtype))()
     (low, (_, before)), (high, (_, after)) = (
         jax.jit(distances)(jnp.array([value * (1 + sign * 1e-6)])) for sign in (-1, 1)
     )
@@ -166,31 +165,30 @@ def tally_of(rng, bias, number=4000):
     wide, narrow = 1 + bias + rng.normal(size=number), 1 + 2 * rng.normal(size=number)
     zero = np.zeros(number)
     rows = np.stack([zero, zero + 1, wide, zero, narrow, zero, zero, zero], axis=1)
-    in_window = np.array([[1000.0, 250.0]])
-    return Accumulator((Moments.of(rows[::2]), Moments.of(rows[1::2])), in_window), DerivativeColumns((2, 4), 6)
+    return Windows((Moments.of(rows[::2]), Moments.of(rows[1::2])), np.array([1000.0, 250.0]))
 
 
 def test_window_is_wide_unless_it_disagrees(monkeypatch):
-    accumulator, where = tally_of(np.random.default_rng(3), 0.0)
-    got, window, _ = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
+    seen = tally_of(np.random.default_rng(3), 0.0)
+    got, window, _ = estimate.estimate_by_windows(seen, None)
     assert window == 0
-    assert got == gradient_of_ratio(accumulator.moments, 2, 6, None)
+    assert got == gradient_of_ratio(seen.moments, 0, None)[0]
     # No two windows agree: the error of the narrowest alone would be too sure of itself, and is not given.
-    accumulator, where = tally_of(np.random.default_rng(3), 1.0)
-    got, window, _ = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
-    narrow = gradient_of_ratio(accumulator.moments, 4, 6, None)
+    seen = tally_of(np.random.default_rng(3), 1.0)
+    got, window, _ = estimate.estimate_by_windows(seen, None)
+    narrow, _ = gradient_of_ratio(seen.moments, 1, None)
     assert (window, got.derivative) == (1, narrow.derivative)
     assert np.isnan(got.standard_error)
-    assert estimate.windows_disagree(accumulator, where, accumulator.in_window[0])
+    assert estimate.windows_disagree(seen)
     monkeypatch.setattr(estimate, "_DISAGREE", np.inf)  # without that guard the error is finite
-    assert estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)[:2] == (narrow, 1)
+    assert estimate.estimate_by_windows(seen, None)[:2] == (narrow, 1)
     # A narrow window that holds too little judges nothing.
-    assert estimate.estimate_by_windows(accumulator, where, np.array([1000.0, estimate.FEW - 1]), None)[1] == 0
+    assert estimate.estimate_by_windows(seen._replace(in_window=np.array([1000.0, estimate.FEW - 1])), None)[1] == 0
 
 
-def _chosen(accumulator, where):
+def _chosen(seen):
     """The window that all samples choose together."""
-    return estimate._widest(accumulator.moments, where, accumulator.in_window[0], estimate._AGREE, 0.0)
+    return estimate._widest(seen.moments, seen, estimate._AGREE)
 
 
 @pytest.mark.slow
@@ -200,12 +198,11 @@ def test_choosing_a_window_leaves_errors_honest():
     """
     rng, scores, scaled, narrow = np.random.default_rng(5), [], [], 0
     for _ in range(2000):
-        accumulator, where = tally_of(rng, 0.0, number=400)
-        got, window, _ = estimate.estimate_by_windows(accumulator, where, accumulator.in_window[0], None)
+        seen = tally_of(rng, 0.0, number=400)
+        got, window, _ = estimate.estimate_by_windows(seen, None)
         scores.append((got.derivative - 1) / got.standard_error)
         narrow += window
-        chosen = where.derivative[_chosen(accumulator, where)]
-        naive = gradient_of_ratio(accumulator.moments, chosen, 6, None)
+        naive, _ = gradient_of_ratio(seen.moments, _chosen(seen), None)
         scaled.append((naive.derivative - 1) / naive.standard_error)
     bound = 4 / np.sqrt(2 * 2000)
     assert narrow > 100
