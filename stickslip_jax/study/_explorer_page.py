@@ -407,7 +407,7 @@ class Explorer(pn.viewable.Viewer):
             sizing_mode="stretch_width",
         )  # fmt: skip
         tabs: list[Any] = [("Motion and statistics", motion)]
-        self._section = pictures.SectionFigure()
+        self._section = pictures.SectionFigure(self.scene)
         if pictures.is_deterministic(self.scene):
             section = pn.Column(
                 self._section_note, pn.pane.Bokeh(self._section.plot, sizing_mode="stretch_width"),
@@ -480,13 +480,11 @@ class Explorer(pn.viewable.Viewer):
         if self._tabs.active != 1 or not pictures.is_deterministic(self.scene):
             return
         self._section_note.object = html.escaped(f"Computing over {self._moving.label} ...")
-        self._sections.do(
-            [(partial(pictures.section_of, self.scene, self._moving), self._show_section)],
-            lambda error: setattr(self._section_note, "object", html.escaped(str(error))),
-        )  # fmt: skip
+        section = partial(pictures.section_of, self.scene, self._moving), partial(self._show_section, self._moving)
+        self._sections.do([section], lambda error: self._section_note.param.update(object=html.escaped(str(error))))
 
-    def _show_section(self, section: Any) -> None:
-        self._section.show(section)
+    def _show_section(self, over: MovableNumber, points: pictures.Data) -> None:
+        self._section.show(over, points)
         self._section_note.object = html.escaped("From one start at each value, after 100 periods.")
 
     # --- what is taken away
