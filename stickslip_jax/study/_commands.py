@@ -138,7 +138,7 @@ def sweep(
         print(described.to_toml(), end="")
         return
     prepare_jax(described.run.dtype)
-    from ._sweep_run import sweep_of  # noqa: PLC0415
+    from ._run import sweep_of  # noqa: PLC0415
 
     source = "" if config is None else f"{config}: "
     _run_sweep(sweep_of(described, source), options.out.expanduser(), executors)
@@ -172,7 +172,7 @@ def status(folder: Path, /) -> None:
         Folder of the sweep.
     """
     from .._sweep.dataset import status_of  # noqa: PLC0415
-    from ._sweep_run import status_text  # noqa: PLC0415
+    from ._run import status_text  # noqa: PLC0415
 
     print(status_text(folder, status_of(folder)))
 
@@ -243,7 +243,7 @@ def explore(
 
 def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None:
     from .._sweep.store import DATA  # noqa: PLC0415
-    from ._sweep_run import run_stored  # noqa: PLC0415
+    from ._run import run_stored  # noqa: PLC0415
 
     dataset = run_stored(sweep, folder, executors)
     if not executors.quiet:
@@ -252,7 +252,7 @@ def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None
 
 
 def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[str]:
-    from ._sweep_run import chosen_statistics, sweep_table  # noqa: PLC0415
+    from ._run import chosen_statistics, sweep_table  # noqa: PLC0415
 
     names = chosen_statistics(dataset, wanted)
     print(sweep_table(dataset, names))

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
@@ -30,6 +29,7 @@ from ._sections import (
     Start,
     UniformConfig,
     kinds_in,
+    nearest,
     shown_value,
     tag_key,
     tag_of,
@@ -323,8 +323,7 @@ def _range(name: str, given: dict[str, object]) -> np.ndarray:
     """The values of ``{ linspace = [from, to, number] }``, or logspace."""
     (kind, limits), *more = given.items() or [("", None)]
     if kind not in _RANGES or more:
-        near = get_close_matches(kind, {"geomspace": "", **_RANGES}, n=1)
-        hint = f"; did you mean {near[0].replace('geom', 'log')}?" if near else ""
+        hint = nearest(kind, ("geomspace", *_RANGES)).replace("geom", "log")
         dotted = "" if hint or not re.fullmatch(r"\w+", kind) else f'; for a name with dots write "{name}.{kind}" = ...'
         raise ValueError(
             f"{name} must be a list, or a table with {one_of(_RANGES)}, but {shown_value(given)} was given"

@@ -24,7 +24,7 @@ from stickslip_jax import papers
 from stickslip_jax._sweep.dataset import read_dataset
 from stickslip_jax._sweep.store import manifest_text
 from stickslip_jax.study._reading import PAPERS, Paper, read_sweep_config
-from stickslip_jax.study._sweep_run import sweep_of
+from stickslip_jax.study._run import sweep_of
 
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]
 SMALL = """
