@@ -30,9 +30,8 @@ from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import Ending
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
 from . import _style
-from ._histories import line_times
 from ._style import Window, legend_above
-from ._trajectory import check_simulation, check_window, padded, phases_in
+from ._trajectory import check_simulation, check_window, line_times, padded, phases_in
 
 # Films of frames that a function draws into a figure: as GIF by Pillow, as MP4 by ffmpeg.
 

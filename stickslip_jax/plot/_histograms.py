@@ -8,15 +8,78 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import StepPatch
 
+from .._dynamics.simulation import Simulation
+from .._ensemble.result import Ensemble
 from .._excitation.motion import Signal
 from .._foundation import checks
+from .._foundation.types import Ending, Status
 from .._statistics.distribution import DEFAULT_BINS, Distribution, bin_of
 from .._statistics.joint import JointDistribution
 from .._statistics.quantities import FirstSticks
 from .._systems.system import System, require_system, unphased
 from . import _style
 from ._style import Bins, JointBins, SeveralAxes, SimulatedSticks, Voltage, legend_above, plain_numbers
-from ._trajectory import complete_sticks, edges_of_bins, outside
+from ._trajectory import TRACED, require_one_contact
+
+# The complete sticks of a result, one by one: their durations and the positions at which they begin.
+
+
+def complete_sticks(result: SimulatedSticks, *, also: str = "") -> tuple[np.ndarray, np.ndarray, str]:
+    """The complete sticks of a `Simulation`, one or a batch, of an `Ensemble`, those that it kept, or of `FirstSticks`.
+
+    They are those whose end was seen, in samples that reached ``t1``: how long they last (s), where they begin (m; of a
+    motor its angle, rad), (sticks,) each, and for legends how many there are.
+
+    `also`: what else the figure takes, for the message.
+
+    Raises:
+        ValueError: For anything else, and for an ensemble with ``keep="totals"``.
+    """
+    part = ""
+    if isinstance(result, Ensemble):
+        sticks = result.numbered_sticks()
+        used, duration = np.ones(len(sticks.start), bool), sticks.duration
+        part = f" of the first {len(sticks.count):,} samples" if len(sticks.count) < result.finished else ""
+    elif isinstance(result, FirstSticks):
+        sticks, used, duration = result, result.mask, result.duration
+    elif isinstance(result, Simulation):
+        require_one_contact(result)
+        sticks = result.sticks
+        if any(checks.is_traced(leaf) for leaf in (sticks.mask, result.status)):
+            raise ValueError(TRACED)
+        used = np.asarray(sticks.mask) & (np.asarray(result.status) == Status.FINISHED)[..., None]
+        duration = np.asarray(sticks.duration)
+    else:
+        demand = f"be a result of simulate_ensemble or of simulate, or of first_stick{also}"
+        raise checks.refused("result", demand, result)
+    cut = np.asarray(sticks.ending) == Ending.HORIZON
+    kept, left_out = used & ~cut, int(np.sum(used & cut))
+    duration, position = (np.asarray(values, float)[kept] for values in (duration, sticks.position))
+    label = (f"{len(duration):,} sticks" if len(duration) else "no sticks") + part
+    return duration, position, label + (f" ({left_out:,} more, cut by the horizon, left out)" if left_out else "")
+
+
+def edges_of_bins(name: str, bins: Bins, span: tuple[float, float], unit: str) -> np.ndarray:
+    """The edges of `bins`, (bins + 1,): so many of equal width over `span`, or the increasing edges given.
+
+    `name` of the argument and `unit` are for the message.
+
+    Raises:
+        ValueError: For anything else.
+    """
+    if np.ndim(bins) == 0:
+        return np.linspace(*span, checks.whole_number(name, bins) + 1)
+    checks.numeric(name, bins, ndim=1)
+    edges = np.asarray(bins, float)
+    if len(edges) < 2 or np.any(np.diff(edges) <= 0):
+        raise checks.refused(name, f"be a whole number or increasing edges (in {unit})", bins)
+    return edges
+
+
+def outside(label: str, number: int) -> str:
+    """`label` with a line on how many sticks lie outside the bins, if any do."""
+    return f"{label}\n{number:,} of them outside the bins" if number else label
+
 
 # Where complete sticks begin, on the first coordinate of the system, and how long they can last there.
 
@@ -50,7 +113,7 @@ def placed_sticks(
     Raises:
         ValueError: For unsuitable arguments.
     """
-    sticks = complete_sticks(result, also=also)
+    duration, position, label = complete_sticks(result, also=also)
     known = None if isinstance(result, FirstSticks) else result.system
     if system is None and known is None:
         raise ValueError(
@@ -62,7 +125,7 @@ def placed_sticks(
     assert system is not None
     if known is not None and type(known) is not type(system):
         raise checks.refused("system", f"be the {type(known).__name__} that was simulated", system)
-    if np.any(np.isnan(sticks.position)):
+    if np.any(np.isnan(position)):
         raise ValueError(
             "Argument result must hold sticks with positions, but those of these sticks were not measured; draw "
             "histogram(result), their durations."
@@ -89,8 +152,8 @@ def placed_sticks(
                 "Argument period must be pi or 2 pi (in rad), and be given for a MotorCart only, but "
                 f"{checks.show(period)} was given for a {type(system).__name__}."
             )
-    position = sticks.position if period is None else np.mod(sticks.position, period)
-    return PlacedSticks(sticks.duration, position, sticks.label, system, voltage, period)
+    position = position if period is None else np.mod(position, period)
+    return PlacedSticks(duration, position, label, system, voltage, period)
 
 
 def finish(ax: Axes, sticks: PlacedSticks) -> None:
@@ -173,13 +236,13 @@ def histogram(
         more = "; bars: standard error" if np.any(np.isfinite(errors)) else ""
         text = f"{text} in {_style.counted(result.samples, 'sample')}{more}"
     else:
-        sticks = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
-        number, name, unit, color = len(sticks.duration), "stick duration", "s", _style.STICK
-        span = (0.0, sticks.duration.max(initial=0) or 1.0)
+        duration, _, text = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
+        number, name, unit, color = len(duration), "stick duration", "s", _style.STICK
+        span = (0.0, duration.max(initial=0) or 1.0)
         edges = edges_of_bins("bins", DEFAULT_BINS if bins is None else bins, span, "s")
-        counts, _ = np.histogram(sticks.duration, edges)
+        counts, _ = np.histogram(duration, edges)
         heights, errors = counts / (max(number, 1) * np.diff(edges)), np.full(len(counts), np.nan)
-        text = outside(sticks.label, number - int(counts.sum()))
+        text = outside(text, number - int(counts.sum()))
     checks.text("label", label, or_none=True)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     earlier, ylabel = _outlines(ax), "probability" if is_whole else _style.density_label(unit)

@@ -10,9 +10,8 @@ from .._statistics.estimate import DEFAULT_LEVEL, check_level
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES
 from .._statistics.totals import Convergence, HistogramConvergence
 from . import _style
-from ._histories import contact_rows
 from ._style import Window, legend_above
-from ._trajectory import check_simulation, check_window, require_ensemble
+from ._trajectory import check_simulation, check_window, contact_rows
 
 # When the sticks of many realisations happen.
 
@@ -66,6 +65,13 @@ def stick_raster(
     ax.set_ylabel("realisation" if result.finished == result.samples else "realisation (of those that finished)")
     legend_above(ax, columns=1)
     return ax
+
+
+def require_ensemble(result: Ensemble | Simulation) -> Ensemble:
+    """`result` itself. Raises ValueError unless it is an ensemble."""
+    if not isinstance(result, Ensemble):
+        raise checks.refused("result", "be an Ensemble", result, "give the result of simulate_ensemble")
+    return result
 
 
 # The mean of a quantity over the first sticks of all samples, over their second sticks, and so on.
