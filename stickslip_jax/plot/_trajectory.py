@@ -108,12 +108,18 @@ def sticks_in(one: Simulation, window: Window) -> tuple[np.ndarray, np.ndarray]:
     return start[shown], end[shown]
 
 
+def lasts_at(sticks: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> np.ndarray:
+    """Whether a stick lasts at these times (s), from its start until just before its end; `sticks`: starts and ends."""
+    started, ended = (np.searchsorted(events, times, side="right") for events in sticks)
+    return started > ended
+
+
 def phases_of(one: Simulation, window: Window) -> list[Phase]:
     """The phases of the trajectory inside the window (s), in order of time."""
     starts, ends = sticks_in(one, (-math.inf, math.inf))
     knots, round_off = _knots(one, window, np.concatenate([starts, ends]))
     middles = (knots[:-1] + knots[1:]) / 2
-    sticks = np.searchsorted(starts, middles, side="right") > np.searchsorted(ends, middles, side="right")
+    sticks = lasts_at((starts, ends), middles)
     times, numbers = _grid(one, knots, sticks)
     lasts = np.cumsum(numbers + 1) - 1
     firsts = lasts - numbers

@@ -202,9 +202,18 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
         _check_figure(out, force)
     dataset = stored_dataset(folder)
     names = _print_table(dataset, [] if statistics is None else [name.strip() for name in statistics.split(",")])
-    if out is not None:
-        _draw(dataset, names, out, force)
-        print(f"The figure is in {out}.")
+    if out is None:
+        return
+    from .. import plot  # noqa: PLC0415 - slow to load
+
+    dimensions = len(dataset["samples"].dims)
+    if dimensions > 2:
+        raise StudyError(
+            f"option --out draws sweeps of one or two parameters, but this one has {dimensions} dimensions; in Python, "
+            "plot.parameter_sweep(results.isel(...), names) draws a part of it."
+        )
+    plot.save(plot.parameter_sweep(dataset, names), out, overwrite=force)
+    print(f"The figure is in {out}.")
 
 
 def explore(
@@ -257,18 +266,6 @@ def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[
     names = chosen_statistics(dataset, wanted)
     print(sweep_table(dataset, names))
     return names
-
-
-def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) -> None:
-    from .. import plot  # noqa: PLC0415 - slow to load
-
-    dimensions = len(dataset["samples"].dims)
-    if dimensions > 2:
-        raise StudyError(
-            f"option --out draws sweeps of one or two parameters, but this one has {dimensions} dimensions; in Python, "
-            "plot.parameter_sweep(results.isel(...), names) draws a part of it."
-        )
-    plot.save(plot.parameter_sweep(dataset, names), path, overwrite=force)
 
 
 def _check_figure(path: Path, force: bool) -> None:

@@ -16,7 +16,7 @@ from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._ensemble.points import MOST_POINTS
 from .._excitation.motion import RandomPhase
 from .._foundation import lazy_diffrax as diffrax
-from .._foundation.checks import LARGEST, one_of
+from .._foundation.checks import one_of
 from .._foundation.fields import described
 from .._statistics.accumulator import MOST_ORDERS
 from .._systems.structure import LinearStructure
@@ -28,6 +28,7 @@ from ._sections import (
     Section,
     Start,
     UniformConfig,
+    is_number,
     kinds_in,
     nearest,
     shown_value,
@@ -313,7 +314,7 @@ def _values(name: str, given: object) -> np.ndarray:
         raise ValueError(f"{name} must be {wanted}, but {shown_value(given)} was given.")
     for one in given:
         row = one if several else [one]
-        if not (isinstance(row, list) and len(row) == width and all(map(_is_number, row))):
+        if not (isinstance(row, list) and len(row) == width and all(map(is_number, row))):
             wanted = f"rows of {width} numbers" if several else "numbers"
             raise ValueError(f"{name} must hold {wanted}, but {shown_value(one)} was given.")
     return np.array(given, float)
@@ -331,22 +332,13 @@ def _range(name: str, given: dict[str, object]) -> np.ndarray:
         )
     but = f"but {shown_value(limits)} was given"
     ends: list[Any] = limits if isinstance(limits, list) and len(limits) == 3 else [None]
-    are_numbers = all(_is_number(end) and abs(end) <= LARGEST for end in ends)
+    are_numbers = all(map(is_number, ends))
     if not are_numbers or not isinstance(ends[2], int) or ends[2] < 1:
         raise ValueError(f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], {but}.")
     if kind == "logspace" and min(ends[:2]) <= 0:
         raise ValueError(f"logspace of {name} must go from and to positive numbers, {but}.")
     _check_number(ends[2])  # before there are any values
     return _RANGES[kind](*ends)
-
-
-def _is_number(value: object) -> bool:
-    """Whether it is a number; whole ones of a size that can be computed with."""
-    return (
-        isinstance(value, (int, float))
-        and not isinstance(value, bool)
-        and (isinstance(value, float) or abs(value) <= LARGEST)
-    )
 
 
 class SweepSection(Section):

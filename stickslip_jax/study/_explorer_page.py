@@ -159,7 +159,9 @@ class Worker:
         self._wish = steps, failed
         if self._document is None:
             for task, then in steps:
-                if not _finish(*_outcome(task), then, failed):
+                show, is_done = _outcome(task, then, failed)
+                show()
+                if not is_done:
                     break
             self._wish = None
         elif not self._runs:
@@ -172,29 +174,26 @@ class Worker:
             while self._wish is not None:
                 (steps, failed), self._wish = self._wish, None
                 for task, then in steps:
-                    found, error = await asyncio.get_running_loop().run_in_executor(self._threads, _outcome, task)
-                    self._document.add_next_tick_callback(cast(Any, partial(_finish, found, error, then, failed)))
-                    if error is not None:
+                    loop = asyncio.get_running_loop()
+                    show, is_done = await loop.run_in_executor(self._threads, _outcome, task, then, failed)
+                    self._document.add_next_tick_callback(cast(Any, show))
+                    if not is_done:
                         break
         finally:
             self._runs = False
 
 
-def _outcome(task: Task) -> tuple[Any, BaseException | None]:
+def _outcome(task: Task, then: Then, failed: Then) -> tuple[Callable[[], None], bool]:
+    """What shows the result of a task, or why there is none, and whether there is one."""
     try:
-        return task(), None
+        return partial(_show, then, task()), True
     except _FAILURES as error:
-        return None, error
+        return partial(_show, failed, error), False
 
 
-def _finish(found: Any, error: BaseException | None, then: Then, failed: Then) -> bool:
-    """Show what was found, and whether there was no error. All that changes goes to the page in one message."""
-    with pn.io.hold():
-        if error is None:
-            then(found)
-        else:
-            failed(error)
-    return error is None
+def _show(then: Then, found: Any) -> None:
+    with pn.io.hold():  # all that changes goes to the page in one message
+        then(found)
 
 
 # What the explorer shows as a Python program that runs as it is.

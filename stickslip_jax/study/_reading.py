@@ -1,6 +1,5 @@
 """Reads studies and sweeps from TOML files and the command's options; every mistake becomes a sentence."""
 
-import math
 import os
 import re
 import sys
@@ -13,7 +12,6 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args
 from cyclopts import Parameter, Token
 from pydantic import ValidationError
 
-from .. import papers
 from .._foundation.checks import one_of
 from ._config import FileConfig, StudyConfig, SweepConfig
 from ._errors import StudyError
@@ -24,39 +22,18 @@ from ._systems_config import MassSpringConfig
 
 
 Example = Literal["harmonic-base", "base-isolation", "motor-cart", "two-blocks"]
-EXAMPLES: Mapping[str, Mapping[str, Any]] = {
-    name: tomllib.loads((Path(__file__).parent / "examples" / f"{name}.toml").read_text(encoding="utf-8"))
-    for name in get_args(Example)
-}
-"""The files of the folder ``examples``, by name."""
+Paper = Literal[
+    "parametric-analysis", "stick-share-constant", "stick-share-square", "stick-share-harmonic", "stick-share-random"
+]
 
 
-def _share(
-    law: Mapping[str, object], samples: int = 1, keep: str = "totals", *, swept: bool = True
-) -> dict[str, Mapping[str, object]]:
-    over = {"mu": {"linspace": list(papers.SHARE_FRICTIONS)}}
-    over |= {"r": {"linspace": list(papers.SHARE_RATIOS)}} if swept else {}
-    sweep = {"keep": keep, "statistics": ["stick_fraction"], "over": over}
-    return {"base": law, "run": {"samples": samples}, "sweep": sweep}
+def _files(folder: str, names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """The files of TOML that come with the package, by name."""
+    texts = {name: (Path(__file__).parent / folder / f"{name}.toml").read_text(encoding="utf-8") for name in names}
+    return {name: tomllib.loads(text) for name, text in texts.items()}
 
 
-PAPERS: dict[str, Mapping[str, Mapping[str, object]]] = {
-    "parametric-analysis": {
-        "sweep": {
-            "over": {
-                "mu": {"linspace": list(papers.ANALYSIS_FRICTIONS)},
-                "rate": {"logspace": list(papers.ANALYSIS_RATES)},
-            }
-        }
-    },
-    "stick-share-constant": _share({"law": "Constant", "speed": 1.0}, swept=False),
-    "stick-share-square": _share({"law": "SquareWave", "speed": 1.0, "period": math.pi}),
-    "stick-share-harmonic": _share({"law": "Harmonic", "amplitude": 1.0, "angular_frequency": 2.0, "phase": 0.0}),
-    "stick-share-random": _share(
-        {"law": "RandomSteps", "speed": 1.0, "interval": math.pi}, papers.SHARE_SAMPLES, "statistics"
-    ),
-}
-"""The sweeps of `papers.parametric_analysis` and `papers.stick_share_map` as files."""
+EXAMPLES, PAPERS = _files("examples", get_args(Example)), _files("papers", get_args(Paper))
 
 
 # The options of the ``stickslip`` command.
@@ -71,9 +48,6 @@ def _whole_number(kind: type, tokens: Sequence[Token]) -> int:
 
 
 _Whole = Annotated[int | None, Parameter(converter=_whole_number)]
-Paper = Literal[
-    "parametric-analysis", "stick-share-constant", "stick-share-square", "stick-share-harmonic", "stick-share-random"
-]
 FIGURES = (".png", ".pdf", ".svg")
 Switch = Annotated[bool, Parameter(negative="", show_default=False)]
 

@@ -34,7 +34,7 @@ from .._dynamics.simulation import Simulation
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.dataset import as_netcdf, compression
 from .._ensemble.result import Ensemble
-from .._excitation.motion import RandomPhase, SourceVoltage
+from .._excitation.motion import SourceVoltage
 from .._foundation.files import write_whole, writing
 from .._foundation.types import Ending, Status
 from .._statistics.estimate import Estimate, format_with_error
@@ -42,6 +42,7 @@ from .._statistics.quantities import FirstSticks, first_stick
 from .._statistics.totals import STATISTICS
 from .._sweep.dataset import SweepStatus, point_dimensions, shown_statistics, statistics_of_points
 from .._sweep.sweep import Sweep
+from .._systems.system import unphased
 from ._config import FileConfig, PointConfig, StudyConfig, SweepConfig
 from ._errors import StudyError
 from ._reading import ExecutorOptions
@@ -171,20 +172,16 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
         whose, axes = "sticks", plot.joint_histogram(ensemble.statistics.joint("duration", "position"))
     else:
         # The bound of stick durations is known in closed form for a voltage.
-        bound: Any = ensemble.law if isinstance(_signal_of(ensemble.law), SourceVoltage) else None
+        bound: Any = ensemble.law if isinstance(unphased(ensemble.law), SourceVoltage) else None
         whose, axes = "first sticks", plot.stick_map(first_sticks, system=ensemble.system, bound=bound)
     plot.save(axes, folder / DURATION_AND_POSITION, title=f"Duration and position of {whose} in {samples}")
-
-
-def _signal_of(law: Any) -> Any:
-    return law.signal if isinstance(law, RandomPhase) else law
 
 
 def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:
     """Sample 0 of the ensemble with all its events, from 0 to a time whose oscillations a figure can tell apart."""
     frequency = ensemble.system.natural_frequency
     if frequency is None or not np.all(np.asarray(frequency) > 0):
-        shown = _VOLTAGE_PERIODS_SHOWN * float(getattr(_signal_of(ensemble.law), "shortest_period", math.inf))
+        shown = _VOLTAGE_PERIODS_SHOWN * float(getattr(unphased(ensemble.law), "shortest_period", math.inf))
     else:
         shown = _PERIODS_SHOWN * 2 * math.pi / float(frequency)
     t1 = min(ensemble.t1, shown)

@@ -26,7 +26,7 @@ from pydantic.fields import FieldInfo
 from .._excitation.motion import SIGNAL_UNIT
 from .._excitation.reading import STANDARD_GRAVITY, read_at2, read_csv
 from .._excitation.recorded import GroundAcceleration, Recorded
-from .._foundation.checks import one_of
+from .._foundation.checks import LARGEST, one_of
 from .._foundation.fields import Choice, Quantity, described
 from .._uncertainty.families import Uniform
 
@@ -166,6 +166,11 @@ Start = Annotated[
 def default_tag(key: str, name: str) -> BeforeValidator:
     """Reads a table without the tag `key` as the kind called `name`."""
     return BeforeValidator(lambda table: {key: name, **table} if isinstance(table, dict) else table)
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a number of a size that can be computed with."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def nearest(name: str, known: Iterable[str], *, before: str = "; ", cutoff: float = 0.6) -> str:
