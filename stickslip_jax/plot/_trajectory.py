@@ -33,15 +33,12 @@ _SMALLEST_BUFFER = 8192
 class Phase(NamedTuple):
     """The trajectory between two neighbouring events: all slip or all stick, without a jump of the base velocity.
 
-    Arrays (points,): `times` in s; `state` in the units of the system's coordinates; `base_velocity` in m/s; `lowest`
-    and `highest` value at which friction can hold a stick (`Look.stick_band`). At inner knots a time stands twice.
+    `values`, arrays (points,): "times" in s; the coordinates of the system by their numbers, in their units;
+    "base_velocity" in m/s; "lowest" and "highest" value at which friction can hold a stick (`Look.stick_band`). At
+    inner knots a time stands twice.
     """
 
-    times: np.ndarray
-    state: tuple[np.ndarray, ...]
-    base_velocity: np.ndarray
-    lowest: np.ndarray
-    highest: np.ndarray
+    values: dict[str | int, np.ndarray]
     sticks: bool
 
 
@@ -137,22 +134,25 @@ def phases_of(one: Simulation, window: Window) -> list[Phase]:
     jumps = np.abs(velocity[firsts[1:]] - velocity[lasts[:-1]])
     jumped = jumps > 1024 * np.finfo(velocity.dtype).eps * np.max(np.abs(velocity))
     begins = np.concatenate([[True], (sticks[1:] != sticks[:-1]) | np.isin(knots[1:-1], starts) | jumped])
+    names = ("times", *range(len(state)), "base_velocity", "lowest", "highest")
     parts = [np.split(values, firsts[begins][1:]) for values in (times, *state, *others)]
-    rows = zip(*parts, sticks[begins], strict=True)
-    size = len(state)
-    return [Phase(row[0], row[1 : 1 + size], *row[1 + size : -1], sticks=bool(row[-1])) for row in rows]
+    rows = zip(*parts, strict=True)
+    return [
+        Phase(dict(zip(names, row, strict=True)), bool(is_stick))
+        for row, is_stick in zip(rows, sticks[begins], strict=True)
+    ]
 
 
-def values_of(phase: Phase, name: str | int) -> np.ndarray:
-    """The values of a phase called `name`, or of the coordinate with that number; (points,)."""
-    return phase.state[name] if isinstance(name, int) else getattr(phase, name)
+def whole(phases: list[Phase], name: str | int) -> np.ndarray:
+    """The values called `name` of all phases, one after the other."""
+    return np.concatenate([phase.values[name] for phase in phases])
 
 
 def joined(phases: list[Phase], name: str | int) -> np.ndarray:
     """The values of all phases one after the other, with a NaN between two, where the line is to break."""
     if not phases:
         return np.zeros(0)
-    return np.concatenate([values for phase in phases for values in (values_of(phase, name), [np.nan])])[:-1]
+    return np.concatenate([values for phase in phases for values in (phase.values[name], [np.nan])])[:-1]
 
 
 def _knots(one: Simulation, window: Window, events: np.ndarray) -> tuple[np.ndarray, float]:
@@ -229,21 +229,20 @@ def phases_in(one: Simulation, window: Window | None) -> tuple[list[Phase], Wind
     Raises:
         ValueError: For a window that is none.
     """
-    whole = check_window(window, float(one.t1))
-    phases = phases_of(one, whole)
+    all_of_it = check_window(window, float(one.t1))
+    phases = phases_of(one, all_of_it)
     if window is not None:
-        return phases, whole
-    times = np.concatenate([phase.times for phase in phases])
-    end = whole[1]
-    for coordinate in range(len(phases[0].state)):
-        values = np.concatenate([values_of(phase, coordinate) for phase in phases])
+        return phases, all_of_it
+    times, end = whole(phases, "times"), all_of_it[1]
+    for coordinate in range(len(one.system.coordinates)):
+        values = whole(phases, coordinate)
         turns = times[turns_of(values, _LARGE * float(np.ptp(values)))]
         if len(turns) > _MOST_TURNS:
             # The largest of 1, 2 and 5 times a power of ten that is not after the last turn to draw.
             last = float(turns[_FIRST_TURNS])
             power = 10.0 ** math.floor(math.log10(last))
             end = min(end, next(number * power for number in (5.0, 2.0, 1.0) if number * power <= last * (1 + 1e-12)))
-    return (phases, whole) if end == whole[1] else (phases_of(one, (0.0, end)), (0.0, end))
+    return (phases, all_of_it) if end == all_of_it[1] else (phases_of(one, (0.0, end)), (0.0, end))
 
 
 def turns_of(values: np.ndarray, least: float) -> np.ndarray:
@@ -386,19 +385,18 @@ def time_history(
         names = (*names, "excitation")
     panels = _style.axes_below_or_new(axes, names, (6.4, 4.6 if len(names) == 2 else 1.8 * len(names) + 0.4))
     _draw_band(panels, result, phases)
-    times = np.concatenate([phase.times for phase in phases])
+    times = whole(phases, "times")
     if base_panel is not None and base_panel < len(panels):
         # Two points are enough where it is constant; at its jumps the line is vertical.
-        kept = [slice(None) if np.ptp(phase.base_velocity) > 0 else [0, -1] for phase in phases]
+        kept = [slice(None) if np.ptp(phase.values["base_velocity"]) > 0 else [0, -1] for phase in phases]
         base_times, velocities = (
-            np.concatenate([values_of(phase, key)[points] for phase, points in zip(phases, kept, strict=True)])
+            np.concatenate([phase.values[key][points] for phase, points in zip(phases, kept, strict=True)])
             for key in ("times", "base_velocity")
         )
         panels[base_panel].plot(base_times, velocities, label="ground" if on_ground else "base", **_style.BASE_LINE)
     sticks, look = [phase for phase in phases if phase.sticks], result.system.look
     for number, (panel, coordinate) in enumerate(zip(panels, coordinates, strict=False)):
-        values = np.concatenate([phase.state[number] for phase in phases])
-        panel.plot(times, values, label=look.body_name, **_style.MASS_LINE)
+        panel.plot(times, whole(phases, number), label=look.body_name, **_style.MASS_LINE)
         panel.plot(
             joined(sticks, "times"), joined(sticks, number), label=f"{look.body_name}, stick", **_style.STICK_LINE
         )
@@ -444,9 +442,7 @@ def _base_panel(one: Simulation) -> int | None:
 def _draw_band(panels: tuple[Axes, ...], result: Simulation, phases: list[Phase]) -> None:
     """The values at which friction can hold a stick: a band that may change in time."""
     number, symbols = result.system.look.band_coordinate, result.system.look.band_symbols
-    times, lowest, highest, state = (
-        np.concatenate([values_of(phase, key) for phase in phases]) for key in ("times", "lowest", "highest", number)
-    )
+    times, lowest, highest, state = (whole(phases, name) for name in ("times", "lowest", "highest", number))
     if not np.all(np.isfinite(lowest)) or len(turns_of(lowest, float(np.max(highest - lowest)))) > _MOST_SWINGS:
         return
     panel, look = panels[number], {"color": _style.BAND, "alpha": 0.3, "lw": 0}
@@ -595,7 +591,7 @@ def phase_portrait(
     ax = _style.axes_or_new(ax, (5.0, 4.6))
     phases = phases_of(result, window)
     if energy_regions:
-        for velocity in set(np.unique([phase.base_velocity[0] for phase in phases])) - {0}:
+        for velocity in set(np.unique([phase.values["base_velocity"][0] for phase in phases])) - {0}:
             ax.axhspan(0, velocity, color=_style.FED, alpha=0.25, lw=0, label="friction feeds energy in")
     scale = float(result.system.natural_frequency) if abscissa == _SCALED and result.system.natural_frequency else 1.0
     _draw_phases(ax, result, phases, chosen, scale)
@@ -634,24 +630,25 @@ def _draw_phases(ax: Axes, one: Simulation, phases: list[Phase], pair: tuple[int
     period, steady = one.system.coordinates[pair[0]].period, has_steady_base(one)
     kinds: dict[str, list[Phase]] = {}
     for phase in phases:
-        slip = _SLIPS.get(np.sign(phase.base_velocity[0]), "") if steady and not period else "slip"
+        slip = _SLIPS.get(np.sign(phase.values["base_velocity"][0]), "") if steady and not period else "slip"
         # Of an angle, sticks in which neither changes are points.
-        is_point = period and phase.sticks and all(np.ptp(phase.state[number]) == 0 for number in pair)
+        is_point = period and phase.sticks and all(np.ptp(phase.values[number]) == 0 for number in pair)
         kinds.setdefault("point" if is_point else "stick" if phase.sticks else slip, []).append(phase)
     for label, look in _LOOKS.items():
         if label in kinds:
             x, y = (joined(kinds[label], number) for number in pair)
-            ends = np.cumsum([len(phase.times) + 1 for phase in kinds[label]]) - 2
-            starts = ends + 1 - [len(phase.times) for phase in kinds[label]]
+            sizes = np.array([len(phase.values["times"]) for phase in kinds[label]])
+            ends = np.cumsum(sizes + 1) - 2
+            starts = ends + 1 - sizes
             marked = None if period else np.union1d(starts, ends).tolist()
             ax.plot(*(_wrapped(x, y, period) if period else (scale * x, y)), label=label, markevery=marked, **look)
     if period and "point" in kinds:
-        angles, speeds = np.transpose([[phase.state[number][0] for number in pair] for phase in kinds["point"]])
+        angles, speeds = np.transpose([[phase.values[number][0] for number in pair] for phase in kinds["point"]])
         look = {"ls": "none", "marker": "o", "ms": 5, "mew": 0, "color": _style.STICK, "clip_on": False}
         ax.plot(np.mod(angles, period), speeds, label="stick", **look)
     center = one.system.look.slip_center
     if center is not None and not period and not isinstance(one.base, GroundMotion) and pair == (0, 1):
-        ways = {np.sign(phase.base_velocity[0]) for phase in phases} if steady else set()
+        ways = {np.sign(phase.values["base_velocity"][0]) for phase in phases} if steady else set()
         directions = np.array(list(ways) if len(ways) == 1 and 0 not in ways else [-1.0, 1.0])
         label = r"centres, $x = \pm \mu n/k$" if len(directions) > 1 else r"centre, $x = \mu n/k\,\mathrm{sgn}\,v$"
         look = {"ls": "none", "marker": "x", "ms": 8, "mew": 2, "color": _style.BASE}
