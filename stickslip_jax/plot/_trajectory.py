@@ -134,13 +134,10 @@ def phases_of(one: Simulation, window: Window) -> list[Phase]:
     jumps = np.abs(velocity[firsts[1:]] - velocity[lasts[:-1]])
     jumped = jumps > 1024 * np.finfo(velocity.dtype).eps * np.max(np.abs(velocity))
     begins = np.concatenate([[True], (sticks[1:] != sticks[:-1]) | np.isin(knots[1:-1], starts) | jumped])
-    names = ("times", *range(len(state)), "base_velocity", "lowest", "highest")
-    parts = [np.split(values, firsts[begins][1:]) for values in (times, *state, *others)]
-    rows = zip(*parts, strict=True)
-    return [
-        Phase(dict(zip(names, row, strict=True)), bool(is_stick))
-        for row, is_stick in zip(rows, sticks[begins], strict=True)
-    ]
+    columns = {"times": times, **dict(enumerate(state))}
+    columns |= zip(("base_velocity", "lowest", "highest"), others, strict=True)
+    rows = zip(*(np.split(values, firsts[begins][1:]) for values in columns.values()), strict=True)
+    return list(map(Phase, (dict(zip(columns, row, strict=True)) for row in rows), sticks[begins].tolist()))
 
 
 def whole(phases: list[Phase], name: str | int) -> np.ndarray:

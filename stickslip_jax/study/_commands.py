@@ -96,11 +96,7 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
         return
     prepare_jax(described.run.dtype)
 
-    from ._run import (  # noqa: PLC0415
-        as_json,
-        run_study,
-        table,
-    )
+    from ._run import as_json, run_study, table  # noqa: PLC0415
 
     result = run_study(described, force=options.force, progress=False if options.quiet else options.progress)
     if not options.quiet:

@@ -38,17 +38,7 @@ from ._sections import (
     toml_value,
     value_of,
 )
-from ._systems_config import (
-    BaseConfig,
-    BlockRowConfig,
-    LinearStructureConfig,
-    MassSpringConfig,
-    MotorCartConfig,
-    SourceVoltageConfig,
-    StoreysOnBearingConfig,
-    StructureSection,
-    SystemConfig,
-)
+from ._systems_config import BaseConfig, MassSpringConfig, SourceVoltageConfig, StructureSection, SystemConfig
 
 # A study: the sections of its TOML file as pydantic models.
 
@@ -171,8 +161,8 @@ class StructureRunConfig(StructurePointConfig, RunConfig):
     """Section ``[run]`` of an ensemble of a structure."""
 
 
-STRUCTURES = LinearStructureConfig, BlockRowConfig, StoreysOnBearingConfig
-"""The kinds of section ``[system]`` that are structures."""
+STRUCTURES = [model for model, kind in kinds_in(SystemConfig).items() if issubclass(kind, StructureSection)]
+"""The models in section ``[system]`` that are structures."""
 
 
 class OutputConfig(Section):
@@ -186,10 +176,10 @@ class FileConfig(Section):
     """What the files of a study and of a sweep share: the system, what drives it, and how it is run.
 
     The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s. `runs`: the section
-    ``[run]`` of each system.
+    ``[run]`` of each model of a system.
     """
 
-    runs: ClassVar[Mapping[type[Section], type[PointConfig]]]
+    runs: ClassVar[Mapping[str, type[PointConfig]]]
 
     system: SystemConfig = MassSpringConfig()
     base: BaseConfig = Field(default_factory=dict, validate_default=True)
@@ -206,8 +196,8 @@ class FileConfig(Section):
     @classmethod
     def _run_of_the_system(cls, table: object, info: Any) -> PointConfig:
         if "system" not in info.data:  # the mistake in [system] is reported
-            return cls.runs[MassSpringConfig]()
-        kind = cls.runs[type(info.data["system"])]
+            return cls.runs["MassSpring"]()
+        kind = cls.runs[tag_of(type(info.data["system"]))]
         if isinstance(table, RunConfig) and type(table) is RunConfig:
             table = table.model_dump(exclude_unset=True)
         return kind.model_validate(table, context=info.context)
@@ -251,9 +241,9 @@ class StudyConfig(FileConfig):
     switching.
     """
 
-    runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
-        MassSpringConfig: MassSpringRunConfig,
-        MotorCartConfig: MotorCartRunConfig,
+    runs: ClassVar[Mapping[str, type[PointConfig]]] = {
+        "MassSpring": MassSpringRunConfig,
+        "MotorCart": MotorCartRunConfig,
         **dict.fromkeys(STRUCTURES, StructureRunConfig),
     }
 
@@ -369,9 +359,9 @@ class SweepSection(Section):
 class SweepConfig(FileConfig):
     """A whole parameter sweep."""
 
-    runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
-        MassSpringConfig: MassSpringPointConfig,
-        MotorCartConfig: MotorCartPointConfig,
+    runs: ClassVar[Mapping[str, type[PointConfig]]] = {
+        "MassSpring": MassSpringPointConfig,
+        "MotorCart": MotorCartPointConfig,
         **dict.fromkeys(STRUCTURES, StructurePointConfig),
     }
 
@@ -407,7 +397,7 @@ def config_of(
     run |= {key: value for key, value in found.items() if value is not None}
     if y0 is not None:
         starts = [{"low": float(v.low), "high": float(v.high)} if isinstance(v, Uniform) else _plain(v) for v in y0]
-        kind = StudyConfig.runs[kinds_in(SystemConfig)[table["model"]]]
+        kind = StudyConfig.runs[table["model"]]
         run |= dict(zip(kind.initial, starts, strict=True)) if kind.initial else {"initial_state": starts}
     base = _table(law, kinds_in(BaseConfig))
     try:

@@ -16,7 +16,6 @@ from .._foundation.checks import one_of
 from ._config import FileConfig, StudyConfig, SweepConfig
 from ._errors import StudyError
 from ._sections import NUMBER, Section, UniformConfig, kinds_in, nearest, shown_value, tables_of, tag_key, tag_of
-from ._systems_config import MassSpringConfig
 
 # Studies and sweeps to start from, by name: what differs from the defaults.
 
@@ -276,7 +275,7 @@ def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, sour
         problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
         system = table.get("system")
         model = system.get("model") if isinstance(system, dict) else None
-        run = _runs_by_model(kind).get(model if isinstance(model, str) else "", kind.runs[MassSpringConfig])
+        run = kind.runs.get(model if isinstance(model, str) else "", kind.runs["MassSpring"])
         raise StudyError(source + _sentence_for(problem, options, kind, run)) from None
 
 
@@ -351,17 +350,13 @@ def _place_of(location: Iterable[str | int], file: type[FileConfig], run: type[S
     return place
 
 
-def _runs_by_model(file: type[FileConfig]) -> dict[str, type[Section]]:
-    return {tag_of(system): run for system, run in file.runs.items()}
-
-
 def _all_sections(
     file: type[FileConfig], kind: type[Section] | None = None, within: str = ""
-) -> Iterator[tuple[str, dict[str, type[Section]]]]:
+) -> Iterator[tuple[str, Mapping[str, type[Section]]]]:
     """The name of every section, and its possible kinds."""
     for key, kinds in tables_of(kind or file).items():
         name = f"{within}.{key}".removeprefix(".")
-        yield name, _runs_by_model(file) if name == "run" else kinds
+        yield name, file.runs if name == "run" else kinds
         for each in kinds.values():
             yield from _all_sections(file, each, name)
 
@@ -390,7 +385,7 @@ def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
 
 
 def _unknown_key(place: _Place, file: type[FileConfig]) -> str:
-    key, models = place.key, [model for model, run in _runs_by_model(file).items() if run is place.kind]
+    key, models = place.key, [model for model, run in file.runs.items() if run is place.kind]
     tag, name = ("model", one_of(models)) if models else (tag_key(place.kind), tag_of(place.kind))
     owner = f"[{place.section}]" if tag is None else f"[{place.section}] of the {tag} {name}"
     hint = _owner_of(key, file, _without_numbers(place.section)) or nearest(key, place.kind.model_fields, before="")
