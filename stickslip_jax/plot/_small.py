@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
 from .._statistics.distribution import Distribution
-from ._histograms import histogram
-from ._rasters import stick_raster
+from ._ensembles import histogram, stick_raster
 from ._trajectory import time_history
 
 _ROWS = 30  # samples of an ensemble

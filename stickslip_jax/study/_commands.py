@@ -16,6 +16,9 @@ from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from .. import __version__
 from .._foundation import compilation_cache
+from .._foundation.extras import require_explorer
+from .._foundation.files import file_to_write
+from . import _reading
 from ._errors import StudyError
 from ._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
 
@@ -83,14 +86,12 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
         TOML file that describes the study; without it, the mass and spring of Lima and Sampaio's conference paper on
         a base that switches at random. Files that it names are relative to its folder.
     """
-    from ._reading import OPTIONS, read_config  # noqa: PLC0415
-
     if config is not None and options.print_example is not None:
         raise StudyError(
             f"{config} and --print-example {options.print_example} were both given; leave out one of them."
         )
-    given = {name: getattr(options, name) for name in OPTIONS}
-    described = read_config(config, given, example=options.print_example)
+    given = {name: getattr(options, name) for name in _reading.OPTIONS}
+    described = _reading.read_config(config, given, example=options.print_example)
     if options.print_config or options.print_example is not None:
         print(described.to_toml(), end="")
         return
@@ -123,13 +124,11 @@ def sweep(
     config
         TOML file that describes the sweep, with a section [sweep.over]; without it, --paper parametric-analysis.
     """
-    from ._reading import read_sweep_config  # noqa: PLC0415
-
     if config is not None and options.paper is not None:
         raise StudyError(f"{config} and --paper {options.paper} were both given; leave out one of them.")
     if options.out is None and not options.print_config:
         raise StudyError("Option --out must name the folder of the sweep, but was left out.")
-    described = read_sweep_config(config, {"samples": options.samples}, paper=options.paper)
+    described = _reading.read_sweep_config(config, {"samples": options.samples}, paper=options.paper)
     if options.out is None or options.print_config:
         print(described.to_toml(), end="")
         return
@@ -228,11 +227,8 @@ def explore(
     browser
         Whether to open the page; its address is printed.
     """
-    from .._foundation.extras import require_explorer  # noqa: PLC0415
-    from ._reading import read_config  # noqa: PLC0415
-
     require_explorer()
-    described = read_config(config, {"samples": samples})
+    described = _reading.read_config(config, {"samples": samples})
     prepare_jax(described.run.dtype)
     from ._explorer_page import serve  # noqa: PLC0415
     from ._explorer_scene import scene_of  # noqa: PLC0415
@@ -266,8 +262,6 @@ def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[
 
 def _check_figure(path: Path, force: bool) -> None:
     """Raise StudyError where no figure can be written."""
-    from .._foundation.files import file_to_write  # noqa: PLC0415
-
     try:
         file_to_write(path, overwrite=force)
     except (ValueError, OSError) as error:
