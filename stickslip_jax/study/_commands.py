@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import jax
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
@@ -21,11 +21,6 @@ from .._foundation.files import file_to_write
 from . import _reading
 from ._errors import StudyError
 from ._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
-
-if TYPE_CHECKING:
-    import xarray
-
-    from .._sweep.sweep import Sweep
 
 _STUDY, _SWEEP, _EXECUTORS = StudyOptions(), SweepOptions(), ExecutorOptions()
 
@@ -133,10 +128,10 @@ def sweep(
         print(described.to_toml(), end="")
         return
     prepare_jax(described.run.dtype)
-    from ._run import sweep_of  # noqa: PLC0415
+    from ._run import run_stored, sweep_of  # noqa: PLC0415
 
     source = "" if config is None else f"{config}: "
-    _run_sweep(sweep_of(described, source), options.out.expanduser(), executors)
+    run_stored(sweep_of(described, source), options.out.expanduser(), executors)
 
 
 @_warnings_as_sentences()
@@ -154,7 +149,9 @@ def resume(
     from .._sweep.sweep import Sweep  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
-    _run_sweep(Sweep.load(folder), folder, executors)
+    from ._run import run_stored  # noqa: PLC0415
+
+    run_stored(Sweep.load(folder), folder, executors)
 
 
 @_warnings_as_sentences()
@@ -195,8 +192,12 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
     prepare_jax(Store.reading(folder).dtype)
     if out is not None:
         _check_figure(out, force)
+    from ._run import chosen_statistics, sweep_table  # noqa: PLC0415
+
     dataset = stored_dataset(folder)
-    names = _print_table(dataset, [] if statistics is None else [name.strip() for name in statistics.split(",")])
+    wanted = [] if statistics is None else [name.strip() for name in statistics.split(",")]
+    names = chosen_statistics(dataset, wanted)
+    print(sweep_table(dataset, names))
     if out is None:
         return
     from .. import plot  # noqa: PLC0415 - slow to load
@@ -240,24 +241,6 @@ def explore(
     with suppress(KeyboardInterrupt):  # before the server stops at Ctrl-C by itself
         serve(scene, port=port, opens=browser, say=lambda said: print(said, flush=True))
     print("The explorer has ended.")
-
-
-def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None:
-    from .._sweep.store import DATA  # noqa: PLC0415
-    from ._run import run_stored  # noqa: PLC0415
-
-    dataset = run_stored(sweep, folder, executors)
-    if not executors.quiet:
-        _print_table(dataset)
-        print(f"The result is in {folder / DATA}; `stickslip show {folder} --out FIGURE.png` draws it.")
-
-
-def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[str]:
-    from ._run import chosen_statistics, sweep_table  # noqa: PLC0415
-
-    names = chosen_statistics(dataset, wanted)
-    print(sweep_table(dataset, names))
-    return names
 
 
 def _check_figure(path: Path, force: bool) -> None:

@@ -41,6 +41,7 @@ from .._statistics.estimate import Estimate, format_with_error
 from .._statistics.quantities import FirstSticks, first_stick
 from .._statistics.totals import STATISTICS
 from .._sweep.dataset import SweepStatus, point_dimensions, shown_statistics, statistics_of_points
+from .._sweep.store import DATA as SWEEP_DATA
 from .._sweep.sweep import Sweep
 from .._systems.system import unphased
 from ._config import FileConfig, PointConfig, StudyConfig, SweepConfig
@@ -505,15 +506,18 @@ def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
         raise StudyError(source + said) from error
 
 
-def run_stored(sweep: Sweep, folder: Path, where: ExecutorOptions) -> xr.Dataset:
-    """Run what is left of a sweep in `folder`, and return its result.
+def run_stored(sweep: Sweep, folder: Path, where: ExecutorOptions) -> None:
+    """Run what is left of a sweep in `folder`, and print its result.
 
     Raises SweepError as `Sweep.run` does, and StudyError where no scheduler answers at the address ``where.dask``.
     """
     with nullcontext() if where.dask is None else _client(where.dask) as client, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "This sweep runs in float32")  # as its file asks
         progress = False if where.quiet else where.progress
-        return sweep.run(folder, threads=where.threads, workers=where.workers, executor=client, progress=progress)
+        dataset = sweep.run(folder, threads=where.threads, workers=where.workers, executor=client, progress=progress)
+    if not where.quiet:
+        print(sweep_table(dataset, chosen_statistics(dataset)))
+        print(f"The result is in {folder / SWEEP_DATA}; `stickslip show {folder} --out FIGURE.png` draws it.")
 
 
 @contextmanager
