@@ -184,14 +184,16 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
     force
         Replace a figure that is there already.
     """
-    if out is not None and out.suffix.lower() not in FIGURES:
-        raise StudyError(f"option --out must be a file that ends in {', '.join(FIGURES)}, but {out} was given.")
+    if out is not None:
+        try:
+            file_to_write(out, FIGURES, overwrite=force)
+        except (ValueError, OSError) as error:
+            said = str(error).replace("Argument path", "option --out").replace("overwrite=True", "--force")
+            raise StudyError(said) from None
     from .._sweep.dataset import stored_dataset  # noqa: PLC0415
     from .._sweep.store import Store  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
-    if out is not None:
-        _check_figure(out, force)
     from ._run import chosen_statistics, sweep_table  # noqa: PLC0415
 
     dataset = stored_dataset(folder)
@@ -241,12 +243,3 @@ def explore(
     with suppress(KeyboardInterrupt):  # before the server stops at Ctrl-C by itself
         serve(scene, port=port, opens=browser, say=lambda said: print(said, flush=True))
     print("The explorer has ended.")
-
-
-def _check_figure(path: Path, force: bool) -> None:
-    """Raise StudyError where no figure can be written."""
-    try:
-        file_to_write(path, overwrite=force)
-    except (ValueError, OSError) as error:
-        said = str(error).replace("Argument path", "option --out").replace("overwrite=True", "--force")
-        raise StudyError(said) from None

@@ -201,7 +201,7 @@ def test_mistakes_name_file_and_key(capsys, tmp_path, case):
         (["resume", "none"], "none holds no sweep"),
         (["status", "none"], "none holds no sweep"),
         (["show", "none"], "none holds no sweep"),
-        (["show", "none", "--out", "figure.txt"], "option --out must be a file that ends in .png, .pdf, .svg"),
+        (["show", "none", "--out", "figure.txt"], "option --out must be a file name that ends in .png or .pdf or .svg"),
         (["status", "a", "b"], "b was given as well"),
     ],
 )
