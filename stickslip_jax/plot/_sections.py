@@ -44,7 +44,9 @@ def section(
         ValueError: For results of another kind, and for names that are not in them.
     """
     names, returns = _states(results)
-    columns = [results[checks.chosen("name", name, results.data_vars)] for name in (x or names[0], y or names[1])]
+    columns = [
+        results[checks.chosen("name", name, map(str, results.data_vars))] for name in (x or names[0], y or names[1])
+    ]
     more = [str(one) for one in columns[0].dims if one not in (returns, "start")]
     if more:
         raise ValueError(
@@ -84,7 +86,7 @@ def bifurcation_diagram(
         ValueError: For results of another kind, and for names that are not in them.
     """
     names, _ = _states(results)
-    values: Any = results[checks.chosen("name", name or names[0], results.data_vars)]
+    values: Any = results[checks.chosen("name", name or names[0], map(str, results.data_vars))]
     parameters = [str(one) for one in values.dims if one not in (*_RETURNS, "start", "direction", "contact")]
     along = along or (parameters[0] if len(parameters) == 1 else None)
     if along not in parameters or len(parameters) > 1:

@@ -305,7 +305,7 @@ def _values(name: str, given: object) -> np.ndarray:
     for one in given:
         row = one if several else [one]
         if not (isinstance(row, list) and len(row) == width and all(map(is_number, row))):
-            wanted = f"rows of {width} numbers" if several else "numbers"
+            wanted = f"rows of {width} finite numbers" if several else "finite numbers"
             raise ValueError(f"{name} must hold {wanted}, but {shown_value(one)} was given.")
     return np.array(given, float)
 

@@ -138,7 +138,7 @@ def choice(name: str, options: Iterable[str], chosen: Callable[[str], None]) -> 
 
 
 Task = Callable[[], Any]
-Then = Callable[[Any], None]
+Then = Callable[[Any], object]
 Step = tuple[Task, Then]
 _FAILURES = (ValueError, OSError, RuntimeError, ImportError)
 

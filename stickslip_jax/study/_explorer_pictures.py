@@ -41,8 +41,8 @@ _BINS = 40
 _LEAST_CAPACITY = 1024  # intervals of the base: programs are compiled for few of them
 
 
-Data: TypeAlias = dict[str, np.ndarray]
-"""What a source of Bokeh holds, by the names of its columns."""
+Data: TypeAlias = dict[str, Any]
+"""What a source of Bokeh holds: arrays by the names of its columns."""
 
 
 class Motion(NamedTuple):
