@@ -20,13 +20,12 @@ Nothing is simulated here. Bad arguments raise ValueError with the name of the a
 from .._systems.system import Belt, Body, Disk, Look, Mechanism, Rod, Spring
 from ._animations import Animation, animate
 from ._curves import curve, stick_bounds, stick_fraction_curve
-from ._histograms import histogram, joint_histogram, stick_map
-from ._histories import energies, phase_portrait, time_history
+from ._ensembles import convergence, histogram, joint_histogram, means_by_order, stick_map, stick_raster
 from ._maps import parameter_map, parameter_sweep
-from ._rasters import convergence, means_by_order, stick_raster
 from ._sections import basins, bifurcation_diagram, orbit_branch, section
 from ._sensitivities import calibration, calibration_moments, sensitivity_curve, tornado
 from ._style import save
+from ._trajectory import energies, phase_portrait, time_history
 
 __all__ = [
     "Animation",

@@ -4,10 +4,10 @@ import base64
 import io
 import math
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import jax
 import matplotlib as mpl
@@ -30,9 +30,8 @@ from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import Ending
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
 from . import _style
-from ._histories import line_times
 from ._style import Window, legend_above
-from ._trajectory import check_simulation, check_window, padded, phases_in
+from ._trajectory import check_simulation, check_window, lasts_at, line_times, padded, phases_in
 
 # Films of frames that a function draws into a figure: as GIF by Pillow, as MP4 by ffmpeg.
 
@@ -109,27 +108,8 @@ _USUAL_LENGTH = 10.0  # s, of a film whose speed is not given
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
-class Stuck(NamedTuple):
-    """When one contact sticks; arrays (sticks,). `to_horizon`: whether the end of the simulation cut the stick."""
-
-    start: np.ndarray
-    end: np.ndarray
-    to_horizon: np.ndarray
-
-    @classmethod
-    def of(cls, sticks: Sticks) -> "Stuck":
-        """Those of one contact."""
-        mask = np.asarray(sticks.mask)
-        start, end, ending = (np.asarray(values)[mask] for values in (sticks.start, sticks.end, sticks.ending))
-        return cls(start, end, ending == Ending.HORIZON)
-
-    def lasts_at(self, times: np.ndarray) -> np.ndarray:
-        """Whether there is a stick at these times (s), from its start until just before its end."""
-        at = np.searchsorted(self.start, times, side="right") - 1
-        found = np.maximum(at, 0)
-        if not len(self.start):
-            return np.zeros(times.shape, bool)
-        return (at >= 0) & ((times < self.end[found]) | (self.to_horizon[found] & (times <= self.end[found])))
+Stuck: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""When the sticks of one contact start and end, s, (sticks,) each; those that the horizon cut have no end."""
 
 
 def sticks_of(one: Simulation) -> dict[int, Stuck]:
@@ -140,16 +120,22 @@ def sticks_of(one: Simulation) -> dict[int, Stuck]:
     """
     system = one.system
     if system.tracks.contacts is None:
-        return {0: Stuck.of(one.sticks)}
+        return {0: _stuck(one.sticks)}
     if one.sticks.contact is not None:
-        return {number: Stuck.of(one.of_contact(number).sticks) for number in range(system.tracks.contacts)}
+        return {number: _stuck(one.of_contact(number).sticks) for number in range(system.tracks.contacts)}
     if system.tracks.counted is None:
         raise ValueError(
             "Argument result must hold the sticks of all contacts, but one of of_contact or of_all_contacts was given; "
             "animate the simulation that it was taken from."
         )
     counted = range(system.tracks.contacts) if system.tracks.counted < 0 else [system.tracks.counted]
-    return dict.fromkeys(counted, Stuck.of(one.sticks))
+    return dict.fromkeys(counted, _stuck(one.sticks))
+
+
+def _stuck(sticks: Sticks) -> Stuck:
+    mask = np.asarray(sticks.mask)
+    start, end, ending = (np.asarray(values)[mask] for values in (sticks.start, sticks.end, sticks.ending))
+    return start, np.where(ending == Ending.HORIZON, math.inf, end)
 
 
 def frame_times(window: Window, speed: float | None, fps: float, dtype: np.dtype) -> tuple[np.ndarray, float]:
@@ -242,8 +228,8 @@ def numbers_of(part: Part) -> tuple[OverTime, ...]:
     return *part.start, *part.end
 
 
-def draw_parts(ax: Axes, mechanism: Mechanism, sticking: np.ndarray) -> Move:
-    """Draw a mechanism into `ax`; returns what moves it.
+def draw_parts(ax: Axes, mechanism: Mechanism, sticking: np.ndarray) -> list[Move]:
+    """Draw a mechanism into `ax`; returns what moves its parts.
 
     `sticking`: whether each contact sticks in each frame, (frames, contacts).
     """
@@ -258,17 +244,7 @@ def draw_parts(ax: Axes, mechanism: Mechanism, sticking: np.ndarray) -> Move:
         stuck = np.any(sticking[:, [] if isinstance(part, Spring) else list(part.contacts)], axis=1)
         draw = _body if isinstance(part, Body) else _disk if isinstance(part, Disk) else _link
         moves.append(draw(ax, cast(Any, part), places.T, stuck, order))
-    return together(moves)
-
-
-def together(moves: Sequence[Move]) -> Move:
-    """What makes all of these moves."""
-
-    def move(frame: int) -> None:
-        for one in moves:
-            one(frame)
-
-    return move
+    return moves
 
 
 # Each part by its numbers and whether it sticks in each frame, (frames, numbers) and (frames,).
@@ -510,14 +486,14 @@ def animate(
     check_mechanism(mechanism, type(system).__name__, len(times), contacts)
     sticking = np.zeros((len(times), contacts), bool)
     for number, stuck in sticks.items():
-        sticking[:, number] = stuck.lasts_at(times)
+        sticking[:, number] = lasts_at(stuck, times)
 
     figure = Figure(figsize=(float(size[0]), float(size[1])), layout="constrained")
     FigureCanvasAgg(figure)
     ratios = (2.2, 1.0, 0.3 + 0.08 * min(len(sticks), _MOST_NAMES)) if rows else (1.9, 1.0)
     above, below, *others = figure.subplots(len(ratios), 1, height_ratios=ratios)
     moves = [
-        _draw_mechanism(above, mechanism, result, sticking),
+        *_draw_mechanism(above, mechanism, result, sticking),
         _draw_clock(above, times, speed),
         _draw_history(below, result, shown, window, times, None if rows else next(iter(sticks.values()))),
     ]
@@ -527,7 +503,11 @@ def animate(
         moves.append(_draw_rows(others[0], sticks, window, times))
     _style.time_axis(below, window)
     legend_above(above, below, *others, columns=5)
-    move = together(moves)
+
+    def move(frame: int) -> None:
+        for one in moves:
+            one(frame)
+
     # Frames must not differ in the layout. The second time that it is found, springs know where the axes are.
     for _ in range(2):
         move(0)
@@ -546,8 +526,8 @@ def _make_equal(ax: Axes, mechanism: Mechanism) -> None:
     ax.set(xlim=(middles[0] - half[0], middles[0] + half[0]), ylim=(middles[1] - half[1], middles[1] + half[1]))
 
 
-def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: np.ndarray) -> Move:
-    move = draw_parts(ax, mechanism, sticking)
+def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: np.ndarray) -> list[Move]:
+    moves = draw_parts(ax, mechanism, sticking)
     for side in ("left", "right", "top", *(() if mechanism.x_label else ("bottom",))):
         ax.spines[side].set_visible(False)
     ax.set_yticks([])
@@ -562,7 +542,7 @@ def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: n
         ax.set_xticks([])
     if any(isinstance(part, Belt) or (isinstance(part, Disk) and part.is_base) for part in mechanism.parts):
         ax.plot([], [], color=_style.BASE, lw=2, label="ground" if isinstance(one.base, GroundMotion) else "base")
-    return move
+    return moves
 
 
 def _draw_clock(ax: Axes, times: np.ndarray, speed: float) -> Move:
@@ -579,7 +559,7 @@ def _draw_history(
     ax: Axes, one: Simulation, number: int, window: Window, frames: np.ndarray, stuck: Stuck | None
 ) -> Move:
     """One coordinate until the time of the frame; `stuck`: when it is thick and coloured."""
-    events = np.zeros(0, frames.dtype) if stuck is None else np.concatenate([stuck.start, stuck.end])
+    events = np.zeros(0, frames.dtype) if stuck is None else np.concatenate(stuck)
     events = events[(events > window[0]) & (events < window[1])]
     times = np.union1d(line_times(one, window), np.concatenate([frames, events]))
     values = state_at(one, times)[number]
@@ -589,7 +569,7 @@ def _draw_history(
         lines.append((ax.plot([], [], **_style.BASE_LINE)[0], velocity_at(one, times)))
     if stuck is not None:
         # Both ends belong to the line.
-        lasts = stuck.lasts_at(times) | np.isin(times, stuck.end)
+        lasts = lasts_at(stuck, times) | np.isin(times, stuck[1])
         (thick,) = ax.plot([], [], label=f"{look.body_name}, stick", **_style.STICK_LINE)
         lines.append((thick, np.where(lasts, values, np.nan)))
     (now,) = ax.plot([], [], "o", color=_style.MASS, ms=4)
@@ -610,8 +590,8 @@ def _draw_history(
 
 def _draw_rows(ax: Axes, sticks: dict[int, Stuck], window: Window, frames: np.ndarray) -> Move:
     """A row for each contact with its sticks until the time of the frame."""
-    start, end = (np.concatenate([getattr(one, name) for one in sticks.values()]) for name in ("start", "end"))
-    row = np.repeat(np.array(list(sticks), float), [len(one.start) for one in sticks.values()])
+    start, end = map(np.concatenate, zip(*sticks.values(), strict=True))
+    row = np.repeat(np.array(list(sticks), float), [len(one) for one, _ in sticks.values()])
     rows = _style.draw_polygons(ax, [], facecolor=_style.STICK, label="stick")
     ax.set_ylim(max(sticks) + 0.5, -0.5)
     ax.set_yticks(range(0, max(sticks) + 1, -(-len(sticks) // 6)))

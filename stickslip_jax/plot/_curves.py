@@ -149,8 +149,7 @@ def curve(
     """
     if level is not None:
         check_level(level)
-    if uncertainty not in get_args(Uncertainty):
-        raise checks.refused("uncertainty", 'be "bars" or "band"', uncertainty)
+    checks.chosen("uncertainty", uncertainty, get_args(Uncertainty))
     checks.truth("xlog", xlog)
     checks.truth("ylog", ylog)
     for name, text in (("xlabel", xlabel), ("ylabel", ylabel), ("label", label)):

@@ -44,7 +44,9 @@ def section(
         ValueError: For results of another kind, and for names that are not in them.
     """
     names, returns = _states(results)
-    columns = [_column(results, name) for name in (x or names[0], y or names[1])]
+    columns = [
+        results[checks.chosen("name", name, map(str, results.data_vars))] for name in (x or names[0], y or names[1])
+    ]
     more = [str(one) for one in columns[0].dims if one not in (returns, "start")]
     if more:
         raise ValueError(
@@ -84,7 +86,7 @@ def bifurcation_diagram(
         ValueError: For results of another kind, and for names that are not in them.
     """
     names, _ = _states(results)
-    values = _column(results, name or names[0])
+    values: Any = results[checks.chosen("name", name or names[0], map(str, results.data_vars))]
     parameters = [str(one) for one in values.dims if one not in (*_RETURNS, "start", "direction", "contact")]
     along = along or (parameters[0] if len(parameters) == 1 else None)
     if along not in parameters or len(parameters) > 1:
@@ -122,12 +124,6 @@ def _states(results: Any) -> tuple[list[str], str | None]:
     if returns is None or len(names) < 2:
         raise ValueError(f"Argument results must {demand}, but one with {', '.join(named) or 'nothing'} was given.")
     return names, returns
-
-
-def _column(results: Any, name: str) -> Any:
-    if name not in results.data_vars:
-        raise checks.refused("name", f"be one of {', '.join(map(str, results.data_vars))}", name)
-    return results[name]
 
 
 # Basins of attraction.

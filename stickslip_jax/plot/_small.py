@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
 from .._statistics.distribution import Distribution
-from ._histograms import histogram
-from ._histories import time_history
-from ._rasters import stick_raster
+from ._ensembles import histogram, stick_raster
+from ._trajectory import time_history
 
 _ROWS = 30  # samples of an ensemble
 _MANY = 4000  # points of a line: longer ones are stored as an image

@@ -9,20 +9,18 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import jax
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from .. import __version__
 from .._foundation import compilation_cache
+from .._foundation.extras import require_explorer
+from .._foundation.files import file_to_write
+from . import _reading
 from ._errors import StudyError
 from ._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
-
-if TYPE_CHECKING:
-    import xarray
-
-    from .._sweep.sweep import Sweep
 
 _STUDY, _SWEEP, _EXECUTORS = StudyOptions(), SweepOptions(), ExecutorOptions()
 
@@ -83,24 +81,18 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
         TOML file that describes the study; without it, the mass and spring of Lima and Sampaio's conference paper on
         a base that switches at random. Files that it names are relative to its folder.
     """
-    from ._reading import OPTIONS, read_config  # noqa: PLC0415
-
     if config is not None and options.print_example is not None:
         raise StudyError(
             f"{config} and --print-example {options.print_example} were both given; leave out one of them."
         )
-    given = {name: getattr(options, name) for name in OPTIONS}
-    described = read_config(config, given, example=options.print_example)
+    given = {name: getattr(options, name) for name in _reading.OPTIONS}
+    described = _reading.read_config(config, given, example=options.print_example)
     if options.print_config or options.print_example is not None:
         print(described.to_toml(), end="")
         return
     prepare_jax(described.run.dtype)
 
-    from ._run import (  # noqa: PLC0415
-        as_json,
-        run_study,
-        table,
-    )
+    from ._run import as_json, run_study, table  # noqa: PLC0415
 
     result = run_study(described, force=options.force, progress=False if options.quiet else options.progress)
     if not options.quiet:
@@ -127,21 +119,19 @@ def sweep(
     config
         TOML file that describes the sweep, with a section [sweep.over]; without it, --paper parametric-analysis.
     """
-    from ._reading import read_sweep_config  # noqa: PLC0415
-
     if config is not None and options.paper is not None:
         raise StudyError(f"{config} and --paper {options.paper} were both given; leave out one of them.")
     if options.out is None and not options.print_config:
         raise StudyError("Option --out must name the folder of the sweep, but was left out.")
-    described = read_sweep_config(config, {"samples": options.samples}, paper=options.paper)
+    described = _reading.read_sweep_config(config, {"samples": options.samples}, paper=options.paper)
     if options.out is None or options.print_config:
         print(described.to_toml(), end="")
         return
     prepare_jax(described.run.dtype)
-    from ._sweep_run import sweep_of  # noqa: PLC0415
+    from ._run import run_stored, sweep_of  # noqa: PLC0415
 
     source = "" if config is None else f"{config}: "
-    _run_sweep(sweep_of(described, source), options.out.expanduser(), executors)
+    run_stored(sweep_of(described, source), options.out.expanduser(), executors)
 
 
 @_warnings_as_sentences()
@@ -159,7 +149,9 @@ def resume(
     from .._sweep.sweep import Sweep  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
-    _run_sweep(Sweep.load(folder), folder, executors)
+    from ._run import run_stored  # noqa: PLC0415
+
+    run_stored(Sweep.load(folder), folder, executors)
 
 
 @_warnings_as_sentences()
@@ -172,7 +164,7 @@ def status(folder: Path, /) -> None:
         Folder of the sweep.
     """
     from .._sweep.dataset import status_of  # noqa: PLC0415
-    from ._sweep_run import status_text  # noqa: PLC0415
+    from ._run import status_text  # noqa: PLC0415
 
     print(status_text(folder, status_of(folder)))
 
@@ -192,19 +184,34 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
     force
         Replace a figure that is there already.
     """
-    if out is not None and out.suffix.lower() not in FIGURES:
-        raise StudyError(f"option --out must be a file that ends in {', '.join(FIGURES)}, but {out} was given.")
+    if out is not None:
+        try:
+            file_to_write(out, FIGURES, overwrite=force)
+        except (ValueError, OSError) as error:
+            said = str(error).replace("Argument path", "option --out").replace("overwrite=True", "--force")
+            raise StudyError(said) from None
     from .._sweep.dataset import stored_dataset  # noqa: PLC0415
     from .._sweep.store import Store  # noqa: PLC0415
 
     prepare_jax(Store.reading(folder).dtype)
-    if out is not None:
-        _check_figure(out, force)
+    from ._run import chosen_statistics, sweep_table  # noqa: PLC0415
+
     dataset = stored_dataset(folder)
-    names = _print_table(dataset, [] if statistics is None else [name.strip() for name in statistics.split(",")])
-    if out is not None:
-        _draw(dataset, names, out, force)
-        print(f"The figure is in {out}.")
+    wanted = [] if statistics is None else [name.strip() for name in statistics.split(",")]
+    names = chosen_statistics(dataset, wanted)
+    print(sweep_table(dataset, names))
+    if out is None:
+        return
+    from .. import plot  # noqa: PLC0415 - slow to load
+
+    dimensions = len(dataset["samples"].dims)
+    if dimensions > 2:
+        raise StudyError(
+            f"option --out draws sweeps of one or two parameters, but this one has {dimensions} dimensions; in Python, "
+            "plot.parameter_sweep(results.isel(...), names) draws a part of it."
+        )
+    plot.save(plot.parameter_sweep(dataset, names), out, overwrite=force)
+    print(f"The figure is in {out}.")
 
 
 def explore(
@@ -223,11 +230,8 @@ def explore(
     browser
         Whether to open the page; its address is printed.
     """
-    from .._foundation.extras import require_explorer  # noqa: PLC0415
-    from ._reading import read_config  # noqa: PLC0415
-
     require_explorer()
-    described = read_config(config, {"samples": samples})
+    described = _reading.read_config(config, {"samples": samples})
     prepare_jax(described.run.dtype)
     from ._explorer_page import serve  # noqa: PLC0415
     from ._explorer_scene import scene_of  # noqa: PLC0415
@@ -239,44 +243,3 @@ def explore(
     with suppress(KeyboardInterrupt):  # before the server stops at Ctrl-C by itself
         serve(scene, port=port, opens=browser, say=lambda said: print(said, flush=True))
     print("The explorer has ended.")
-
-
-def _run_sweep(sweep: "Sweep", folder: Path, executors: ExecutorOptions) -> None:
-    from .._sweep.store import DATA  # noqa: PLC0415
-    from ._sweep_run import run_stored  # noqa: PLC0415
-
-    dataset = run_stored(sweep, folder, executors)
-    if not executors.quiet:
-        _print_table(dataset)
-        print(f"The result is in {folder / DATA}; `stickslip show {folder} --out FIGURE.png` draws it.")
-
-
-def _print_table(dataset: "xarray.Dataset", wanted: Sequence[str] = ()) -> list[str]:
-    from ._sweep_run import chosen_statistics, sweep_table  # noqa: PLC0415
-
-    names = chosen_statistics(dataset, wanted)
-    print(sweep_table(dataset, names))
-    return names
-
-
-def _draw(dataset: "xarray.Dataset", names: list[str], path: Path, force: bool) -> None:
-    from .. import plot  # noqa: PLC0415 - slow to load
-
-    dimensions = len(dataset["samples"].dims)
-    if dimensions > 2:
-        raise StudyError(
-            f"option --out draws sweeps of one or two parameters, but this one has {dimensions} dimensions; in Python, "
-            "plot.parameter_sweep(results.isel(...), names) draws a part of it."
-        )
-    plot.save(plot.parameter_sweep(dataset, names), path, overwrite=force)
-
-
-def _check_figure(path: Path, force: bool) -> None:
-    """Raise StudyError where no figure can be written."""
-    from .._foundation.files import file_to_write  # noqa: PLC0415
-
-    try:
-        file_to_write(path, overwrite=force)
-    except (ValueError, OSError) as error:
-        said = str(error).replace("Argument path", "option --out").replace("overwrite=True", "--force")
-        raise StudyError(said) from None

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
@@ -17,7 +16,7 @@ from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._ensemble.points import MOST_POINTS
 from .._excitation.motion import RandomPhase
 from .._foundation import lazy_diffrax as diffrax
-from .._foundation.checks import LARGEST, one_of
+from .._foundation.checks import one_of
 from .._foundation.fields import described
 from .._statistics.accumulator import MOST_ORDERS
 from .._systems.structure import LinearStructure
@@ -29,7 +28,9 @@ from ._sections import (
     Section,
     Start,
     UniformConfig,
+    is_number,
     kinds_in,
+    nearest,
     shown_value,
     tag_key,
     tag_of,
@@ -37,17 +38,7 @@ from ._sections import (
     toml_value,
     value_of,
 )
-from ._systems_config import (
-    BaseConfig,
-    BlockRowConfig,
-    LinearStructureConfig,
-    MassSpringConfig,
-    MotorCartConfig,
-    SourceVoltageConfig,
-    StoreysOnBearingConfig,
-    StructureSection,
-    SystemConfig,
-)
+from ._systems_config import BaseConfig, MassSpringConfig, SourceVoltageConfig, StructureSection, SystemConfig
 
 # A study: the sections of its TOML file as pydantic models.
 
@@ -170,8 +161,8 @@ class StructureRunConfig(StructurePointConfig, RunConfig):
     """Section ``[run]`` of an ensemble of a structure."""
 
 
-STRUCTURES = LinearStructureConfig, BlockRowConfig, StoreysOnBearingConfig
-"""The kinds of section ``[system]`` that are structures."""
+STRUCTURES = [model for model, kind in kinds_in(SystemConfig).items() if issubclass(kind, StructureSection)]
+"""The models in section ``[system]`` that are structures."""
 
 
 class OutputConfig(Section):
@@ -185,10 +176,10 @@ class FileConfig(Section):
     """What the files of a study and of a sweep share: the system, what drives it, and how it is run.
 
     The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s. `runs`: the section
-    ``[run]`` of each system.
+    ``[run]`` of each model of a system.
     """
 
-    runs: ClassVar[Mapping[type[Section], type[PointConfig]]]
+    runs: ClassVar[Mapping[str, type[PointConfig]]]
 
     system: SystemConfig = MassSpringConfig()
     base: BaseConfig = Field(default_factory=dict, validate_default=True)
@@ -205,8 +196,8 @@ class FileConfig(Section):
     @classmethod
     def _run_of_the_system(cls, table: object, info: Any) -> PointConfig:
         if "system" not in info.data:  # the mistake in [system] is reported
-            return cls.runs[MassSpringConfig]()
-        kind = cls.runs[type(info.data["system"])]
+            return cls.runs["MassSpring"]()
+        kind = cls.runs[tag_of(type(info.data["system"]))]
         if isinstance(table, RunConfig) and type(table) is RunConfig:
             table = table.model_dump(exclude_unset=True)
         return kind.model_validate(table, context=info.context)
@@ -250,9 +241,9 @@ class StudyConfig(FileConfig):
     switching.
     """
 
-    runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
-        MassSpringConfig: MassSpringRunConfig,
-        MotorCartConfig: MotorCartRunConfig,
+    runs: ClassVar[Mapping[str, type[PointConfig]]] = {
+        "MassSpring": MassSpringRunConfig,
+        "MotorCart": MotorCartRunConfig,
         **dict.fromkeys(STRUCTURES, StructureRunConfig),
     }
 
@@ -313,8 +304,8 @@ def _values(name: str, given: object) -> np.ndarray:
         raise ValueError(f"{name} must be {wanted}, but {shown_value(given)} was given.")
     for one in given:
         row = one if several else [one]
-        if not (isinstance(row, list) and len(row) == width and all(map(_is_number, row))):
-            wanted = f"rows of {width} numbers" if several else "numbers"
+        if not (isinstance(row, list) and len(row) == width and all(map(is_number, row))):
+            wanted = f"rows of {width} finite numbers" if several else "finite numbers"
             raise ValueError(f"{name} must hold {wanted}, but {shown_value(one)} was given.")
     return np.array(given, float)
 
@@ -323,8 +314,7 @@ def _range(name: str, given: dict[str, object]) -> np.ndarray:
     """The values of ``{ linspace = [from, to, number] }``, or logspace."""
     (kind, limits), *more = given.items() or [("", None)]
     if kind not in _RANGES or more:
-        near = get_close_matches(kind, {"geomspace": "", **_RANGES}, n=1)
-        hint = f"; did you mean {near[0].replace('geom', 'log')}?" if near else ""
+        hint = nearest(kind, ("geomspace", *_RANGES)).replace("geom", "log")
         dotted = "" if hint or not re.fullmatch(r"\w+", kind) else f'; for a name with dots write "{name}.{kind}" = ...'
         raise ValueError(
             f"{name} must be a list, or a table with {one_of(_RANGES)}, but {shown_value(given)} was given"
@@ -332,22 +322,13 @@ def _range(name: str, given: dict[str, object]) -> np.ndarray:
         )
     but = f"but {shown_value(limits)} was given"
     ends: list[Any] = limits if isinstance(limits, list) and len(limits) == 3 else [None]
-    are_numbers = all(_is_number(end) and abs(end) <= LARGEST for end in ends)
+    are_numbers = all(map(is_number, ends))
     if not are_numbers or not isinstance(ends[2], int) or ends[2] < 1:
         raise ValueError(f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], {but}.")
     if kind == "logspace" and min(ends[:2]) <= 0:
         raise ValueError(f"logspace of {name} must go from and to positive numbers, {but}.")
     _check_number(ends[2])  # before there are any values
     return _RANGES[kind](*ends)
-
-
-def _is_number(value: object) -> bool:
-    """Whether it is a number; whole ones of a size that can be computed with."""
-    return (
-        isinstance(value, (int, float))
-        and not isinstance(value, bool)
-        and (isinstance(value, float) or abs(value) <= LARGEST)
-    )
 
 
 class SweepSection(Section):
@@ -378,9 +359,9 @@ class SweepSection(Section):
 class SweepConfig(FileConfig):
     """A whole parameter sweep."""
 
-    runs: ClassVar[Mapping[type[Section], type[PointConfig]]] = {
-        MassSpringConfig: MassSpringPointConfig,
-        MotorCartConfig: MotorCartPointConfig,
+    runs: ClassVar[Mapping[str, type[PointConfig]]] = {
+        "MassSpring": MassSpringPointConfig,
+        "MotorCart": MotorCartPointConfig,
         **dict.fromkeys(STRUCTURES, StructurePointConfig),
     }
 
@@ -416,7 +397,7 @@ def config_of(
     run |= {key: value for key, value in found.items() if value is not None}
     if y0 is not None:
         starts = [{"low": float(v.low), "high": float(v.high)} if isinstance(v, Uniform) else _plain(v) for v in y0]
-        kind = StudyConfig.runs[kinds_in(SystemConfig)[table["model"]]]
+        kind = StudyConfig.runs[table["model"]]
         run |= dict(zip(kind.initial, starts, strict=True)) if kind.initial else {"initial_state": starts}
     base = _table(law, kinds_in(BaseConfig))
     try:

@@ -138,7 +138,7 @@ def choice(name: str, options: Iterable[str], chosen: Callable[[str], None]) -> 
 
 
 Task = Callable[[], Any]
-Then = Callable[[Any], None]
+Then = Callable[[Any], object]
 Step = tuple[Task, Then]
 _FAILURES = (ValueError, OSError, RuntimeError, ImportError)
 
@@ -159,7 +159,9 @@ class Worker:
         self._wish = steps, failed
         if self._document is None:
             for task, then in steps:
-                if not _finish(*_outcome(task), then, failed):
+                show, is_done = _outcome(task, then, failed)
+                show()
+                if not is_done:
                     break
             self._wish = None
         elif not self._runs:
@@ -172,29 +174,26 @@ class Worker:
             while self._wish is not None:
                 (steps, failed), self._wish = self._wish, None
                 for task, then in steps:
-                    found, error = await asyncio.get_running_loop().run_in_executor(self._threads, _outcome, task)
-                    self._document.add_next_tick_callback(cast(Any, partial(_finish, found, error, then, failed)))
-                    if error is not None:
+                    loop = asyncio.get_running_loop()
+                    show, is_done = await loop.run_in_executor(self._threads, _outcome, task, then, failed)
+                    self._document.add_next_tick_callback(cast(Any, show))
+                    if not is_done:
                         break
         finally:
             self._runs = False
 
 
-def _outcome(task: Task) -> tuple[Any, BaseException | None]:
+def _outcome(task: Task, then: Then, failed: Then) -> tuple[Callable[[], None], bool]:
+    """What shows the result of a task, or why there is none, and whether there is one."""
     try:
-        return task(), None
+        return partial(_show, then, task()), True
     except _FAILURES as error:
-        return None, error
+        return partial(_show, failed, error), False
 
 
-def _finish(found: Any, error: BaseException | None, then: Then, failed: Then) -> bool:
-    """Show what was found, and whether there was no error. All that changes goes to the page in one message."""
-    with pn.io.hold():
-        if error is None:
-            then(found)
-        else:
-            failed(error)
-    return error is None
+def _show(then: Then, found: Any) -> None:
+    with pn.io.hold():  # all that changes goes to the page in one message
+        then(found)
 
 
 # What the explorer shows as a Python program that runs as it is.
@@ -407,7 +406,7 @@ class Explorer(pn.viewable.Viewer):
             sizing_mode="stretch_width",
         )  # fmt: skip
         tabs: list[Any] = [("Motion and statistics", motion)]
-        self._section = pictures.SectionFigure()
+        self._section = pictures.SectionFigure(self.scene)
         if pictures.is_deterministic(self.scene):
             section = pn.Column(
                 self._section_note, pn.pane.Bokeh(self._section.plot, sizing_mode="stretch_width"),
@@ -480,13 +479,11 @@ class Explorer(pn.viewable.Viewer):
         if self._tabs.active != 1 or not pictures.is_deterministic(self.scene):
             return
         self._section_note.object = html.escaped(f"Computing over {self._moving.label} ...")
-        self._sections.do(
-            [(partial(pictures.section_of, self.scene, self._moving), self._show_section)],
-            lambda error: setattr(self._section_note, "object", html.escaped(str(error))),
-        )  # fmt: skip
+        section = partial(pictures.section_of, self.scene, self._moving), partial(self._show_section, self._moving)
+        self._sections.do([section], lambda error: self._section_note.param.update(object=html.escaped(str(error))))
 
-    def _show_section(self, section: Any) -> None:
-        self._section.show(section)
+    def _show_section(self, over: MovableNumber, points: pictures.Data) -> None:
+        self._section.show(over, points)
         self._section_note.object = html.escaped("From one start at each value, after 100 periods.")
 
     # --- what is taken away

@@ -3,7 +3,7 @@
 import io
 import warnings
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -41,45 +41,32 @@ _BINS = 40
 _LEAST_CAPACITY = 1024  # intervals of the base: programs are compiled for few of them
 
 
-class Curve(NamedTuple):
-    """A realisation between its events: values of two coordinates over time, NaN where a line breaks, (points,)."""
-
-    times: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-
-
-class Bars(NamedTuple):
-    """A histogram: `heights` (bars,) between `edges` (bars + 1,)."""
-
-    edges: np.ndarray
-    heights: np.ndarray
+Data: TypeAlias = dict[str, Any]
+"""What a source of Bokeh holds: arrays by the names of its columns."""
 
 
 class Motion(NamedTuple):
     """What is drawn of the first realisation.
 
-    - `slip`, `stick`: its parts.
+    - `curves`: of "slip" and "stick", the time "t" and two coordinates "x" and "y", NaN where a line breaks.
     - `problem`: why it is not drawn, or "".
     """
 
     one: Simulation
-    slip: Curve
-    stick: Curve
+    curves: dict[str, Data]
     problem: str
 
 
 class Statistics(NamedTuple):
     """What is drawn of all realisations.
 
-    - `durations`, `starts`, `numbers`: of the sticks in those that reached the end.
+    - `bars`: the histograms of sticks in those that reached the end, with their sides "left" and "right" and the height
+      "top".
     - `unfinished`: how many did not.
     """
 
     ensemble: Ensemble
-    durations: Bars
-    starts: Bars
-    numbers: Bars
+    bars: dict[str, Data]
     means: tuple[Estimate, ...]
     unfinished: int
 
@@ -89,13 +76,13 @@ def motion_of(scene: Scene) -> Motion:
     one = realization(scene)
     is_whole = int(one.status) == Status.FINISHED
     phases = phases_of(one, (0.0, min(scene.t1, LONGEST_HISTORY))) if is_whole else []
-    x, y = coordinates_of(scene)
-    slip, stick = (
-        Curve(*(joined([one for one in phases if one.sticks == sticks], name) for name in ("times", x, y)))
-        for sticks in (False, True)
-    )
+    columns = dict(zip("txy", ("times", *coordinates_of(scene)), strict=True))
+    curves = {}
+    for name in _CURVES:
+        parts = [one for one in phases if one.sticks == (name == "stick")]
+        curves[name] = {column: joined(parts, values) for column, values in columns.items()}
     problem = "" if is_whole else f"This realisation has no end: {Status(int(one.status)).meaning}."
-    return Motion(one, slip, stick, problem)
+    return Motion(one, curves, problem)
 
 
 def statistics_of(scene: Scene) -> Statistics:
@@ -110,15 +97,14 @@ def statistics_of(scene: Scene) -> Statistics:
     low, high = (int(counts.min()), int(counts.max())) if len(counts) else (0, 0)
     width = max(1, -(-(high - low + 1) // (2 * _BINS)))
     edges = np.arange(low, high + width + 1, width) - 0.5
-    heights, _ = np.histogram(counts, edges)
-    return Statistics(
-        ensemble=many,
-        durations=_bars(sticks.duration),
-        starts=_bars(sticks.start, scene.t1),
-        numbers=Bars(edges, heights / max(1, len(counts))),
-        means=tuple(of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction)),
-        unfinished=scene.samples - int(many.status_counts.get(Status.FINISHED, 0)),
-    )
+    shares = np.histogram(counts, edges)[0] / max(1, len(counts))
+    bars = {
+        "durations": _bars_of_times(sticks.duration),
+        "starts": _bars_of_times(sticks.start, scene.t1),
+        "numbers": _bars(shares, edges),
+    }
+    means = tuple(of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction))
+    return Statistics(many, bars, means, scene.samples - int(many.status_counts.get(Status.FINISHED, 0)))
 
 
 def slope_of(scene: Scene, name: str) -> tuple[Sensitivity, list[str]]:
@@ -172,12 +158,15 @@ def labels_of(scene: Scene) -> tuple[str, str]:
     return x, y
 
 
-def _bars(values: np.ndarray, end: float | None = None) -> Bars:
+def _bars_of_times(values: np.ndarray, end: float | None = None) -> Data:
     """A histogram of times as a density, from 0 to their largest or to `end`."""
     if not len(values):
-        return Bars(np.array([0.0, end or 1.0]), np.zeros(1))
-    heights, edges = np.histogram(values, _BINS, (0.0, end or float(np.max(values)) or 1.0), density=True)
-    return Bars(edges, heights)
+        return _bars(np.zeros(1), np.array([0.0, end or 1.0]))
+    return _bars(*np.histogram(values, _BINS, (0.0, end or float(np.max(values)) or 1.0), density=True))
+
+
+def _bars(heights: np.ndarray, edges: np.ndarray) -> Data:
+    return {"left": edges[:-1], "right": edges[1:], "top": heights}
 
 
 # The bifurcation diagram of a scene whose base is deterministic.
@@ -186,25 +175,16 @@ def _bars(values: np.ndarray, end: float | None = None) -> Bars:
 _VALUES, _TRANSIENT, _KEPT = 120, 100, 40
 
 
-class Section(NamedTuple):
-    """The first coordinate once a period, over the values of one number: points (points,)."""
-
-    label: str
-    state_label: str
-    values: np.ndarray
-    states: np.ndarray
-
-
 def is_deterministic(scene: Scene) -> bool:
     """Whether what drives the system is the same in all realisations."""
     return not is_random(scene.law)
 
 
-def section_of(scene: Scene, number: MovableNumber) -> Section:
-    """The diagram over the range of the slider of `number`, from the start of the scene.
+def section_of(scene: Scene, number: MovableNumber) -> Data:
+    """The first coordinate once a period, "state", over the range of the slider of `number`, "value".
 
-    A random start counts by its median. Raises ValueError for a base without a period, and for numbers that
-    `bifurcation_diagram` refuses.
+    It starts as the scene does; a random start counts by its median. Raises ValueError for a base without a period, and
+    for numbers that `bifurcation_diagram` refuses.
     """
     values = np.linspace(number.low, number.high, _VALUES)
     start = [float(one.icdf(jnp.asarray(0.5))) if isinstance(one, RandomNumber) else float(one) for one in scene.y0]
@@ -216,8 +196,7 @@ def section_of(scene: Scene, number: MovableNumber) -> Section:
             longest_transient=_TRANSIENT, progress=False,
         )  # fmt: skip
     states = np.asarray(found[scene.system.coordinates[0].variable]).reshape(_VALUES, -1)
-    label, _ = labels_of(scene)
-    return Section(number.label, f"{label}, once a period", np.repeat(values, states.shape[1]), states.ravel())
+    return {"value": np.repeat(values, states.shape[1]), "state": states.ravel()}
 
 
 # The pictures of the explorer, by Bokeh: made once, then given new numbers.
@@ -233,71 +212,57 @@ _BARS = {
 
 
 class Figures:
-    """Phase portrait, time history, and the histograms of durations, starts and numbers of sticks."""
+    """The phase portrait, the time history, and the histograms of durations, starts and numbers of sticks; `all`."""
 
     def __init__(self, scene: Scene):
         x, y = labels_of(scene)
-        self._curves = {name: ColumnDataSource({"t": [], "x": [], "y": []}) for name in _CURVES}
-        self._bars = {name: ColumnDataSource({"left": [], "right": [], "top": []}) for name in _BARS}
-        self.portrait = self._lines("Phase portrait", "x", "y", x, y)
-        self.history = self._lines("Time history", "t", "x", "time (s)", x)
-        self.durations, self.starts, self.numbers = map(self._histogram, _BARS)
-
-    @property
-    def all(self) -> tuple[Any, ...]:
-        """The figures in their order."""
-        return self.portrait, self.history, self.durations, self.starts, self.numbers
+        self.curves = {name: ColumnDataSource({"t": [], "x": [], "y": []}) for name in _CURVES}
+        self.bars = {name: ColumnDataSource({"left": [], "right": [], "top": []}) for name in _BARS}
+        self.portrait = _figure("Phase portrait", x, y, **_ranges())
+        self.history = _figure("Time history", "time (s)", x, **_ranges())
+        for plot, across, up in ((self.portrait, "x", "y"), (self.history, "t", "x")):
+            for name, (color, width) in _CURVES.items():
+                plot.line(across, up, source=self.curves[name], color=color, line_width=width, legend_label=name)
+            plot.add_layout(plot.legend[0], "above")
+            plot.legend[0].update(orientation="horizontal", padding=2, margin=2)
+        self.histograms = {name: _figure(*labels, **_ranges()) for name, labels in _BARS.items()}
+        for name, plot in self.histograms.items():
+            plot.quad(
+                left="left", right="right", top="top", bottom=0, source=self.bars[name], color=_style.STICK,
+                line_color="white", line_width=0.5,
+            )  # fmt: skip
+        self.all = self.portrait, self.history, *self.histograms.values()
 
     def show_motion(self, scene: Scene, motion: Motion) -> None:
         """Draw another realisation."""
         self.history.x_range.end = min(scene.t1, LONGEST_HISTORY)
-        for name in _CURVES:
-            curve: Curve = getattr(motion, name)
-            self._curves[name].data = {"t": curve.times, "x": curve.x, "y": curve.y}
-        both = motion.slip, motion.stick
-        _fit(self.portrait.x_range, *(one.x for one in both))
-        _fit(self.portrait.y_range, *(one.y for one in both))
-        _fit(self.history.y_range, *(one.x for one in both))
+        for name, curve in motion.curves.items():
+            self.curves[name].data = curve
+        for axis, column in (
+            (self.portrait.x_range, "x"), (self.portrait.y_range, "y"), (self.history.y_range, "x"),
+        ):  # fmt: skip
+            _fit(axis, np.concatenate([curve[column] for curve in motion.curves.values()]))
 
     def show_statistics(self, statistics: Statistics) -> None:
         """Draw other histograms."""
-        for name in _BARS:
-            bars: Bars = getattr(statistics, name)
-            self._bars[name].data = {"left": bars.edges[:-1], "right": bars.edges[1:], "top": bars.heights}
-            plot = getattr(self, name)
-            plot.x_range.update(start=bars.edges[0], end=bars.edges[-1])
-            plot.y_range.end = 1.05 * np.max(bars.heights) or 1.0
-
-    def _lines(self, title: str, x: str, y: str, x_label: str, y_label: str) -> Any:
-        plot = _figure(title, x_label, y_label, **_ranges())
-        for name, (color, width) in _CURVES.items():
-            plot.line(x, y, source=self._curves[name], color=color, line_width=width, legend_label=name)
-        plot.add_layout(plot.legend[0], "above")
-        plot.legend[0].orientation = "horizontal"
-        plot.legend[0].padding = plot.legend[0].margin = 2
-        return plot
-
-    def _histogram(self, name: str) -> Any:
-        plot = _figure(*_BARS[name], **_ranges())
-        plot.quad(
-            left="left", right="right", top="top", bottom=0, source=self._bars[name], color=_style.STICK,
-            line_color="white", line_width=0.5,
-        )  # fmt: skip
-        return plot
+        for name, bars in statistics.bars.items():
+            self.bars[name].data = bars
+            plot = self.histograms[name]
+            plot.x_range.update(start=bars["left"][0], end=bars["right"][-1])
+            plot.y_range.end = 1.05 * np.max(bars["top"]) or 1.0
 
 
 class SectionFigure:
     """States once a period over the values of one number: the bifurcation diagram."""
 
-    def __init__(self) -> None:
-        self._points = ColumnDataSource({"value": [], "state": []})
-        self.plot = _figure("Bifurcation diagram", "", "", height=420)
-        self.plot.scatter("value", "state", source=self._points, size=3, color=_style.MASS, line_alpha=0)
+    def __init__(self, scene: Scene) -> None:
+        self.points = ColumnDataSource({"value": [], "state": []})
+        self.plot = _figure("Bifurcation diagram", "", f"{labels_of(scene)[0]}, once a period", height=420)
+        self.plot.scatter("value", "state", source=self.points, size=3, color=_style.MASS, line_alpha=0)
 
-    def show(self, section: Section) -> None:
-        """Draw another section."""
-        self.plot.xaxis.axis_label, self.plot.yaxis.axis_label = section.label, section.state_label
-        self._points.data = {"value": section.values, "state": section.states}
+    def show(self, number: MovableNumber, points: Data) -> None:
+        """Draw the diagram over another number."""
+        self.plot.xaxis.axis_label, self.points.data = number.label, points
 
 
 def _ranges() -> dict[str, Any]:
@@ -305,10 +270,9 @@ def _ranges() -> dict[str, Any]:
     return {name: Range1d(start=0, end=1) for name in ("x_range", "y_range")}
 
 
-def _fit(of_axis: Range1d, *values: np.ndarray) -> None:
+def _fit(of_axis: Range1d, values: np.ndarray) -> None:
     """Let a range hold these values and a margin."""
-    known = np.concatenate(values)
-    known = known[np.isfinite(known)]
+    known = values[np.isfinite(values)]
     if len(known):
         low, high = float(known.min()), float(known.max())
         margin = 0.05 * (high - low) or 0.5

@@ -1,98 +1,38 @@
 """Reads studies and sweeps from TOML files and the command's options; every mistake becomes a sentence."""
 
-import math
 import os
 import re
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args
 
 from cyclopts import Parameter, Token
 from pydantic import ValidationError
 
-from .. import papers
 from .._foundation.checks import one_of
 from ._config import FileConfig, StudyConfig, SweepConfig
 from ._errors import StudyError
-from ._sections import NUMBER, Section, UniformConfig, kinds_in, shown_value, tables_of, tag_key, tag_of
-from ._systems_config import MassSpringConfig
+from ._sections import NUMBER, Section, UniformConfig, kinds_in, nearest, shown_value, tables_of, tag_key, tag_of
 
 # Studies and sweeps to start from, by name: what differs from the defaults.
 
 
-_BUILDING, _PERIOD, _GRAVITY = 2.0e5, 2.5, 9.81  # kg; s, natural period on its isolators; m/s^2
-
-EXAMPLES: dict[str, Mapping[str, Mapping[str, object]]] = {
-    "harmonic-base": {
-        "system": {"friction": {"law": "Stribeck", "mu": 0.3, "mu_static": 0.5, "stribeck_speed": 0.2}},
-        "base": {"law": "Harmonic", "amplitude": 0.5, "angular_frequency": 0.8, "offset": 0.2},
-        "run": {"t1": 100.0, "samples": 1000, "initial_velocity": 0.0},
-        "output": {"directory": "results/harmonic-base"},
-    },
-    "base-isolation": {
-        "system": {
-            "mass": _BUILDING,
-            "stiffness": float(f"{_BUILDING * (2 * math.pi / _PERIOD) ** 2:.4g}"),
-            "normal_force": float(f"{_BUILDING * _GRAVITY:.4g}"),
-            "damping": 2.0e4,
-            "friction": {"law": "Coulomb", "mu": 0.05, "mu_static": 0.07},
-        },
-        "base": {"law": "KanaiTajimi", "rms": 1.5},
-        "run": {"t1": 30.0, "samples": 1000, "initial_velocity": 0.0},
-        "output": {"directory": "results/base-isolation"},
-    },
-    "motor-cart": {"system": {"model": "MotorCart"}, "output": {"directory": "results/motor-cart"}},
-    "two-blocks": {
-        "system": {
-            "model": "LinearStructure",
-            "mass": [1.0, 1.0],
-            "stiffness": [[2.2, -1.2], [-1.2, 2.2]],
-            "contact": 0,
-            "contacts": [
-                {"mass": mass, "normal_force": force, "friction": {"law": "Coulomb", "mu": 0.8, "mu_static": 1.0}}
-                for mass, force in enumerate((1.0, 1.3))
-            ],
-        },
-        "base": {"law": "PoissonSwitching", "speed": 0.3, "rate": 0.5},
-        "run": {"t1": 60.0, "samples": 1000, "initial_state": [{"low": -0.5, "high": 0.5}, 0.0, 0.0, 0.0]},
-        "output": {"directory": "results/two-blocks"},
-    },
-}
-"""A mass on an oscillating base; a building sliding on its isolators in an earthquake; the motor and cart; two blocks
-joined by a spring on a base that switches.
-"""
+Example = Literal["harmonic-base", "base-isolation", "motor-cart", "two-blocks"]
+Paper = Literal[
+    "parametric-analysis", "stick-share-constant", "stick-share-square", "stick-share-harmonic", "stick-share-random"
+]
 
 
-def _share(
-    law: Mapping[str, object], samples: int = 1, keep: str = "totals", *, swept: bool = True
-) -> dict[str, Mapping[str, object]]:
-    over = {"mu": {"linspace": list(papers.SHARE_FRICTIONS)}}
-    over |= {"r": {"linspace": list(papers.SHARE_RATIOS)}} if swept else {}
-    sweep = {"keep": keep, "statistics": ["stick_fraction"], "over": over}
-    return {"base": law, "run": {"samples": samples}, "sweep": sweep}
+def _files(folder: str, names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """The files of TOML that come with the package, by name."""
+    texts = {name: (Path(__file__).parent / folder / f"{name}.toml").read_text(encoding="utf-8") for name in names}
+    return {name: tomllib.loads(text) for name, text in texts.items()}
 
 
-PAPERS: dict[str, Mapping[str, Mapping[str, object]]] = {
-    "parametric-analysis": {
-        "sweep": {
-            "over": {
-                "mu": {"linspace": list(papers.ANALYSIS_FRICTIONS)},
-                "rate": {"logspace": list(papers.ANALYSIS_RATES)},
-            }
-        }
-    },
-    "stick-share-constant": _share({"law": "Constant", "speed": 1.0}, swept=False),
-    "stick-share-square": _share({"law": "SquareWave", "speed": 1.0, "period": math.pi}),
-    "stick-share-harmonic": _share({"law": "Harmonic", "amplitude": 1.0, "angular_frequency": 2.0, "phase": 0.0}),
-    "stick-share-random": _share(
-        {"law": "RandomSteps", "speed": 1.0, "interval": math.pi}, papers.SHARE_SAMPLES, "statistics"
-    ),
-}
-"""The sweeps of `papers.parametric_analysis` and `papers.stick_share_map` as files."""
+EXAMPLES, PAPERS = _files("examples", get_args(Example)), _files("papers", get_args(Paper))
 
 
 # The options of the ``stickslip`` command.
@@ -107,10 +47,6 @@ def _whole_number(kind: type, tokens: Sequence[Token]) -> int:
 
 
 _Whole = Annotated[int | None, Parameter(converter=_whole_number)]
-Example = Literal["harmonic-base", "base-isolation", "motor-cart", "two-blocks"]
-Paper = Literal[
-    "parametric-analysis", "stick-share-constant", "stick-share-square", "stick-share-harmonic", "stick-share-random"
-]
 FIGURES = (".png", ".pdf", ".svg")
 Switch = Annotated[bool, Parameter(negative="", show_default=False)]
 
@@ -339,7 +275,8 @@ def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, sour
         problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
         system = table.get("system")
         model = system.get("model") if isinstance(system, dict) else None
-        run = _runs_by_model(kind).get(model if isinstance(model, str) else "", kind.runs[MassSpringConfig])
+        is_known = isinstance(model, str) and model in kind.runs
+        run = kind.runs[model if is_known else "MassSpring"]
         raise StudyError(source + _sentence_for(problem, options, kind, run)) from None
 
 
@@ -414,17 +351,13 @@ def _place_of(location: Iterable[str | int], file: type[FileConfig], run: type[S
     return place
 
 
-def _runs_by_model(file: type[FileConfig]) -> dict[str, type[Section]]:
-    return {tag_of(system): run for system, run in file.runs.items()}
-
-
 def _all_sections(
     file: type[FileConfig], kind: type[Section] | None = None, within: str = ""
-) -> Iterator[tuple[str, dict[str, type[Section]]]]:
+) -> Iterator[tuple[str, Mapping[str, type[Section]]]]:
     """The name of every section, and its possible kinds."""
     for key, kinds in tables_of(kind or file).items():
         name = f"{within}.{key}".removeprefix(".")
-        yield name, _runs_by_model(file) if name == "run" else kinds
+        yield name, file.runs if name == "run" else kinds
         for each in kinds.values():
             yield from _all_sections(file, each, name)
 
@@ -448,15 +381,15 @@ def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
         return f"[{place.section}] lacks {key}, which must be {one_of(kinds)}."
     return (
         f"{key} in [{place.section}] must be one of {', '.join(kinds)}, but {shown_value(table[key])} was given"
-        f"{_nearest(str(table[key]), kinds, before='; ') or '.'}"
+        f"{nearest(str(table[key]), kinds) or '.'}"
     )
 
 
 def _unknown_key(place: _Place, file: type[FileConfig]) -> str:
-    key, models = place.key, [model for model, run in _runs_by_model(file).items() if run is place.kind]
+    key, models = place.key, [model for model, run in file.runs.items() if run is place.kind]
     tag, name = ("model", one_of(models)) if models else (tag_key(place.kind), tag_of(place.kind))
     owner = f"[{place.section}]" if tag is None else f"[{place.section}] of the {tag} {name}"
-    hint = _owner_of(key, file, _without_numbers(place.section)) or _nearest(key, place.kind.model_fields)
+    hint = _owner_of(key, file, _without_numbers(place.section)) or nearest(key, place.kind.model_fields, before="")
     return f"unknown key {key} in {owner}; " + (hint or f"its keys are {', '.join(place.kind.model_fields)}.")
 
 
@@ -467,7 +400,7 @@ def _unknown_section(name: str, value: object, file: type[FileConfig]) -> str:
     inner = [section for section, _ in _all_sections(file) if section.endswith(f".{name}")]
     if inner:
         return f"unknown section [{name}]; did you mean [{min(inner, key=len)}]?"
-    return f"unknown section [{name}]; {_nearest(name, file.model_fields) or f'the sections are {sections}.'}"
+    return f"unknown section [{name}]; {nearest(name, file.model_fields, before='') or f'the sections are {sections}.'}"
 
 
 def _owner_of(key: str, file: type[FileConfig], section: str = "") -> str:
@@ -480,9 +413,3 @@ def _owner_of(key: str, file: type[FileConfig], section: str = "") -> str:
             tag = "model" if name in ("system", "run") else "law"
             return f"{key} belongs in [{name}] of the {tag} {one_of(owners)}."
     return ""
-
-
-def _nearest(name: str, known: Iterable[str], before: str = "") -> str:
-    by_lower_case = {candidate.lower(): candidate for candidate in known}
-    found = get_close_matches(name.lower(), by_lower_case, n=1)
-    return f"{before}did you mean {by_lower_case[found[0]]}?" if found else ""

@@ -1,5 +1,8 @@
-"""Running a study: its ensemble is simulated, its statistics are estimated, stored, drawn and told."""
+"""Running what a file describes: one ensemble, stored and drawn with its statistics, or a parameter sweep; and telling
+of both as text.
+"""
 
+import asyncio
 import dataclasses
 import json
 import math
@@ -11,12 +14,14 @@ import signal
 import tempfile
 import threading
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
 
 import h5netcdf
 import jax
@@ -29,14 +34,23 @@ from .._dynamics.simulation import Simulation
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.dataset import as_netcdf, compression
 from .._ensemble.result import Ensemble
-from .._excitation.motion import RandomPhase, SourceVoltage
+from .._excitation.motion import SourceVoltage
 from .._foundation.files import write_whole, writing
 from .._foundation.types import Ending, Status
 from .._statistics.estimate import Estimate, format_with_error
 from .._statistics.quantities import FirstSticks, first_stick
 from .._statistics.totals import STATISTICS
-from ._config import FileConfig, PointConfig, StudyConfig
+from .._sweep.dataset import SweepStatus, point_dimensions, shown_statistics, statistics_of_points
+from .._sweep.store import DATA as SWEEP_DATA
+from .._sweep.sweep import Sweep
+from .._systems.system import unphased
+from ._config import FileConfig, PointConfig, StudyConfig, SweepConfig
 from ._errors import StudyError
+from ._reading import ExecutorOptions
+from ._sections import nearest
+
+if TYPE_CHECKING:
+    import distributed
 
 # The folder of a result: no file is overwritten without --force, and no result is left incomplete.
 
@@ -159,20 +173,16 @@ def draw_figures(config: StudyConfig, ensemble: Ensemble, first_sticks: FirstSti
         whose, axes = "sticks", plot.joint_histogram(ensemble.statistics.joint("duration", "position"))
     else:
         # The bound of stick durations is known in closed form for a voltage.
-        bound: Any = ensemble.law if isinstance(_signal_of(ensemble.law), SourceVoltage) else None
+        bound: Any = ensemble.law if isinstance(unphased(ensemble.law), SourceVoltage) else None
         whose, axes = "first sticks", plot.stick_map(first_sticks, system=ensemble.system, bound=bound)
     plot.save(axes, folder / DURATION_AND_POSITION, title=f"Duration and position of {whose} in {samples}")
-
-
-def _signal_of(law: Any) -> Any:
-    return law.signal if isinstance(law, RandomPhase) else law
 
 
 def beginning_of_sample_0(config: StudyConfig, ensemble: Ensemble) -> Simulation:
     """Sample 0 of the ensemble with all its events, from 0 to a time whose oscillations a figure can tell apart."""
     frequency = ensemble.system.natural_frequency
     if frequency is None or not np.all(np.asarray(frequency) > 0):
-        shown = _VOLTAGE_PERIODS_SHOWN * float(getattr(_signal_of(ensemble.law), "shortest_period", math.inf))
+        shown = _VOLTAGE_PERIODS_SHOWN * float(getattr(unphased(ensemble.law), "shortest_period", math.inf))
     else:
         shown = _PERIODS_SHOWN * 2 * math.pi / float(frequency)
     t1 = min(ensemble.t1, shown)
@@ -261,7 +271,7 @@ def simulate_study(config: StudyConfig, progress: bool | None = None) -> Ensembl
     try:
         return simulate_ensemble(**arguments, keep=run.keep, threads=run.threads, chunk=run.chunk, progress=progress)
     except ValueError as error:
-        raise StudyError(in_words_of_the_file(str(error))) from error
+        raise StudyError(in_words_of_the_file(error, _OF_AN_ENSEMBLE)) from error
 
 
 def arguments_of(config: FileConfig, run: PointConfig) -> dict[str, Any]:
@@ -284,18 +294,40 @@ def built(section: Any, name: str) -> Any:
     try:
         return section.build()
     except (ValueError, OSError) as error:
-        said = re.sub(r"\AArguments? (path\b)?", lambda found: "file" if found[1] else "", str(error))
-        raise StudyError(f"in [{name}], {said}") from error
+        raise StudyError(f"in [{name}], {in_words_of_the_file(error, _OF_A_FILE)}") from error
 
 
-_NAMES = {"base": "[base]", "law": "[base]", "force": "[system.force]"}
-_NAMES |= {key: f"{key} in [run]" for key in ("keep", "samples", "step", "t1")}
+_NO_ARGUMENT = r"\AArguments? ", ""
+_OF_A_FILE = [(r"\AArguments? path\b", "file"), _NO_ARGUMENT]
+_OF_AN_ENSEMBLE = [
+    (r"\AArguments? (base|law)\b", "[base]"),
+    (r"\AArguments? force\b", "[system.force]"),
+    (r"\AArguments? (keep|samples|step|t1)\b", r"\1 in [run]"),
+    _NO_ARGUMENT,
+    (r"use method=Exact\(solver=diffrax\.Dopri8\(\)\)", 'set solver = "Dopri8" in [run]'),
+]
+_OF_A_SWEEP = [
+    (r"(\bfriction(\.\w+)?)\.law\.", r"\1.slip."),
+    # Of parameters that change together there are several.
+    (r"\AArgument over\[\(?'(.+?)'\)?\] ", lambda found: found[1].replace("', '", ", ") + " in [sweep.over] "),
+    (r"\AArgument over ", "[sweep.over] "),
+    (
+        r"\AArgument sensitivities must hold .*?, with a statistic",
+        "sensitivities in [sweep] must hold lists of parameters by statistic",
+    ),
+    (r"\AArgument (keep|statistics|standard_error|realizations|batch)\b(\['\w+'\])?", r"\1\2 in [sweep]"),
+    *_OF_AN_ENSEMBLE,
+]
+"""What stands in place of the names of arguments in messages, by regular expressions, in their order."""
+_LISTING = r".*? (?:names? out of|must name one of|statistic out of) (.*), but (.*) was given\."
 
 
-def in_words_of_the_file(said: str) -> str:
-    """A message of `simulate_ensemble` with the names of its arguments replaced by sections and keys of the file."""
-    said = re.sub(r"\AArguments? (\w+)", lambda found: _NAMES.get(found[1], found[1]), said)
-    return said.replace("use method=Exact(solver=diffrax.Dopri8())", 'set solver = "Dopri8" in [run]')
+def in_words_of_the_file(error: Exception, words: list[tuple[str, Any]]) -> str:
+    """A message with the names of arguments replaced by sections and keys of the file."""
+    said = str(error)
+    for pattern, replacement in words:
+        said = re.sub(pattern, replacement, said)
+    return said
 
 
 # --- the data set
@@ -385,10 +417,7 @@ def table(study: StoredStudy) -> str:
         *(f"{a:<{widths[0]}}  {b:>{widths[1]}}  {c:>{widths[2]}}  {d}" for a, b, c, d in rows),
         "",
     ]
-    lines += [
-        f"NOT FINISHED: {count} of {samples} samples, because {status.meaning}; they enter no statistic."
-        for status, count in _not_finished(study).items()
-    ] or [f"All {samples} samples reached t1."]
+    lines += _endings(ensemble.status_counts) or [f"All {samples} samples reached t1."]
     if ensemble.keep == "totals" and not run.count_initial_rest:
         lines.append('With keep = "totals" sticks that begin at t = 0 count in all numbers.')
     if ensemble.key_data is None and samples > 1:
@@ -421,7 +450,7 @@ def as_json(study: StoredStudy) -> str:
         for name, one in study.statistics.items()
     }
     content["samples"] = ensemble.samples
-    content["not_finished"] = {status.name: count for status, count in _not_finished(study).items()}
+    content["not_finished"] = {status.name: count for status, count in _not_finished(ensemble.status_counts).items()}
     content["near_grazing_samples"] = ensemble.near_grazing_samples
     if study.first_sticks is not None:
         content["first_sticks"] = study.first_sticks.count
@@ -430,6 +459,200 @@ def as_json(study: StoredStudy) -> str:
     return json.dumps(content, indent=2, allow_nan=False)
 
 
-def _not_finished(study: StoredStudy) -> dict[Status, int]:
-    counts = study.ensemble.status_counts
+def _not_finished(counts: Mapping[Status, int]) -> dict[Status, int]:
     return {status: count for status, count in counts.items() if status is not Status.FINISHED and count}
+
+
+def _endings(counts: Mapping[Status, int]) -> list[str]:
+    """A line for each reason why samples did not finish; `counts`: of all samples, by how they ended."""
+    samples = sum(counts.values())
+    return [
+        f"NOT FINISHED: {count:,} of {samples:,} samples, because {status.meaning}; they enter no statistic."
+        for status, count in _not_finished(counts).items()
+    ]
+
+
+# A parameter sweep: made from its file, run, resumed.
+
+
+_SECONDS_TO_CONNECT = 10
+
+
+def sweep_of(config: SweepConfig, source: str = "") -> Sweep:
+    """The sweep that `config` describes. Raises StudyError, beginning with `source`, for what does not fit."""
+    run, sweep = config.run, config.sweep
+    over: dict[str | tuple[str, ...], np.ndarray] = {}
+    # Initial values, and the slips of `Ageing`, have other names in `Sweep`.
+    starts = {name: f"y0[{number}]" for number, name in enumerate(run.initial)}
+    for names, values in sweep.over.parameter_values().items():
+        renamed = [starts.get(name) or re.sub(r"\Ainitial_state\[", "y0[", name) for name in names]
+        full = tuple(re.sub(r"\bslip\.", "law.", name) for name in renamed)
+        over[full if len(full) > 1 else "".join(full)] = values
+    try:
+        return Sweep(
+            **arguments_of(config, run),
+            **sweep.model_dump(exclude={"over", "sensitivities"}),
+            over=over,
+            sensitivities=[(name, tuple(wrt)) for name, wrt in (sweep.sensitivities or {}).items()],
+        )
+    except StudyError as error:
+        raise StudyError(f"{source}{error}") from error
+    except ValueError as error:
+        said = in_words_of_the_file(error, _OF_A_SWEEP)
+        # A message that lists the names allowed goes on with the one that was probably meant.
+        if found := re.fullmatch(_LISTING, said):
+            given = (re.findall(r"[\w.]+", found[2]) or [""])[0]
+            said = said.removesuffix(".") + (nearest(given, re.findall(r"\w+", found[1]), cutoff=0.5) or ".")
+        raise StudyError(source + said) from error
+
+
+def run_stored(sweep: Sweep, folder: Path, where: ExecutorOptions) -> None:
+    """Run what is left of a sweep in `folder`, and print its result.
+
+    Raises SweepError as `Sweep.run` does, and StudyError where no scheduler answers at the address ``where.dask``.
+    """
+    with nullcontext() if where.dask is None else _client(where.dask) as client, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "This sweep runs in float32")  # as its file asks
+        progress = False if where.quiet else where.progress
+        dataset = sweep.run(folder, threads=where.threads, workers=where.workers, executor=client, progress=progress)
+    if not where.quiet:
+        print(sweep_table(dataset, chosen_statistics(dataset)))
+        print(f"The result is in {folder / SWEEP_DATA}; `stickslip show {folder} --out FIGURE.png` draws it.")
+
+
+@contextmanager
+def _client(address: str) -> "Iterator[distributed.Client]":
+    """A client of the dask scheduler at `address`. Raises StudyError if there is none."""
+    if find_spec("distributed") is None:
+        raise StudyError("Option --dask needs distributed: pip install 'stickslip_jax[cluster]'.")
+    kind, _, _ = address.rpartition("://")
+    if kind not in ("", "tcp", "ws"):
+        raise StudyError(
+            f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} was "
+            f"given; {kind}:// needs a client with settings of its own: in Python, sweep.run(executor=client) takes it."
+        )
+    from distributed import Client  # noqa: PLC0415 - an extra, loaded when asked for
+
+    try:
+        # Asked first: the client itself waits for ever where something listens that is no scheduler.
+        asyncio.run(asyncio.wait_for(_identity(address), _SECONDS_TO_CONNECT))
+        client = Client(address, timeout=_SECONDS_TO_CONNECT)
+    except Exception as error:  # whatever speaks there may answer anything
+        reason = " ".join(str(error).split()) or f"none within {_SECONDS_TO_CONNECT} s"
+        raise StudyError(
+            f"Option --dask must be the address of a dask scheduler, such as tcp://127.0.0.1:8786, but {address} gave "
+            f"no answer ({reason}); start one with `dask scheduler`."
+        ) from None
+    with client:
+        yield client
+
+
+async def _identity(address: str) -> None:
+    """Ask the scheduler at `address` what it is. Raises ValueError for something else that speaks there."""
+    from distributed import rpc  # noqa: PLC0415 - an extra, loaded when asked for
+
+    async with rpc(address) as scheduler:
+        found = await scheduler.identity() or {}
+    if "Scheduler" not in str(found["type"]):
+        raise ValueError(f"a {found['type']} is there")
+
+
+# A parameter sweep as text: how far it has come, and a table of its statistics.
+
+
+_HEAD_WIDTH = 16
+
+
+def status_text(folder: Path, status: SweepStatus) -> str:
+    """What ``stickslip status`` prints."""
+    wanted = f"{'at most ' if status.is_adaptive else ''}{status.most_samples:,}"
+    running = "running now" if status.is_running else "finished" if status.is_finished else "not running"
+    lines = [
+        f"{folder}: {status.complete} of {status.points} points done, {status.samples:,} of {wanted} samples; "
+        f"{running}.",
+        *_endings(status.endings),
+        f"Time spent simulating: {status.seconds:.3g} s, summed over threads.",
+    ]
+    if status.is_finished:
+        lines.append(f"`stickslip show {folder}` prints the result.")
+    elif not status.is_running:
+        lines.append(f"`stickslip resume {folder}` goes on from here.")
+    return "\n".join(lines)
+
+
+def chosen_statistics(dataset: xr.Dataset, names: Sequence[str] = ()) -> list[str]:
+    """The names of the variables to show: `names`, or, of none, all statistics of totals and derivatives.
+
+    Raises StudyError for a name that is no statistic with an error at each point.
+    """
+    if not names:
+        return shown_statistics(dataset)
+    known = statistics_of_points(dataset)
+    for name in names:
+        if name not in known:
+            allowed, hint = ", ".join(known), nearest(name, known) or "."
+            raise StudyError(f"option --statistics must name some of {allowed}, but {name} was given{hint}")
+    return list(names)
+
+
+def sweep_table(dataset: xr.Dataset, names: Sequence[str]) -> str:
+    """A table of the statistics called `names` at all points with standard errors, and what is to be known of them."""
+    counts = np.asarray(dataset["samples"]).reshape(-1)
+    heads, columns = _coordinates(dataset)
+    is_even = counts.min() == counts.max()
+    if not is_even:
+        heads.append("samples")
+        columns.append([f"{count:,}" for count in counts])
+    for name in names:
+        heads.append(_with_unit(dataset[name].attrs["long_name"], dataset[name]))
+        values, errors = (np.asarray(dataset[one]).reshape(-1) for one in (name, f"{name}_error"))
+        pairs = zip(values, errors, strict=True)
+        columns.append(["-" if math.isnan(value) else format_with_error(value, error) for value, error in pairs])
+    classes = [json.loads(dataset.attrs[name]) for name in ("system", "law")]
+    titles = [one["fields"]["name"] if one["class"] == "Unknown" else one["class"] for one in classes]
+    every = f", {counts[0]:,} samples each" if is_even else ""
+    counted = {one: f"samples_{one.name.lower()}" for one in Status}
+    ending = {one: int(dataset[name].sum()) if name in dataset else 0 for one, name in counted.items()}
+    spent = float(np.nansum(dataset["run_seconds"]))
+    return "\n".join(
+        [
+            f"{', '.join(titles)}, on [0, {dataset.attrs['t1']:g}] s ({dataset.attrs['dtype']}): "
+            f"{len(counts)} points{every}",
+            "",
+            *_rows(heads, columns, dataset),
+            "",
+            *_endings(ending),
+            f"Each with its standard error. Time spent simulating: {spent:.3g} s, summed over threads.",
+        ]
+    )
+
+
+def _coordinates(dataset: xr.Dataset) -> tuple[list[str], list[list[str]]]:
+    """Heads and columns of the parameters at each point."""
+    dimensions = point_dimensions(dataset)
+    heads, columns = [], []
+    for dimension in dimensions:
+        of_it = [name for name, one in dataset.coords.items() if one.dims == (dimension,) and name != dimension]
+        for name in of_it or [dimension]:
+            values = dataset[name].broadcast_like(dataset["samples"]).transpose(*dimensions).values.reshape(-1)
+            heads.append(_with_unit(str(name), dataset[name]))
+            columns.append([f"{value:.6g}" for value in values])
+    return heads, columns
+
+
+def _with_unit(name: str, variable: xr.DataArray) -> str:
+    unit = variable.attrs.get("units", "1")
+    return name if unit == "1" else f"{name} ({unit})"
+
+
+def _rows(heads: list[str], columns: list[list[str]], dataset: xr.Dataset) -> Iterator[str]:
+    """The lines of the table; a gap where the first of several dimensions goes on."""
+    wrapped = [wrap(head, _HEAD_WIDTH) for head in heads]
+    height = max(map(len, wrapped))
+    wrapped = [[""] * (height - len(head)) + head for head in wrapped]
+    widths = [max(map(len, [*head, *column])) for head, column in zip(wrapped, columns, strict=True)]
+    block = math.prod(dataset["samples"].shape[1:])
+    for number, row in enumerate([*zip(*wrapped, strict=True), *zip(*columns, strict=True)], -height):
+        if number >= 0 and block > 1 and number % block == 0:
+            yield ""
+        yield "  ".join(f"{entry:>{width}}" for entry, width in zip(row, widths, strict=True)).rstrip()

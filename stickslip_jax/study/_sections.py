@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from textwrap import wrap
 from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
@@ -25,7 +26,7 @@ from pydantic.fields import FieldInfo
 from .._excitation.motion import SIGNAL_UNIT
 from .._excitation.reading import STANDARD_GRAVITY, read_at2, read_csv
 from .._excitation.recorded import GroundAcceleration, Recorded
-from .._foundation.checks import one_of
+from .._foundation.checks import LARGEST, one_of
 from .._foundation.fields import Choice, Quantity, described
 from .._uncertainty.families import Uniform
 
@@ -165,6 +166,18 @@ Start = Annotated[
 def default_tag(key: str, name: str) -> BeforeValidator:
     """Reads a table without the tag `key` as the kind called `name`."""
     return BeforeValidator(lambda table: {key: name, **table} if isinstance(table, dict) else table)
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a number of a size that can be computed with."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST
+
+
+def nearest(name: str, known: Iterable[str], *, before: str = "; ", cutoff: float = 0.6) -> str:
+    """A question for the one of the names `known` that was probably meant by `name`, or ""."""
+    by_lower_case = {candidate.lower(): candidate for candidate in known}
+    found = get_close_matches(name.lower(), by_lower_case, n=1, cutoff=cutoff)
+    return f"{before}did you mean {by_lower_case[found[0]]}?" if found else ""
 
 
 # --- kinds

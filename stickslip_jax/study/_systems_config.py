@@ -1,6 +1,5 @@
 """Sections ``[system]``, ``[base]`` and those of forces in a study's file."""
 
-import math
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union
 
 import jax.numpy as jnp
@@ -35,6 +34,7 @@ from ._sections import (
     RecordedConfig,
     Section,
     default_tag,
+    is_number,
     key_of,
     section_of,
     shown_value,
@@ -298,14 +298,10 @@ class WithFriction(BuiltSection):
 # are counted.
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def _matrix(value: Any, info: Any) -> list[float] | list[list[float]]:
     has_rows = isinstance(value, list) and bool(value) and all(isinstance(row, list) for row in value)
     rows = value if has_rows else [value]
-    good = all(isinstance(row, list) and row and all(map(_is_number, row)) for row in rows)
+    good = all(isinstance(row, list) and row and all(map(is_number, row)) for row in rows)
     if not good or len({len(row) for row in rows}) > 1:
         raise ValueError(
             f"{info.field_name} must be a list of numbers, the diagonal, or a list of rows of as many numbers, but "

@@ -68,12 +68,12 @@ def test_pictures_are_those_of_the_sticks():
     scene = Scene(system(), ss.PoissonSwitching(0.9, 1.0), Y0, T1, SAMPLES)
     motion, found = motion_of(scene), statistics_of(scene)
     sticks = found.ensemble.finished_sticks()
-    widths = np.diff(found.durations.edges)
-    assert np.sum(found.durations.heights * widths) == pytest.approx(1)
-    assert found.durations.edges[-1] == sticks.duration.max()
-    assert np.sum(found.numbers.heights) == pytest.approx(1)
-    centres = (found.numbers.edges[1:] + found.numbers.edges[:-1]) / 2
-    assert centres @ found.numbers.heights == pytest.approx(np.mean(sticks.count))
+    durations, numbers = found.bars["durations"], found.bars["numbers"]
+    assert np.sum(durations["top"] * (durations["right"] - durations["left"])) == pytest.approx(1)
+    assert durations["right"][-1] == sticks.duration.max()
+    assert np.sum(numbers["top"]) == pytest.approx(1)
+    centres = (numbers["right"] + numbers["left"]) / 2
+    assert centres @ numbers["top"] == pytest.approx(np.mean(sticks.count))
     # The first realisation, at its own sticks.
     own = ss.simulate(*found.ensemble.realization(0)[:2], t1=T1, y0=found.ensemble.realization(0).y0)
     mask = np.asarray(own.sticks.mask)
@@ -82,17 +82,16 @@ def test_pictures_are_those_of_the_sticks():
         np.asarray(own.sticks.start)[mask],
         rtol=0,
     )
-    times = motion.stick.times[np.isfinite(motion.stick.times)]
+    times = motion.curves["stick"]["t"]
+    times = times[np.isfinite(times)]
     inside = [
         np.any((times >= a) & (times <= b))
         for a, b in zip(np.asarray(own.sticks.start)[mask], np.asarray(own.sticks.end)[mask], strict=True)
     ]
     assert all(inside)
-    np.testing.assert_allclose(
-        motion.slip.x[np.isfinite(motion.slip.times)],
-        np.asarray(own.evaluate(motion.slip.times[np.isfinite(motion.slip.times)])[0]),
-        atol=1e-12,
-    )
+    slip = motion.curves["slip"]
+    drawn = np.isfinite(slip["t"])
+    np.testing.assert_allclose(slip["x"][drawn], np.asarray(own.evaluate(slip["t"][drawn])[0]), atol=1e-12)
 
 
 def test_axes_hold_what_is_drawn():
@@ -101,14 +100,14 @@ def test_axes_hold_what_is_drawn():
         control(explorer, "system.friction.mu").write(mu)
         figures = explorer._figures
         for name in ("slip", "stick"):
-            data = figures._curves[name].data
+            data = figures.curves[name].data
             for axis, values in (
                 (figures.portrait.x_range, data["x"]), (figures.portrait.y_range, data["y"]),
                 (figures.history.x_range, data["t"]), (figures.history.y_range, data["x"]),
             ):  # fmt: skip
                 assert axis.start <= np.nanmin(values) <= np.nanmax(values) <= axis.end < axis.start + 2 * T1
         for name in ("durations", "starts", "numbers"):
-            data, plot = figures._bars[name].data, getattr(figures, name)
+            data, plot = figures.bars[name].data, figures.histograms[name]
             assert (plot.x_range.start, plot.x_range.end) == (data["left"][0], data["right"][-1])
             assert plot.y_range.start == 0 < data["top"].max() < plot.y_range.end <= 1.1 * data["top"].max()
 

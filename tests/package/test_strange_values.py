@@ -326,7 +326,7 @@ RANGES = {
     "mu = { linspace = [1, 2, 4000] }\nrate = { logspace = [1, 2, 4000] }": "combinations, but have 16000000; give",
     f"mu = {{ linspace = [1, {10**400}, 3] }}": "must be [from, to, number of values]",
     "mu = { linspace = [-1e308, 1e308, 3] }": "must be [from, to, number of values]",
-    f"mu = [1.0, {10**400}]": "mu must hold numbers",
+    f"mu = [1.0, {10**400}]": "mu must hold finite numbers",
     "mu = { linspace = [1, 2, true] }": "must be [from, to, number of values]",
     "mu = {}": "mu must be a list, or a table with linspace or logspace",
 }

@@ -18,7 +18,8 @@ from support.films import Pair, bodies, contact_rows, history
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax.plot import _animations, _style
+from stickslip_jax.plot import _style
+from stickslip_jax.plot._trajectory import lasts_at
 
 SYSTEM = ss.MassSpring(1.0, 2.0, 1.0, ss.Coulomb(1.0))
 FLIPS = ss.SquareWave(1.0, 5.0)
@@ -142,11 +143,10 @@ def test_contacts_are_coloured_each_for_itself(several):
 
 
 def test_a_stick_without_length_is_in_no_frame_and_one_that_the_end_cuts_is_in_the_last():
-    stuck = _animations.Stuck(np.array([1.0, 2.0, 4.0]), np.array([1.0, 3.0, 5.0]), np.array([False, False, True]))
+    stuck = np.array([1.0, 2.0, 4.0]), np.array([1.0, 3.0, np.inf])
     times = np.array([0.5, 1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0])
-    assert stuck.lasts_at(times).tolist() == [False, False, True, True, False, False, True, True]
-    nothing = _animations.Stuck(*np.zeros((2, 0)), np.zeros(0, bool))
-    assert not nothing.lasts_at(times).any()
+    assert lasts_at(stuck, times).tolist() == [False, False, True, True, False, False, True, True]
+    assert not lasts_at((np.zeros(0), np.zeros(0)), times).any()
 
 
 def test_the_sticks_of_one_contact_or_of_all_together(several):

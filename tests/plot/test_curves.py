@@ -166,7 +166,7 @@ def test_bad_curves(many, annotations_unchecked):
         ((SPEEDS, [1.0] * 3), {**NAMES, "errors": [0.1, -0.1, 0.1]}, "errors must hold numbers of zero or more in"),
         ((SPEEDS, [1.0] * 3), {**NAMES, "errors": [0.1]}, "errors must hold numbers of zero or more in the shape"),
         ((SPEEDS, [1.0] * 3), {**NAMES, "level": 1.5}, "level must lie between 0 and 1"),
-        ((SPEEDS, [1.0] * 3), {**NAMES, "uncertainty": "box"}, 'uncertainty must be "bars" or "band", but \'box\''),
+        ((SPEEDS, [1.0] * 3), {**NAMES, "uncertainty": "box"}, "uncertainty must be one of 'bars', 'band', but 'box'"),
         ((SPEEDS, [1.0] * 3), {**NAMES, "label": 3}, "label must be a string, but 3 was given"),
         ((SPEEDS - 1, [1.0] * 3), {**NAMES, "xlog": True}, "x must hold positive numbers on a logarithmic axis"),
         ((data, "length"), {}, "y must be the name of a variable of the Dataset, one of duration, but 'length'"),

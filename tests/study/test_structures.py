@@ -14,8 +14,7 @@ from support.study import TIMES, VALUES, config_file, write_records
 import stickslip_jax as ss
 from stickslip_jax.study import StudyError
 from stickslip_jax.study._reading import read_config, read_sweep_config
-from stickslip_jax.study._run import DATA, RESULT_FILES, STATISTICS, run_study
-from stickslip_jax.study._sweep_run import sweep_of
+from stickslip_jax.study._run import DATA, RESULT_FILES, STATISTICS, run_study, sweep_of
 
 LOWER = ss.Contact.of_mass(0, 2, 5.0, ss.Coulomb(0.2))
 HARMONIC = '{ law = "Harmonic", amplitude = 0.5, angular_frequency = 1.5 }'

@@ -25,9 +25,9 @@ from stickslip_jax.study._run import (
     as_json,
     beginning_of_sample_0,
     run_study,
+    sweep_of,
     table,
 )
-from stickslip_jax.study._sweep_run import sweep_of
 
 
 @pytest.fixture(autouse=True)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from stickslip_jax.study import StudyError
 from stickslip_jax.study._reading import read_config, read_sweep_config
-from stickslip_jax.study._run import built
-from stickslip_jax.study._sweep_run import sweep_of
+from stickslip_jax.study._run import built, sweep_of
 from support.bad_values import Draw
 
 _GAP = '[base.gap]\nlaw = "Weibull"\nscale = 1.0\nshape = 2.0\n'

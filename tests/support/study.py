@@ -247,16 +247,19 @@ BAD_SWEEPS = {
         '[sweep.over]\nmu = "a"',
         'mu must be a list, { linspace = ... } or { logspace = ... }, but "a" was given',
     ),
-    "truth": ("[sweep.over]\nmu = [true]", "mu must hold numbers, but true was given"),
+    "truth": ("[sweep.over]\nmu = [true]", "mu must hold finite numbers, but true was given"),
     "empty list": ("[sweep.over]\nmu = []", "but [] was given"),
     "name with a dot": ("[sweep.over]\nmu.low = [0, 1]", 'for a name with dots write "mu.low" = ...'),
-    "rows": ('[sweep.over]\n"mu, rate" = [[1, 2, 3]]', "mu, rate must hold rows of 2 numbers, but [1, 2, 3] was"),
+    "rows": (
+        '[sweep.over]\n"mu, rate" = [[1, 2, 3]]',
+        "mu, rate must hold rows of 2 finite numbers, but [1, 2, 3] was",
+    ),
     "the same row": (
         '[sweep.over]\n"mu, rate" = [[1, 2], [1, 2]]',
         "mu, rate in [sweep.over] must hold every point once, but entries 0 and 1 are both (1.0, 2.0).",
     ),
     "negative friction": ("[sweep.over]\nmu = [-1.0]", "mu must be zero or positive, but -1.0 was given"),
-    "infinite": ("[sweep.over]\nmu = [inf]", "mu in [sweep.over] must hold finite numbers, but inf was given"),
+    "infinite": ("[sweep.over]\nmu = [inf]", "in [sweep.over], mu must hold finite numbers, but inf was given"),
     "no frequency": (
         '[base]\nlaw = "Constant"\nspeed = 1.0\n[sweep.over]\nr = [1.0]',
         "it needs a law with a frequency",

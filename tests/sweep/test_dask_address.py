@@ -18,7 +18,7 @@ from support.sweep import assert_same, small_sweep
 from stickslip_jax import SweepError
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep.dataset import read_dataset
-from stickslip_jax.study import _sweep_run
+from stickslip_jax.study import _run
 
 SWEEP = """
 [run]
@@ -75,7 +75,7 @@ def listening(answer: bytes | None):
 
 @pytest.mark.parametrize("answer", [None, b"HTTP/1.1 400 Bad Request\r\n\r\n", b""], ids=["mute", "web", "closes"])
 def test_port_at_which_something_else_listens(capsys, monkeypatch, answer):
-    monkeypatch.setattr(_sweep_run, "_SECONDS_TO_CONNECT", 1)
+    monkeypatch.setattr(_run, "_SECONDS_TO_CONNECT", 1)
     with listening(answer) as address:
         said = refused(capsys, address)
     assert f"but {address} gave no answer (" in said
@@ -85,7 +85,7 @@ def test_port_at_which_something_else_listens(capsys, monkeypatch, answer):
 
 
 def test_port_at_which_nothing_listens(capsys, monkeypatch):
-    monkeypatch.setattr(_sweep_run, "_SECONDS_TO_CONNECT", 1)
+    monkeypatch.setattr(_run, "_SECONDS_TO_CONNECT", 1)
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     assert f"tcp://127.0.0.1:{port} gave no answer (" in refused(capsys, f"tcp://127.0.0.1:{port}")
@@ -99,7 +99,7 @@ def test_address_that_needs_a_client_of_its_own(capsys, address):
 
 @pytest.mark.parametrize("address", ["", "tcp://", "tcp://127.0.0.1:junk", "tcp://127.0.0.1:99999", "a b c"])
 def test_address_that_is_none(capsys, monkeypatch, address):
-    monkeypatch.setattr(_sweep_run, "_SECONDS_TO_CONNECT", 1)
+    monkeypatch.setattr(_run, "_SECONDS_TO_CONNECT", 1)
     refused(capsys, address)
 
 

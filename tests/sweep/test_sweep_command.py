@@ -24,7 +24,7 @@ from stickslip_jax import papers
 from stickslip_jax._sweep.dataset import read_dataset
 from stickslip_jax._sweep.store import manifest_text
 from stickslip_jax.study._reading import PAPERS, Paper, read_sweep_config
-from stickslip_jax.study._sweep_run import sweep_of
+from stickslip_jax.study._run import sweep_of
 
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]
 SMALL = """
@@ -201,7 +201,7 @@ def test_mistakes_name_file_and_key(capsys, tmp_path, case):
         (["resume", "none"], "none holds no sweep"),
         (["status", "none"], "none holds no sweep"),
         (["show", "none"], "none holds no sweep"),
-        (["show", "none", "--out", "figure.txt"], "option --out must be a file that ends in .png, .pdf, .svg"),
+        (["show", "none", "--out", "figure.txt"], "option --out must be a file name that ends in .png or .pdf or .svg"),
         (["status", "a", "b"], "b was given as well"),
     ],
 )
