@@ -211,29 +211,36 @@ def bounded(
     numeric(name, value, ndim)
     if is_traced(value):
         return
-    low, high = _range(value, ndim)
-    if above is not None and not low > above:
-        demand = "positive" if above == 0 else f"above {above:g}"
-    elif at_least is not None and not low >= at_least:
-        demand = "zero or positive" if at_least == 0 else f"at least {at_least:g}"
-    elif below is not None and not high < below:
-        demand = f"below {below:g}"
-    elif ndim == 0 and 0 in (above, at_least) and low != 0 and not SMALLEST <= low <= LARGEST:
-        demand, hint = f"between {SMALLEST} and {LARGEST}", "choose other units"
-    elif low < -LARGEST or (high > LARGEST and low <= high):
-        demand, hint = f"between -{LARGEST} and {LARGEST}", "choose other units"
-    else:
-        return
-    in_unit = f" (in {unit})" if unit else ""
-    raise refused(name, f"be {demand}{in_unit}", np.asarray(value) if ndim else value, hint)
+    values = np.asarray(value, float) if ndim else np.float64(value)
+    for wrong, demand, advice in out_of_bounds(values, above, at_least, below, sized=not ndim):
+        if np.any(wrong):
+            in_unit = f" (in {unit})" if unit else ""
+            raise refused(name, f"be {demand}{in_unit}", np.asarray(value) if ndim else value, advice or hint)
 
 
-def _range(value: Any, ndim: int) -> tuple[float, float]:
-    """The smallest and the largest number; for none, what lies within any bounds."""
-    if ndim == 0:
-        return float(value), float(value)
-    array = np.asarray(value)
-    return (float(array.min()), float(array.max())) if array.size else (math.inf, -math.inf)
+def out_of_bounds(
+    values: np.ndarray | np.floating,
+    above: int | float | None,
+    at_least: int | float | None,
+    below: int | float | None,
+    *,
+    sized: bool,
+) -> Iterator[tuple[np.ndarray | np.bool_, str, str]]:
+    """Of each demand on the numbers `values`: which do not meet it, what they must be, and what to do.
+
+    `sized`: whether positive ones must be of a size that can be multiplied and divided.
+    """
+    if above is not None:
+        yield ~(values > above), "positive" if above == 0 else f"above {above:g}", ""
+    if at_least is not None:
+        yield ~(values >= at_least), "zero or positive" if at_least == 0 else f"at least {at_least:g}", ""
+    if below is not None:
+        yield ~(values < below), f"below {below:g}", ""
+    size = np.abs(values)
+    if sized and 0 in (above, at_least):
+        wrong = (values != 0) & ~((size >= SMALLEST) & (size <= LARGEST))
+        yield wrong, f"between {SMALLEST} and {LARGEST}", "choose other units"
+    yield ~(size <= LARGEST), f"between -{LARGEST} and {LARGEST}", "choose other units"
 
 
 def positive(name: str, value: Any, unit: str = "") -> None:
@@ -258,6 +265,21 @@ def real_array(name: str, values: object) -> AnyArray:
     """``values`` as a one-dimensional array of JAX or float64 of NumPy. Raises ValueError for anything else."""
     numeric(name, values, ndim=1)
     return values if isinstance(values, jax.Array) else np.asarray(values, float)
+
+
+def same_length(least: int, **arrays: AnyArray) -> None:
+    """Check that the arguments by name are arrays of the same length of at least ``least``, given as sequences."""
+    shapes = [np.shape(array) for array in arrays.values()]
+    if len(set(shapes)) > 1 or shapes[0][0] < least:
+        raise ValueError(
+            f"Arguments {_and(arrays)} must have the same length of at least {least}, but they have shapes "
+            f"{_and(map(str, shapes))}."
+        )
+
+
+def _and(words: Iterable[str]) -> str:
+    *most, last = words
+    return f"{', '.join(most)} and {last}"
 
 
 def increasing_from_zero(name: str, times: AnyArray, hint: str = "") -> None:
