@@ -1,8 +1,7 @@
 """Histograms, moments and sums that are merged exactly, and the compiled loops that fill them."""
 
 import math
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -51,40 +50,28 @@ def places(values: np.ndarray, low: float, exponent: int) -> np.ndarray:
     return (np.floor(scaled) if low < 0 else scaled).astype(np.int64)
 
 
-class BinnedNumbers(NamedTuple):
-    """Numbers (number,) to count along one axis, the smallest and the largest of them, and their bins.
+class CommonBins(NamedTuple):
+    """The bins of numbers from `low` to `high` along one axis, which several histograms may share.
 
-    The bins have the width ``2**exponent``; `first`: number of the first one, `size`: how many there are.
+    There are `number` of them, of width ``2**exponent``, from bin `first` on.
     """
 
-    values: np.ndarray
     low: float
     high: float
     exponent: int
     first: int
-    size: int
-
-    @classmethod
-    def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "BinnedNumbers":
-        """`values`, at least one, in at most `most` bins."""
-        return cls.within(values, float(values.min()), float(values.max()), most, finest)
-
-    @classmethod
-    def within(
-        cls, values: np.ndarray, low: float, high: float, most: int, finest: int | None = None
-    ) -> "BinnedNumbers":
-        """`values` whose smallest and largest number are known."""
-        exponent = exponent_for(low, high, most, finest)
-        first = _floor(low, exponent)
-        return cls(values, low, high, exponent, first, _floor(high, exponent) - first + 1)
-
-
-class CommonBins(NamedTuple):
-    """Bins of one axis that several histograms share: `number` of them, of width ``2**exponent``, from bin `first`."""
-
-    exponent: int
-    first: int
     number: int
+
+    @classmethod
+    def within(cls, low: float, high: float, most: int, finest: int | None = None) -> "CommonBins":
+        """At most `most` bins."""
+        return cls.of_width(low, high, exponent_for(low, high, most, finest))
+
+    @classmethod
+    def of_width(cls, low: float, high: float, exponent: int) -> "CommonBins":
+        """Bins of a given width."""
+        first = _floor(low, exponent)
+        return cls(low, high, exponent, first, _floor(high, exponent) - first + 1)
 
     @classmethod
     def of(cls, histograms: Iterable["DyadicCounts"], most: int) -> "CommonBins | None":
@@ -94,8 +81,7 @@ class CommonBins(NamedTuple):
             return None
         low, high = min(one.low[0] for one in held), max(one.high[0] for one in held)
         exponent = max([exponent_for(low, high, most, held[0].finest), *(one.exponent[0] for one in held)])
-        first = _floor(low, exponent)
-        return cls(exponent, first, _floor(high, exponent) - first + 1)
+        return cls.of_width(low, high, exponent)
 
     def hold(self, histogram: "DyadicCounts") -> bool:
         """Whether all numbers of a histogram lie in these bins, and its own are no wider."""
@@ -130,34 +116,28 @@ class DyadicCounts(NamedTuple):
     @classmethod
     def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "DyadicCounts":
         """The histogram of `values`, (number,)."""
-        if len(values) == 0:
-            return cls.none(1, most, finest)
-        return cls.on_axes((BinnedNumbers.of(values, most, finest),), most, finest)
+        return cls.of_columns((values,), most, finest)
 
     @classmethod
-    def of_columns(cls, columns: tuple[np.ndarray, ...], most: int) -> "DyadicCounts":
+    def of_columns(cls, columns: tuple[np.ndarray, ...], most: int, finest: int | None = None) -> "DyadicCounts":
         """The joint histogram of `columns`, each (number,)."""
         if len(columns[0]) == 0:
-            return cls.none(len(columns), most)
-        return cls.on_axes(tuple(BinnedNumbers.of(column, most) for column in columns), most)
-
-    @classmethod
-    def on_axes(cls, axes: tuple[BinnedNumbers, ...], most: int, finest: int | None = None) -> "DyadicCounts":
-        """The histogram, or joint histogram, of the numbers of the `axes`."""
-        shape = tuple(axis.size for axis in axes)
+            return cls.none(len(columns), most, finest)
+        axes = [CommonBins.within(float(one.min()), float(one.max()), most, finest) for one in columns]
+        shape = tuple(axis.number for axis in axes)
         counts = np.zeros(math.prod(shape), np.int64)
-        for block in range(0, len(axes[0].values), _BINNED_AT_ONCE):  # intermediate results stay in the cache
+        for block in range(0, len(columns[0]), _BINNED_AT_ONCE):  # intermediate results stay in the cache
             flat = 0
-            for axis in axes:
-                place = places(axis.values[block : block + _BINNED_AT_ONCE], axis.low, axis.exponent)
-                flat = flat * axis.size + (place - axis.first)
+            for values, axis in zip(columns, axes, strict=True):
+                place = places(values[block : block + _BINNED_AT_ONCE], axis.low, axis.exponent)
+                flat = flat * axis.number + (place - axis.first)
             counts += np.bincount(flat, minlength=len(counts))
         return cls.with_counts(axes, counts.reshape(shape), most, finest)
 
     @classmethod
-    def with_counts(cls, axes: tuple[BinnedNumbers, ...], counts: np.ndarray, most: int, finest: int | None = None):
+    def with_counts(cls, axes: Sequence[CommonBins], counts: np.ndarray, most: int, finest: int | None = None):
         """The histogram with these `counts` on given `axes`."""
-        lows, highs, exponents, firsts = zip(*(axis[1:5] for axis in axes), strict=True)
+        lows, highs, exponents, firsts = zip(*(axis[:4] for axis in axes), strict=True)
         return cls(lows, highs, exponents, firsts, counts, most, finest)
 
     @classmethod
@@ -310,10 +290,7 @@ class PowerSums(NamedTuple):
 
     def one(self, index: int) -> "PowerSums":
         """The sums at one `index` of the leading axis."""
-        return PowerSums(
-            self.number[index], self.mean[index], self.scatter[index], self.third[index], self.smallest[index],
-            self.largest[index],
-        )  # fmt: skip
+        return PowerSums(*(column[index] for column in self))
 
     @classmethod
     def none(cls, d: int) -> "PowerSums":
@@ -373,7 +350,6 @@ class PowerSums(NamedTuple):
 # since Numba tests signed ones for being negative.
 
 
-@cache
 def compiled() -> ModuleType:
     """The module of the loops, imported on the first call: Numba takes half a second. Each compiles on its first call.
 
