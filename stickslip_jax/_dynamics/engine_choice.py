@@ -12,7 +12,6 @@ import numpy as np
 
 from .._compiler import COMPILED_QUICKLY, WIDE_VECTORS, CompiledNatively
 from .._excitation.excitation import BaseMotion, excitation_of, merged
-from .._excitation.motion import Motion
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import AnyArray, DType, Number, Scalar
 from .._numerics.derivatives import largest
@@ -165,7 +164,7 @@ def engine_for(arguments: Arguments) -> ByIntervals | BySteps | Smoothed:
             "have no exact stick. Their sticks are the times in which the relative velocity stays below a threshold."
         )
     exact = Arguments(system, base, method, t1)
-    is_steady = isinstance(base, Motion) and base.is_piecewise_constant
+    is_steady = isinstance(base, PiecewiseConstantLaw)
     if is_steady and system.traits.has_interval_form and method.step is None and method.solver is None:
         return ByIntervals(exact)
     return BySteps(exact)
