@@ -34,6 +34,7 @@ from .segments import (
     index_at,
     joined,
     known_number,
+    looked_up,
     marked,
 )
 
@@ -224,10 +225,7 @@ class VelocitySteps(PiecewiseConstantLaw):
         return self.durations.shape[-1]
 
     def draw(self, key_data, number, dtype):
-        size = self.durations.shape[-1]
-        here = jnp.minimum(number.astype(jnp.int32), size - 1)
-        duration = jnp.where(number < size, self.durations[here], 0)
-        return duration.astype(dtype), self.velocities[here].astype(dtype)
+        return looked_up(number, dtype, self.durations, self.velocities)
 
     def next_interval(self, memory, drawn, dtype):
         return *drawn, ()
@@ -609,9 +607,7 @@ def _check_distribution(name: str, given: object, unit: str, *, positive: bool) 
             f"{what} whose quantiles can be computed while simulating, but {checks.show(given)} was given; take a "
             "Triangular, a LogNormal or a Truncated one."
         )
-    if any(checks.is_traced(leaf) for leaf in jax.tree.leaves(given)):
-        return
-    if not positive:
+    if not positive or any(map(checks.is_traced, jax.tree.leaves(given))):
         return
     if not isinstance(given, Truncated):
         # Whether the support shows that all draws are positive, without JAX: a study's file is read before it starts.

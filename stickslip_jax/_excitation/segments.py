@@ -272,6 +272,14 @@ def index_at(durations: Float[AnyArray, " segments"], t: AnyArray | float) -> In
     return jnp.clip(jnp.searchsorted(begins, jnp.asarray(t), side="right") - 1, 0)
 
 
+def looked_up(number: Word, dtype: DTypeLike, durations: AnyArray, *others: AnyArray) -> tuple[FloatScalar, ...]:
+    """The duration of segment `number`, 0 after the last, and the `others` of it, of arrays (segments,)."""
+    size = np.shape(durations)[-1]
+    here = jnp.minimum(number.astype(jnp.int32), size - 1)
+    duration, *rest = (jnp.asarray(array, dtype)[here] for array in (durations, *others))
+    return jnp.where(number < size, duration, 0), *rest
+
+
 class GivenSegments(SegmentLaw):
     """Base class of realisations in segments, ``values[i] + slopes[i] (t - times[i])`` for ``durations[i]`` (s).
 
@@ -320,11 +328,7 @@ class GivenSegments(SegmentLaw):
         return np.shape(self.durations)[-1]
 
     def draw(self, key_data, number, dtype):
-        size = np.shape(self.durations)[-1]
-        here = jnp.minimum(number.astype(jnp.int32), size - 1)
-        arrays = (self.durations, self.values, self.slopes)
-        duration, value, slope = (jnp.asarray(array, dtype)[here] for array in arrays)
-        return jnp.where(number < size, duration, 0), value, slope
+        return looked_up(number, dtype, self.durations, self.values, self.slopes)
 
     def next_segment(self, memory, drawn, dtype):
         return *drawn, ()

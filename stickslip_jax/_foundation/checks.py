@@ -106,30 +106,31 @@ def _array_of(value: object) -> np.ndarray | None:
     return array if is_number and not too_large else None
 
 
-def _holds_numbers(listed: list[Any] | tuple[Any, ...], level: int = 1) -> bool:
+def _entries(listed: list[Any] | tuple[Any, ...], level: int = 1) -> Iterator[object]:
+    """What is in these lists in lists; those that are within too many others as they are."""
+    for one in listed:
+        if isinstance(one, (list, tuple)) and level < _MOST_LISTS:
+            yield from _entries(one, level + 1)
+        else:
+            yield one
+
+
+def _holds_numbers(listed: list[Any] | tuple[Any, ...]) -> bool:
     """Whether NumPy makes an array of these lists in lists without making numbers of what is none, as of truth values
     and masked entries.
     """
-    if level > _MOST_LISTS:
-        return False
-    for one in listed:
-        if isinstance(one, (list, tuple)):
-            if not _holds_numbers(one, level + 1):
-                return False
-            continue
+    for one in _entries(listed):
         is_masked = isinstance(one, np.ma.MaskedArray) and np.ma.is_masked(one)
-        if is_masked or isinstance(one, _NO_NUMBERS) or getattr(getattr(one, "dtype", None), "kind", "f") not in "iuf":
+        if is_masked or isinstance(one, (*_NO_NUMBERS, list, tuple)):
+            return False
+        if getattr(getattr(one, "dtype", None), "kind", "f") not in "iuf":
             return False
     return True
 
 
-def _holds_masked(listed: list[Any] | tuple[Any, ...], level: int = 1) -> bool:
+def _holds_masked(listed: list[Any] | tuple[Any, ...]) -> bool:
     """Whether a masked number is in these lists in lists."""
-    if level > _MOST_LISTS:
-        return False
-    return any(
-        one is np.ma.masked or (isinstance(one, (list, tuple)) and _holds_masked(one, level + 1)) for one in listed
-    )
+    return any(one is np.ma.masked for one in _entries(listed))
 
 
 def is_tree(value: object) -> bool:

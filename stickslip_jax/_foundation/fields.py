@@ -159,16 +159,16 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice | Option, bool, 
     """Name, `Quantity` or `Choice` of each described field and `Option` of each that has one, whether it may be None,
     and whether it may be random.
     """
-    fields = {field.name: field for field in dataclasses.fields(kind)}
-    random = {name: kind.may_be_random and not field.metadata.get("static", False) for name, field in fields.items()}
-    options = {
-        name: part
-        for name, field in fields.items()
-        for part in (Truth() if field.type in (bool, bool | None) else None, *getattr(field.type, "__metadata__", ()))
-        if isinstance(part, Option) and field.metadata.get("static", False)
-    }
-    known = {**described(kind), **options}
-    return tuple((name, about, fields[name].default is None, random[name]) for name, about in known.items())
+    found = []
+    for field in dataclasses.fields(kind):
+        is_static, about = field.metadata.get("static", False), described(kind).get(field.name)
+        if is_static:
+            options = [part for part in getattr(field.type, "__metadata__", ()) if isinstance(part, Option)]
+            options += [Truth()] if field.type in (bool, bool | None) else []
+            about = (*options, about)[0]
+        if about is not None:
+            found.append((field.name, about, field.default is None, kind.may_be_random and not is_static))
+    return tuple(found)
 
 
 M = TypeVar("M", bound=eqx.Module)

@@ -209,46 +209,29 @@ def with_slopes(function: Callable[..., Any], *args: Any, most: int) -> Any:
     return restored(_with_rule(closed, most)(*leaves, *enclosed))
 
 
-def _with_rule(function: Callable[..., list[Any]], most: int) -> Callable[..., list[Any]]:
-    """`function` with the rule for its derivatives; both are native loops, but for the way back over the steps."""
+def _with_rule(function: Callable[..., Any], most: int) -> Callable[..., Any]:
+    """`function` with the rule for its derivatives; both are native loops, but for the way back over the steps.
+
+    `most`: by how many numbers derivatives are computed by their slopes, and not as JAX does by itself.
+    """
     call = jax.custom_jvp(native_loop(function, known_only=True))
 
     def rule(primals, tangents):
-        points, changes, of = _moved(function, primals, tangents)
+        moves = [not isinstance(tangent, SymbolicZero) for tangent in tangents]
+        changes = [tangent for tangent, m in zip(tangents, moves, strict=True) if m]
+        points, of = of_moving(function, primals, moves)
         if len(points) > most or any(np.ndim(point) for point in points):
             return jax.jvp(of, points, changes)
-        moves = tuple(not isinstance(tangent, SymbolicZero) for tangent in tangents)
-        results, slopes = _slopes_of(function, moves)(*primals)
+
+        def with_slopes(*primals):
+            points, of = of_moving(function, primals, moves)
+            return _slopes(of, points)
+
+        results, slopes = _with_rule(with_slopes, most=0)(*primals)
         return results, [_times(changes, result, slope) for result, slope in zip(results, slopes, strict=True)]
 
     call.defjvp(rule, symbolic_zeros=True)
     return call
-
-
-def _slopes_of(function: Callable[..., list[Any]], moves: tuple[bool, ...]) -> Callable[..., Any]:
-    """The results of `function`, and their slopes by the arguments that move; the derivatives of both are JAX's."""
-
-    def slopes(*primals):
-        points, of = of_moving(function, primals, moves)
-        return _slopes(of, points)
-
-    call = jax.custom_jvp(native_loop(slopes, known_only=True))
-
-    def rule(primals, tangents):
-        points, changes, of = _moved(slopes, primals, tangents)
-        return jax.jvp(of, points, changes)
-
-    call.defjvp(rule, symbolic_zeros=True)
-    return call
-
-
-def _moved(
-    function: Callable[..., Any], primals: Any, tangents: Any
-) -> tuple[list[Any], list[Any], Callable[..., Any]]:
-    """The arguments that have a tangent, these tangents, and `function` of those arguments alone."""
-    moves = [not isinstance(tangent, SymbolicZero) for tangent in tangents]
-    points, of = of_moving(function, primals, moves)
-    return points, [tangent for tangent, m in zip(tangents, moves, strict=True) if m], of
 
 
 def _slopes(function: Callable[..., list[Any]], points: list[Any]) -> tuple[list[Any], list[Any]]:

@@ -153,31 +153,23 @@ class DyadicCounts(NamedTuple):
             return self
         if self.low[0] > self.high[0]:
             return other
-        low = tuple(min(pair) for pair in zip(self.low, other.low, strict=True))
-        high = tuple(max(pair) for pair in zip(self.high, other.high, strict=True))
-        exponent = tuple(exponent_for(*ends, self.most, self.finest) for ends in zip(low, high, strict=True))
-        counts = self._on(low, high, exponent) + other._on(low, high, exponent)
-        first = tuple(_floor(*pair) for pair in zip(low, exponent, strict=True))
-        return DyadicCounts(low, high, exponent, first, counts, self.most, self.finest)
+        ends = zip(map(min, self.low, other.low), map(max, self.high, other.high), strict=True)
+        axes = [CommonBins.within(*pair, self.most, self.finest) for pair in ends]
+        return self.with_counts(axes, self._on(axes) + other._on(axes), self.most, self.finest)
 
     def in_bins(self, bins: CommonBins) -> np.ndarray:
         """The counts of a histogram of one axis in `bins`, which must hold all its numbers and be no narrower.
 
         (bins,).
         """
-        if self.low[0] > self.high[0]:
-            return np.zeros(bins.number, np.int64)
-        width = math.ldexp(1.0, bins.exponent)
-        last = bins.first + bins.number - 1
-        return self._on((bins.first * width,), (last * width,), (bins.exponent,))
+        return np.zeros(bins.number, np.int64) if self.low[0] > self.high[0] else self._on([bins])
 
-    def _on(self, low, high, exponent) -> np.ndarray:
-        """The counts in the coarser bins of the range ``[low, high]``."""
-        counts, lead = self.counts, self.counts.ndim - len(exponent)
-        for axis, (least, most, coarse) in enumerate(zip(low, high, exponent, strict=True)):
-            begin, at = _floor(least, coarse), lead + axis
-            size, old = _floor(most, coarse) - begin + 1, counts.shape[at]
-            first, shift = self.first[axis], coarse - self.exponent[axis]
+    def _on(self, axes: Sequence[CommonBins]) -> np.ndarray:
+        """The counts in the bins of the `axes`, which are no narrower."""
+        counts, lead = self.counts, self.counts.ndim - len(axes)
+        for axis, (_, _, coarse, begin, size) in enumerate(axes):
+            at = lead + axis
+            old, first, shift = counts.shape[at], self.first[axis], coarse - self.exponent[axis]
             if shift == 0 and (first, old) == (begin, size):
                 continue
             place = np.arange(first, first + old) >> shift
@@ -305,7 +297,6 @@ class PowerSums(NamedTuple):
         ours, theirs = self.number[..., None], other.number[..., None]
         step = other.mean - self.mean
         spread = ours * (theirs / whole)
-        square = np.diagonal(self.scatter, axis1=-2, axis2=-1), np.diagonal(other.scatter, axis1=-2, axis2=-1)
         return PowerSums(
             number,
             # Weights of 0 and 1 keep the mean of the other side to the last bit.
@@ -314,33 +305,35 @@ class PowerSums(NamedTuple):
             self.third
             + other.third
             + spread * ((ours - theirs) / whole) * step**3
-            + 3 * step * (ours * square[1] - theirs * square[0]) / whole,
+            + 3 * step * (ours * other.squares - theirs * self.squares) / whole,
             np.minimum(self.smallest, other.smallest),
             np.maximum(self.largest, other.largest),
         )
 
     @property
+    def squares(self) -> np.ndarray:
+        """Sums of squares of deviations, (..., d)."""
+        return np.diagonal(self.scatter, axis1=-2, axis2=-1)
+
+    @property
     def variance(self) -> np.ndarray:
         """Unbiased variances, (..., d); NaN for fewer than two vectors."""
-        square = np.diagonal(self.scatter, axis1=-2, axis2=-1)
         number = self.number[..., None]
-        return np.where(number > 1, square / np.maximum(number - 1, 1), np.nan)
+        return np.where(number > 1, self.squares / np.maximum(number - 1, 1), np.nan)
 
     @property
     def skewness(self) -> np.ndarray:
         """Third central moments over cubes of standard deviations (both over ``number``), (..., d); NaN where all are
         equal.
         """
-        square = np.diagonal(self.scatter, axis1=-2, axis2=-1)
-        varies = square > 0
-        scale = np.where(varies, square, 1.0) ** 1.5
+        varies = self.squares > 0
+        scale = np.where(varies, self.squares, 1.0) ** 1.5
         return np.where(varies, np.sqrt(self.number[..., None].astype(float)) * self.third / scale, np.nan)
 
     @property
     def correlation(self) -> np.ndarray:
         """Pearson correlations, (..., d, d); NaN where one of the two does not vary."""
-        square = np.diagonal(self.scatter, axis1=-2, axis2=-1)
-        norm = np.sqrt(square[..., :, None] * square[..., None, :])
+        norm = np.sqrt(self.squares[..., :, None] * self.squares[..., None, :])
         return np.where(norm > 0, self.scatter / np.where(norm > 0, norm, 1.0), np.nan)
 
 
