@@ -25,133 +25,42 @@ PLAIN = os.environ.get(VARIABLE, "0") not in ("", "0")
 """Whether the package uses ``jax.jit`` and nothing beyond it: slower, and equal but for round-off."""
 
 
-# Operations that XLA is known to compile into native loops, and rightly.
+# Operations of JAX: what each costs, and those that XLA is known to compile into native loops, and rightly.
 #
 # Others are refused by it (sorting, linear algebra, calls of Python), and some end the process: functions that hold
 # what users write are compiled natively only where all of their operations stand here.
 
 
-_INSIDE = [
-    "cond",
-    "custom_jvp_call",
-    "jit",
-    "pjit",
-    "closed_call",
-    "core_call",
-    "remat2",
-    "checkpoint",
-    "scan",
-    "while",
-]
-_OF_OWN = ["call_with_own_derivative", "tangent_of_call"]  # `_numerics/derivatives.py`
-_MOVING = [
-    "bitcast_convert_type",
-    "broadcast_in_dim",
-    "concatenate",
-    "convert_element_type",
-    "copy",
-    "dynamic_slice",
-    "dynamic_update_slice",
-    "expand_dims",
-    "gather",
-    "iota",
-    "optimization_barrier",
-    "pad",
-    "reshape",
-    "rev",
-    "slice",
-    "split",
-    "squeeze",
-    "stack",
-    "stop_gradient",
-    "transpose",
-    "xla_metadata_value",
-]
-_ARITHMETIC = [
-    "abs",
-    "acos",
-    "acosh",
-    "add",
-    "add_any",
-    "and",
-    "argmax",
-    "argmin",
-    "asin",
-    "asinh",
-    "atan",
-    "atan2",
-    "atanh",
-    "bessel_i0e",
-    "bessel_i1e",
-    "cbrt",
-    "ceil",
-    "clamp",
-    "cos",
-    "cosh",
-    "cumlogsumexp",
-    "cummax",
-    "cummin",
-    "cumprod",
-    "cumsum",
-    "digamma",
-    "div",
-    "dot_general",
-    "eq",
-    "erf",
-    "erf_inv",
-    "erfc",
-    "exp",
-    "exp2",
-    "expm1",
-    "floor",
-    "ge",
-    "gt",
-    "integer_pow",
-    "is_finite",
-    "le",
-    "le_to",
-    "lgamma",
-    "log",
-    "log1p",
-    "logistic",
-    "lt",
-    "lt_to",
-    "max",
-    "min",
-    "mul",
-    "ne",
-    "neg",
-    "nextafter",
-    "not",
-    "or",
-    "polygamma",
-    "pow",
-    "reduce_and",
-    "reduce_max",
-    "reduce_min",
-    "reduce_or",
-    "reduce_prod",
-    "reduce_sum",
-    "rem",
-    "round",
-    "rsqrt",
-    "select_n",
-    "shift_left",
-    "shift_right_arithmetic",
-    "shift_right_logical",
-    "sign",
-    "sin",
-    "sinh",
-    "sqrt",
-    "square",
-    "sub",
-    "tan",
-    "tanh",
-    "unvmap_all",
-    "unvmap_any",
-    "unvmap_max",
-    "xor",
-]
+_FREE = """
+    abs bitcast_convert_type broadcast_in_dim convert_element_type copy is_finite neg not reshape slice squeeze
+    stop_gradient
+""".split()  # noqa: SIM905
+_CHEAP = """
+    add add_any and clamp dynamic_slice eq floor gather ge gt integer_pow le lt max min mul ne or reduce_and reduce_max
+    reduce_min reduce_or reduce_sum round select_n shift_left shift_right_arithmetic shift_right_logical sign square sub
+    xor
+""".split()  # noqa: SIM905
+_COSTLY = """
+    acos asin atan atan2 cos div exp exp2 expm1 log log1p nextafter pow rem rsqrt sin sqrt tan tanh
+""".split()  # noqa: SIM905
+COSTS = {name: cost for names, cost in ((_FREE, 0), (_CHEAP, 1), (_COSTLY, 10)) for name in names}
+"""The costs of operations, in additions. Others are opaque: nobody looks into them."""
+
+_MOVING = """
+    bitcast_convert_type broadcast_in_dim concatenate convert_element_type copy dynamic_slice dynamic_update_slice
+    expand_dims gather iota optimization_barrier pad reshape rev slice split squeeze stack stop_gradient transpose
+    xla_metadata_value
+""".split()  # noqa: SIM905
+_ARITHMETIC = {
+    *COSTS,
+    *"""
+    acosh argmax argmin asinh atanh bessel_i0e bessel_i1e cbrt ceil cosh cumlogsumexp cummax cummin cumprod cumsum
+    digamma dot_general erf erf_inv erfc le_to lgamma logistic lt_to polygamma reduce_prod sinh unvmap_all unvmap_any
+    unvmap_max
+    """.split(),  # noqa: SIM905
+}
+_INSIDE = "cond custom_jvp_call jit pjit closed_call core_call remat2 checkpoint scan while".split()  # noqa: SIM905
+_OF_OWN = ("call_with_own_derivative", "tangent_of_call")  # `_numerics/derivatives.py`
 _LARGEST = 64
 """Numbers in an array that is computed with. The usual kernels are faster with more, as where many trajectories advance
 side by side; and XLA cannot put sums over thousands into a native loop."""
@@ -195,6 +104,9 @@ def _jaxprs_in(params: Any) -> Iterator[core.Jaxpr]:
 
 
 NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
 
 _call = Primitive("native_call")
 _call.multiple_results = True
@@ -242,6 +154,18 @@ def _shapes(*_: _Leaf, closed: ClosedJaxpr, known_only: bool) -> list[_Leaf]:
     return list(closed.out_avals)
 
 
+def of_moving(
+    function: Callable[..., _Result], args: Sequence[_Leaf], moved: Sequence[bool]
+) -> tuple[list[_Leaf], Callable[..., _Result]]:
+    """The arguments that are `moved`, and `function` of those alone."""
+
+    def of(*changed: _Leaf) -> _Result:
+        given = iter(changed)
+        return function(*(next(given) if m else arg for arg, m in zip(args, moved, strict=True)))
+
+    return [arg for arg, m in zip(args, moved, strict=True) if m], of
+
+
 @lru_cache(_KEPT)
 def _with_tangents(closed: ClosedJaxpr, moved: tuple[bool, ...]) -> tuple[ClosedJaxpr, tuple[bool, ...]]:
     """The function of all arguments and the tangents of those that are `moved`; its results are those of `closed` and
@@ -250,11 +174,8 @@ def _with_tangents(closed: ClosedJaxpr, moved: tuple[bool, ...]) -> tuple[Closed
     real = tuple(jnp.issubdtype(aval.dtype, jnp.inexact) for aval in closed.out_avals)
 
     def both(args, tangents):
-        def of(*changed):
-            changed = iter(changed)
-            return jaxpr_as_fun(closed)(*(next(changed) if m else arg for arg, m in zip(args, moved, strict=True)))
-
-        out, slopes = jax.jvp(of, [arg for arg, m in zip(args, moved, strict=True) if m], tangents)
+        points, of = of_moving(jaxpr_as_fun(closed), args, moved)
+        out, slopes = jax.jvp(of, points, tangents)
         return out, [slope for slope, is_real in zip(slopes, real, strict=True) if is_real]
 
     tangents = [aval for aval, m in zip(closed.in_avals, moved, strict=True) if m]
@@ -317,9 +238,6 @@ mlir.register_lowering(_call, mlir.lower_fun(_as_native, multiple_results=True))
 # frontend attributes on its call, which these wrappers set. On other devices, and for versions of JAX that do not know
 # them, the attributes mean nothing and the function is compiled as usual.
 
-
-_Arguments = ParamSpec("_Arguments")
-_Result = TypeVar("_Result")
 
 _OWN_CALL = {"inlineable": "false"}
 

@@ -12,7 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend import core
 
-from .native_loops import PLAIN, computed_once
+from .native_loops import COSTS, PLAIN, computed_once
 
 # Many small arrays packed into a few: JAX takes microseconds for each array that a compiled function is given.
 #
@@ -65,16 +65,6 @@ _Atom: TypeAlias = core.Var | core.Literal
 _Leaf: TypeAlias = Any  # a number or an array, traced or not
 _Known: TypeAlias = tuple[list[_Leaf], list[_Leaf]]  # the results of an operation, and its operands
 
-# The cost of an operation, in additions. Operations that are not listed are opaque.
-_FREE = ("broadcast_in_dim", "convert_element_type", "copy", "neg", "reshape", "squeeze", "stop_gradient", "not",
-         "bitcast_convert_type", "real", "is_finite", "abs", "slice")  # fmt: skip
-_CHEAP = ("add", "add_any", "and", "clamp", "dynamic_slice", "eq", "floor", "gather", "ge", "gt", "integer_pow", "le",
-          "lt", "max", "min", "mul", "ne", "or", "round", "select_n", "shift_left", "shift_right_arithmetic",
-          "shift_right_logical", "sign", "square", "sub", "xor", "reduce_and", "reduce_max", "reduce_min", "reduce_or",
-          "reduce_sum")  # fmt: skip
-_COSTLY = ("cos", "div", "exp", "log", "pow", "sin", "sqrt", "tanh", "log1p", "expm1", "atan2", "rem", "nextafter",
-           "exp2", "rsqrt", "tan", "asin", "acos", "atan")  # fmt: skip
-_COSTS = {name: cost for names, cost in ((_FREE, 0), (_CHEAP, 1), (_COSTLY, 10)) for name in names}
 _WITH_RULE = "custom_jvp_call"
 
 _WORTH = 4  # cheaper values are computed again
@@ -87,22 +77,34 @@ def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Re
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        arrays, rest = eqx.partition((args, options), eqx.is_array_like)
-        leaves, tree = jax.tree.flatten(arrays)
-        shape = []
-
-        def flat(*leaves):
-            args, options = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
-            results, others = eqx.partition(cast(Callable[..., Any], function)(*args, **options), eqx.is_array_like)
-            results, structure = jax.tree.flatten(results)
-            shape.append((structure, others))
-            return results
-
-        results = _shared(jax.make_jaxpr(flat)(*leaves), leaves)
-        structure, others = shape[0]
-        return eqx.combine(jax.tree.unflatten(structure, results), others)
+        flat, leaves, restored = flattened(cast(Callable[..., Any], function), args, options, eqx.is_array_like)
+        return restored(_shared(jax.make_jaxpr(flat)(*leaves), leaves))
 
     return call
+
+
+def flattened(
+    function: Callable[..., Any], args: tuple[Any, ...], options: dict[str, Any], is_leaf: Callable[[Any], bool]
+) -> tuple[Callable[..., list[_Leaf]], list[_Leaf], Callable[[Sequence[_Leaf]], Any]]:
+    """`function` of the leaves of its arguments alone, from leaves to leaves; these leaves; and what makes the results
+    of `function` of those that it has found.
+    """
+    taken, rest = eqx.partition((args, options), is_leaf)
+    leaves, tree = jax.tree.flatten(taken)
+    shape = []
+
+    def flat(*leaves: _Leaf) -> list[_Leaf]:
+        args, options = eqx.combine(jax.tree.unflatten(tree, leaves), rest)
+        results, others = eqx.partition(function(*args, **options), is_leaf)
+        results, structure = jax.tree.flatten(results)
+        shape[:] = structure, others
+        return results
+
+    def restored(results: Sequence[_Leaf]) -> Any:
+        structure, others = shape
+        return eqx.combine(jax.tree.unflatten(structure, results), others)
+
+    return flat, leaves, restored
 
 
 def _shared(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]) -> list[_Leaf]:
@@ -112,7 +114,7 @@ def _shared(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]) -> list[_Leaf]:
 
 def _inlined(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf], known: dict[Hashable, _Known]) -> list[_Leaf]:
     """The results of `closed`, calls inside it inlined, values that are `known` not computed again."""
-    jaxpr, values = closed.jaxpr, _Values(closed, leaves)
+    jaxpr, values = closed.jaxpr, _values_in(closed, leaves)
     for equation in jaxpr.eqns:
         given = values.of(equation.invars)
         if equation.primitive.name in ("jit", "pjit", "closed_call"):
@@ -137,7 +139,7 @@ def _details(equation: core.JaxprEqn) -> Hashable:
     """Identity of the operation of an equation: its parameters; of an opaque one the equation itself, which is the same
     object in a function that jit has traced once.
     """
-    return str(equation.params) if equation.primitive.name in _COSTS else id(equation)
+    return str(equation.params) if equation.primitive.name in COSTS else id(equation)
 
 
 def _with_sharing(equation: core.JaxprEqn) -> core.JaxprEqn:
@@ -150,10 +152,8 @@ def _with_sharing(equation: core.JaxprEqn) -> core.JaxprEqn:
 class _Values:
     """The values of the variables of a jaxpr."""
 
-    def __init__(self, closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]):
-        self._known: dict[core.Var, _Leaf] = {}
-        self.update(closed.jaxpr.constvars, closed.consts)
-        self.update(closed.jaxpr.invars, leaves)
+    def __init__(self, variables: Sequence[core.Var], values: Sequence[_Leaf]):
+        self._known: dict[core.Var, _Leaf] = dict(zip(variables, values, strict=True))
 
     def of(self, atoms: Sequence[_Atom]) -> list[_Leaf]:
         """The values of some variables or literals."""
@@ -162,6 +162,10 @@ class _Values:
     def update(self, variables: Sequence[core.Var], values: Sequence[_Leaf]) -> None:
         """Set the values of some variables."""
         self._known.update(zip(variables, values, strict=True))
+
+
+def _values_in(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]) -> _Values:
+    return _Values([*closed.jaxpr.constvars, *closed.jaxpr.invars], [*closed.consts, *leaves])
 
 
 def _bound(equation: core.JaxprEqn, given: Sequence[_Leaf]) -> list[_Leaf]:
@@ -174,19 +178,19 @@ def _bound(equation: core.JaxprEqn, given: Sequence[_Leaf]) -> list[_Leaf]:
 
 def _evaluated(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]) -> list[_Leaf]:
     """The results of `closed`, each stored variable computed by a call of its own."""
-    jaxpr, values = closed.jaxpr, _Values(closed, leaves)
+    jaxpr, values = closed.jaxpr, _values_in(closed, leaves)
     kept = _kept(jaxpr)
     used = {atom for equation in jaxpr.eqns for atom in _variables(equation)}
     made_by = {variable: equation for equation in jaxpr.eqns for variable in equation.outvars}
     for equation in jaxpr.eqns:
-        if equation.primitive.name not in _COSTS:
+        if equation.primitive.name not in COSTS:
             values.update(equation.outvars, _bound(equation, values.of(equation.invars)))
         elif equation.outvars[0] in kept:
             cone = _cone(equation, made_by, kept)
             own = {part.outvars[0] for part in cone}
             inputs = list(dict.fromkeys(atom for part in cone for atom in _variables(part) if atom not in own))
             compute = partial(_computed, cone, inputs)
-            is_free = all(_COSTS[part.primitive.name] == 0 for part in cone)
+            is_free = all(COSTS[part.primitive.name] == 0 for part in cone)
             # A result that nothing else uses is not computed twice.
             compute = compute if is_free or equation.outvars[0] not in used else computed_once(compute)
             values.update(equation.outvars, [compute(*values.of(inputs))])
@@ -195,11 +199,10 @@ def _evaluated(closed: core.ClosedJaxpr, leaves: Sequence[_Leaf]) -> list[_Leaf]
 
 def _computed(cone: list[core.JaxprEqn], inputs: list[core.Var], *given: _Leaf) -> _Leaf:
     """The result of the last equation of a cone."""
-    known: dict[_Atom, _Leaf] = dict(zip(inputs, given, strict=True))
+    values = _Values(inputs, given)
     for part in cone:
-        values = [atom.val if isinstance(atom, core.Literal) else known[atom] for atom in part.invars]
-        (known[part.outvars[0]],) = _bound(part, values)
-    return known[cone[-1].outvars[0]]
+        values.update(part.outvars, _bound(part, values.of(part.invars)))
+    return values.of(cone[-1].outvars)[0]
 
 
 def _variables(equation: core.JaxprEqn) -> list[core.Var]:
@@ -214,11 +217,11 @@ def _kept(jaxpr: core.Jaxpr) -> set[core.Var]:
     for equation in jaxpr.eqns:
         for atom in _variables(equation):
             uses[atom] = uses.get(atom, 0) + _repeats(equation, atom)
-            if equation.primitive.name not in _COSTS:
+            if equation.primitive.name not in COSTS:
                 kept.add(atom)
     costs: dict[core.Var, float] = {}
     for equation in jaxpr.eqns:
-        own = _COSTS.get(equation.primitive.name)
+        own = COSTS.get(equation.primitive.name)
         if own is not None:
             (variable,) = equation.outvars
             cost = own + sum(costs.get(atom, 0) for atom in _variables(equation))
@@ -244,7 +247,7 @@ def _cone(equation: core.JaxprEqn, made_by: dict[core.Var, core.JaxprEqn], kept:
         if id(part) in found:
             return
         for atom in _variables(part):
-            if atom in made_by and atom not in kept and made_by[atom].primitive.name in _COSTS:
+            if atom in made_by and atom not in kept and made_by[atom].primitive.name in COSTS:
                 visit(made_by[atom])
         found[id(part)] = part
 

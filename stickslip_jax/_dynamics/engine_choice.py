@@ -12,7 +12,6 @@ import numpy as np
 
 from .._compiler import COMPILED_QUICKLY, WIDE_VECTORS, CompiledNatively
 from .._excitation.excitation import BaseMotion, excitation_of, merged
-from .._excitation.motion import Motion
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import AnyArray, DType, Number, Scalar
 from .._numerics.derivatives import largest
@@ -137,7 +136,7 @@ def engine_for(arguments: Arguments) -> Choice:
             "Argument method must be Regularized() for friction laws with an inner state, but Exact() was given: they "
             "have no exact stick. Their sticks are the times in which the relative velocity stays below a threshold."
         )
-    is_steady = isinstance(base, Motion) and base.is_piecewise_constant
+    is_steady = isinstance(base, PiecewiseConstantLaw)
     needs_steps = method.step is not None or method.solver is not None
     return Choice(arguments, by_intervals=is_steady and system.traits.has_interval_form and not needs_steps)
 

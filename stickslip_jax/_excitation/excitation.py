@@ -19,7 +19,7 @@ from .._foundation.types import AnyArray, FloatArray, FloatScalar, KeyData, Numb
 from .._numerics.derivatives import NotKnown
 from .._numerics.elementary import key_data_of, random_words
 from .._uncertainty.inputs import SampledLaw, UserLaw
-from .motion import Motion, Parts, RandomSignal, Signal, SourceVoltage, UserMotion
+from .motion import Motion, RandomSignal, Signal, SourceVoltage, UserMotion
 from .piecewise_constant import Interval, PiecewiseConstantLaw, VelocitySteps
 from .segments import SegmentLaw, SegmentTable, marked, no_key
 
@@ -42,11 +42,11 @@ class WithJumps(Motion):
     """
 
     motion: Any = eqx.field(converter=lambda v: UserMotion(v) if _is_users(v) else v)
-    jumps: PiecewiseConstantLaw | VelocitySteps
+    jumps: PiecewiseConstantLaw
     takes_jumps = False
 
     def __check_init__(self):
-        if not isinstance(self.jumps, (PiecewiseConstantLaw, VelocitySteps)):
+        if not isinstance(self.jumps, PiecewiseConstantLaw):
             raise checks.refused("jumps", "be a law such as PoissonSwitching", self.jumps)
         if not motion_of(self.motion).takes_jumps:
             raise checks.refused("motion", "be a continuous base velocity such as a Harmonic", self.motion)
@@ -56,11 +56,6 @@ class WithJumps(Motion):
         """Whether realisations differ."""
         return self.motion.is_random or self.jumps.is_random
 
-    def parts(self) -> Parts:
-        smooth, base, *_ = self.motion.parts()
-        base = tuple(_Reseeded(law) if law.is_random else law for law in base)
-        return Parts(smooth, base + self.jumps.parts().base, has_key_per_part=True)
-
     @property
     def covered_time(self) -> float:
         return self.motion.covered_time
@@ -68,14 +63,14 @@ class WithJumps(Motion):
     def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "WithJumps":
         """One realisation that covers ``[0, t1]``; arguments and errors as for the law of the jumps."""
         if key is None and self.is_random:
-            raise ValueError("Argument key must be a key such as jax.random.key(0), but None was given.")
+            raise no_key(self)
         of_segments, of_signal = (None, None) if key is None else (jax.random.fold_in(key, part) for part in (0, 1))
         motion, jumps = self.motion, self.jumps
         if motion.is_random:
             assert of_segments is not None
-            is_signal = motion.parts().smooth is not None
+            is_signal = motion.part_of_excitation == "smooth"
             motion = motion.sample(of_signal if is_signal else jax.random.fold_in(of_segments, _MOTION), t1)
-        if isinstance(jumps, PiecewiseConstantLaw):
+        if not isinstance(jumps, VelocitySteps):
             jumps = jumps.sample(of_segments, t1, capacity=capacity)
         return WithJumps(motion, jumps)
 
@@ -113,7 +108,7 @@ class Excitation(eqx.Module):
         has_key_per_part: Whether each part draws from other key data.
     """
 
-    smooth: Signal | RandomSignal | None
+    smooth: Signal | RandomSignal | None = None
     base: tuple[SegmentLaw, ...] = ()
     ground: tuple[SegmentLaw, ...] = ()
     has_key_per_part: bool = eqx.field(static=True, default=False)
@@ -162,9 +157,29 @@ def motion_of(base: BaseMotion, name: str = "base") -> Motion:
     )
 
 
+def realisation_of(base: BaseMotion) -> Motion:
+    """The argument called base as a motion of the package. Raises ValueError for a random one too."""
+    motion = motion_of(base)
+    if motion.is_random:
+        raise ValueError(
+            f"Argument base must be a realisation, but the random law {type(base).__name__} was given; draw one with "
+            "base.sample(key, t1)."
+        )
+    return motion
+
+
 def excitation_of(base: BaseMotion, name: str = "base") -> Excitation:
     """The parts of `base`, the argument called `name`. Raises ValueError for what is no motion."""
-    return Excitation(*motion_of(base, name).parts())
+    motion = motion_of(base, name)
+    if isinstance(motion, WithJumps):
+        own, (jumps,) = excitation_of(motion.motion), excitation_of(motion.jumps).base
+        reseeded = (_Reseeded(law) if law.is_random else law for law in own.base)
+        return Excitation(own.smooth, (*reseeded, jumps), has_key_per_part=True)
+    if motion.part_of_excitation == "none":
+        what = type(motion).__name__
+        raise ValueError(f"Argument {name} must be a base motion, but a {what} was given, which is a force.")
+    part: Any = motion if motion.part_of_excitation == "smooth" else (motion,)
+    return Excitation(**{motion.part_of_excitation: part})
 
 
 def _is_users(base: object) -> bool:
@@ -291,14 +306,8 @@ def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | 
     [0.   0.25 1.  ]
     """
     require_threads_of_jax()
-    motion = motion_of(base)
     checks.numeric("times", times, ndim=None)
-    if motion.is_random:
-        raise ValueError(
-            f"Argument base must be a realisation, but the random law {type(base).__name__} was given; draw one with "
-            "base.sample(key, t1)."
-        )
-    excitation = excitation_of(motion)
+    excitation = excitation_of(realisation_of(base))
     if excitation.ground or isinstance(excitation.smooth, SourceVoltage):
         what = "a ground acceleration" if excitation.ground else "a voltage"
         raise ValueError(
@@ -308,7 +317,10 @@ def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | 
     flat = times.reshape(-1)
     # Segments until the last of the times, and one more: it may begin there.
     latest = jnp.max(flat) if checks.is_traced(flat) else float(np.max(np.asarray(flat), initial=0.0))
-    tables, none = [], jnp.zeros((), jnp.uint32)
+    smooth, none = excitation.signal, jnp.zeros((), jnp.uint32)
+    velocity = jnp.zeros_like(flat)
+    if smooth is not None:
+        velocity = jax.vmap(lambda time: jnp.asarray(smooth.value(time), time.dtype))(flat)
     for law in excitation.base:
         try:
             number = law.segments(latest)
@@ -318,15 +330,8 @@ def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | 
                 f"is not known then how many segments it has), but the law {type(law).__name__} was given; take "
                 "base.sample(None, t1)."
             ) from None
-        tables.append(SegmentTable.of(law, (none, none), number + 1, flat.dtype))
-
-    def at(time: FloatScalar) -> FloatScalar:
-        smooth = excitation.signal
-        velocity = jnp.zeros_like(time) if smooth is None else jnp.asarray(smooth.value(time), time.dtype)
-        for table in tables:
-            segment = table.at(time)
-            here = segment.value + segment.slope * (time - segment.begin)
-            velocity = velocity + jnp.where((time >= 0) & (time <= table.end), here, jnp.nan)
-        return velocity
-
-    return jax.vmap(at)(flat).reshape(times.shape)
+        table = SegmentTable.of(law, (none, none), number + 1, flat.dtype)
+        segment = table.at(flat)
+        here = segment.value + segment.slope * (flat - segment.begin)
+        velocity = velocity + jnp.where((flat >= 0) & (flat <= table.end), here, jnp.nan)
+    return velocity.reshape(times.shape)

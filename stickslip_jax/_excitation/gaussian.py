@@ -11,18 +11,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from .._foundation import checks
-from .._foundation.fields import Checked, Quantity, described, varies
+from .._foundation.fields import Checked, Quantity, varies_within
 from .._foundation.types import AnyArray, FloatArray, KeyData, Number, Scalar
 from .._numerics.derivatives import largest, smallest
 from .._numerics.elementary import fine_uniform, key_data_of, log, random_words, sincos, uniform
 from .motion import RandomSignal, SumOfHarmonics
 from .recorded import GroundAcceleration, GroundMotion
-from .segments import BEGINNING, LARGEST_CAPACITY, known_number
+from .segments import BEGINNING, LARGEST_CAPACITY, drawn_segments, known_number
 
 # Power spectral densities of stationary random motions.
 #
@@ -55,8 +54,7 @@ class PowerSpectrum(Checked):
     @property
     def varies(self) -> bool:
         """Whether one of its numbers differs from sample to sample of an ensemble."""
-        values = [(getattr(self, name), about) for name, about in described(type(self)).items()]
-        return any(varies(value, about) for value, about in values)
+        return varies_within(self)
 
 
 class KanaiTajimiSpectrum(PowerSpectrum):
@@ -84,7 +82,7 @@ class KanaiTajimiSpectrum(PowerSpectrum):
         return self.intensity * (1 + passed) / ((1 - squared) ** 2 + passed)
 
 
-class CloughPenzienSpectrum(PowerSpectrum):
+class CloughPenzienSpectrum(KanaiTajimiSpectrum):
     """The Kanai-Tajimi spectrum without the low frequencies, so that velocities are finite (Clough and Penzien 1975).
 
     The density of `KanaiTajimiSpectrum` times ``w^4 / ((w_f^2 - w^2)^2 + 4 z_f^2 w_f^2 w^2)``, with w_f the
@@ -102,17 +100,13 @@ class CloughPenzienSpectrum(PowerSpectrum):
         ValueError: For numbers that are not positive.
     """
 
-    intensity: Annotated[Number, Quantity("m^2/s^3", "one-sided density of the white noise", above=0)] = 1.0
-    ground_frequency: Annotated[Number, Quantity("rad/s", "of the layer", above=0)] = 5 * math.pi
-    ground_damping: Annotated[Number, Quantity(meaning="its damping ratio", above=0)] = 0.6
     filter_frequency: Annotated[Number, Quantity("rad/s", "of the filter", above=0)] = 0.5 * math.pi
     filter_damping: Annotated[Number, Quantity(meaning="damping ratio of the filter", above=0)] = 0.6
 
     def density(self, angular_frequency: Frequencies) -> Frequencies:
-        layer = KanaiTajimiSpectrum(self.intensity, self.ground_frequency, self.ground_damping)
         squared = (angular_frequency / self.filter_frequency) ** 2
         passed = squared**2 / ((1 - squared) ** 2 + 4 * self.filter_damping**2 * squared)
-        return layer.density(angular_frequency) * passed
+        return super().density(angular_frequency) * passed
 
 
 class VelocitySpectrum(PowerSpectrum):
@@ -133,10 +127,6 @@ class VelocitySpectrum(PowerSpectrum):
 
     def edges(self, cutoff: Scalar, parts: int, numpy: ModuleType) -> Float[AnyArray, " edges"]:
         return self.acceleration.edges(cutoff, parts, numpy)
-
-    @property
-    def varies(self) -> bool:
-        return self.acceleration.varies
 
 
 class TabulatedSpectrum(PowerSpectrum):
@@ -161,11 +151,7 @@ class TabulatedSpectrum(PowerSpectrum):
 
     def check_relations(self) -> None:
         frequencies, densities = self.angular_frequencies, self.densities
-        if np.shape(frequencies) != np.shape(densities) or len(frequencies) < 2:
-            raise ValueError(
-                "Arguments angular_frequencies and densities must have the same length of at least 2, but they have "
-                f"shapes {np.shape(frequencies)} and {np.shape(densities)}."
-            )
+        checks.same_length(2, angular_frequencies=frequencies, densities=densities)
         if not checks.is_traced(frequencies) and np.any(np.diff(np.asarray(frequencies)) <= 0):
             raise checks.refused("angular_frequencies", "increase", np.asarray(frequencies))
 
@@ -499,18 +485,17 @@ class KanaiTajimi(GroundMotion):
         checks.positive("t1", t1, "s")
         if points is None:
             enough = "about t1 / interval + 2 are enough"
-            samples = known_number(
-                lambda t1: largest(t1) / smallest(self.interval), t1, enough, "points", "law's interval is"
-            )
-            if samples > LARGEST_CAPACITY - 2:
+            # Both ends, and one to spare: rounded, the last sampling time may lie just short of t1.
+            points = known_number(self.segments, t1, enough, "points", "law's interval is") + 1
+            if points > LARGEST_CAPACITY:
                 raise ValueError(
                     f"Argument t1 must be shorter: {t1} s hold more than {LARGEST_CAPACITY} samples, "
                     f"{self.interval} s apart."
                 )
-            # Both ends, and one to spare: rounded, the last sampling time may lie just short of t1.
-            points = math.ceil(samples) + 2
         points = checks.whole_number("points", points, minimum=2, maximum=LARGEST_CAPACITY)
-        return GroundAcceleration(*_sample(self, key_data_of(key), points, jnp.result_type(float)))
+        dtype = jnp.result_type(float)
+        _, accelerations, _ = drawn_segments(self, key_data_of(key), points, dtype)
+        return GroundAcceleration(jnp.arange(points).astype(dtype) * jnp.asarray(self.interval, dtype), accelerations)
 
 
 def _step(ground_frequency, damping, interval, dtype):
@@ -544,17 +529,3 @@ def _normal_pair(key_data, number: Array, dtype) -> tuple[FloatArray, FloatArray
     radius = jnp.sqrt(-2 * log(uniform(high, dtype)))
     sine, cosine = sincos(uniform(low, dtype) * np.asarray(2 * np.pi, dtype))
     return radius * cosine, radius * sine
-
-
-@partial(jax.jit, static_argnames=("points", "dtype"))
-def _sample(law: KanaiTajimi, key_data: Array, points: int, dtype) -> tuple[FloatArray, FloatArray]:
-    """Times and accelerations of the first `points` samples."""
-    numbers = jnp.arange(points, dtype=jnp.uint32)
-    drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(numbers)
-
-    def step(memory, drawn_here):
-        _, value, _, memory = law.next_segment(memory, drawn_here, dtype)
-        return memory, value
-
-    _, accelerations = lax.scan(step, law.begin(key_data, dtype), drawn)
-    return numbers.astype(dtype) * jnp.asarray(law.interval, dtype), accelerations

@@ -6,7 +6,7 @@ import abc
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, cast
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import equinox as eqx
 import jax
@@ -21,41 +21,21 @@ from .._foundation.methods import Module
 from .._foundation.types import AnyArray, FloatArray, KeyData, Number, Scalar
 from .._numerics.elementary import key_data_of, random_words, sincos, uniform
 
-if TYPE_CHECKING:
-    from .segments import SegmentLaw
-
-
 # The base class of all that drives a system: laws, signals and realisations.
-
-
-class Parts(NamedTuple):
-    """The parts of a motion; the fields are those of an `Excitation`."""
-
-    smooth: "Signal | RandomSignal | None" = None
-    base: "tuple[SegmentLaw, ...]" = ()
-    ground: "tuple[SegmentLaw, ...]" = ()
-    has_key_per_part: bool = False
 
 
 class Motion(Module):
     """Base class of base motions, ground motions and voltages.
 
     Attributes:
-        part_of_excitation: Smooth, or in segments a base velocity or an acceleration of the ground.
+        part_of_excitation: Smooth, or in segments a base velocity or an acceleration of the ground; "none" for a force.
         is_random: Whether realisations differ, so that one must be drawn before `simulate`.
-        is_piecewise_constant: Whether it is a base velocity that is constant between jumps.
         takes_jumps: Whether it is a continuous base velocity, to which `WithJumps` can add jumps.
     """
 
-    part_of_excitation: ClassVar[Literal["smooth", "base", "ground"]] = "smooth"
+    part_of_excitation: ClassVar[Literal["smooth", "base", "ground", "none"]] = "smooth"
     is_random: ClassVar[bool] = False
-    is_piecewise_constant: ClassVar[bool] = False
     takes_jumps: ClassVar[bool] = True
-
-    def parts(self) -> Parts:
-        """Its smooth part and its parts in segments."""
-        name, part = self.part_of_excitation, cast(Any, self)
-        return Parts()._replace(**{name: part if name == "smooth" else (part,)})
 
     @property
     def covered_time(self) -> float:
@@ -241,9 +221,7 @@ class Harmonic(_Tones):
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
-    @property
-    def repeats_after(self) -> Number:
-        return 2 * math.pi / self.angular_frequency
+    repeats_after = shortest_period  # pyright: ignore[reportIncompatibleMethodOverride] - another name of it
 
 
 class SumOfHarmonics(_Tones):
@@ -271,13 +249,8 @@ class SumOfHarmonics(_Tones):
     offset: Annotated[Number, Quantity(SIGNAL_UNIT)] = 0.0
 
     def check_relations(self) -> None:
-        shapes = [np.shape(self.amplitudes), np.shape(self.angular_frequencies)]
-        shapes += [] if self.phases is None else [np.shape(self.phases)]
-        if len(set(shapes)) > 1 or shapes[0][0] == 0:
-            raise ValueError(
-                "Arguments amplitudes, angular_frequencies and phases must have the same length of at least 1, but "
-                f"they have shapes {', '.join(map(str, shapes))}."
-            )
+        phases = {} if self.phases is None else {"phases": self.phases}
+        checks.same_length(1, amplitudes=self.amplitudes, angular_frequencies=self.angular_frequencies, **phases)
 
     @property
     def tones(self) -> Tones:
@@ -306,45 +279,35 @@ class UserMotion(Signal):
     motion: Any = eqx.field(converter=lambda v: _Constant(v) if jax.tree.leaves(v) == [v] else v)
     holds_users_code = True
 
+    @property
+    def users(self) -> Any:
+        """The user's object."""
+        return self.motion.held if isinstance(self.motion, _Constant) else self.motion
+
     def check_relations(self) -> None:
-        held = self.motion.held if isinstance(self.motion, _Constant) else self.motion
         for name in ("velocity", "acceleration"):
-            with checks.traceable(f"The method {name} of {type(held).__name__}"):
-                jax.make_jaxpr(getattr(self.motion, name))(jnp.zeros(()))
+            with checks.traceable(f"The method {name} of {type(self.users).__name__}"):
+                jax.make_jaxpr(getattr(self.users, name))(jnp.zeros(()))
 
     def value(self, t: FloatArray) -> FloatArray:
-        return self.motion.velocity(t)
+        return jnp.asarray(self.users.velocity(t))
 
     def rate(self, t: FloatArray) -> FloatArray:
-        return self.motion.acceleration(t)
+        return jnp.asarray(self.users.acceleration(t))
 
     @property
     def shortest_period(self) -> Scalar | None:
-        return getattr(self.motion, "shortest_period", None)
+        return getattr(self.users, "shortest_period", None)
 
     @property
     def repeats_after(self) -> Number | None:
-        return getattr(self.motion, "period", None)
+        return getattr(self.users, "period", None)
 
 
 class _Constant(eqx.Module):
     """An object that is no pytree, as a pytree without leaves."""
 
     held: Any = eqx.field(static=True)
-
-    def velocity(self, t: FloatArray) -> FloatArray:
-        return jnp.asarray(self.held.velocity(t))
-
-    def acceleration(self, t: FloatArray) -> FloatArray:
-        return jnp.asarray(self.held.acceleration(t))
-
-    @property
-    def shortest_period(self) -> Scalar | None:
-        return getattr(self.held, "shortest_period", None)
-
-    @property
-    def period(self) -> Scalar | None:
-        return getattr(self.held, "period", None)
 
 
 # The source voltage of a motor.
@@ -378,9 +341,7 @@ class SourceVoltage(Signal):
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
-    @property
-    def repeats_after(self) -> Number:
-        return 2 * math.pi / self.angular_frequency
+    repeats_after = shortest_period  # pyright: ignore[reportIncompatibleMethodOverride] - another name of it
 
 
 # Random signals, among them random phases.

@@ -15,24 +15,26 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, PyTree
 
 from .._foundation import checks
-from .._foundation.fields import Choice, Quantity, is_of_package
+from .._foundation.fields import Choice, Quantity, is_distribution, is_of_package
 from .._foundation.methods import keeps
 from .._foundation.types import AnyArray, FloatArray, FloatScalar, Number, Scalar
 from .._numerics.derivatives import largest, smallest
-from .._numerics.elementary import exponential, fine_uniform, random_words, uniform
+from .._numerics.elementary import exponential, fine_uniform, random_words
 from .._uncertainty.families import Discrete, RandomNumber, Truncated
-from .motion import Motion, Parts
 from .segments import (
     BEGINNING,
     LARGEST_CAPACITY,
+    Drawn,
     Each,
     SegmentLaw,
     begins_of,
     check_drawn,
+    drawn_segments,
     drawn_sign,
     index_at,
     joined,
     known_number,
+    looked_up,
     marked,
 )
 
@@ -43,102 +45,6 @@ from .segments import (
 # length: a larger capacity only continues it, and an ensemble can draw intervals while it simulates.
 
 
-def _as_jax(name: str, values: PyTree) -> PyTree:
-    return checks.jax_array(name, values) if isinstance(values, (np.ndarray, jax.Array)) else values
-
-
-class VelocitySteps(Motion):
-    """One realisation of a piecewise-constant base velocity: ``velocities[i]`` (m/s) for ``durations[i]`` (s).
-
-    The intervals follow one another from t = 0. Neighbouring velocities differ; unused intervals at the end have
-    duration 0. The last duration may be infinite. Where JAX traces the numbers, and for many realisations at once,
-    equal neighbours are merged, and impossible intervals show in the status of each simulation. The ``sample`` method
-    of the laws makes them; for a base motion of your own use `PiecewiseConstant`.
-
-    Args:
-        durations: s, (intervals,).
-        velocities: m/s, as many.
-
-    Raises:
-        ValueError: For arrays of different shapes, negative durations, a duration of 0 before the end, velocities that
-            are not finite or equal to their neighbour's.
-    """
-
-    durations: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "durations"))
-    velocities: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_jax, "velocities"))
-
-    part_of_excitation = "base"
-    is_piecewise_constant = True
-    takes_jumps = False
-
-    def __post_init__(self):
-        durations, velocities = self.durations, self.velocities
-        if not (isinstance(durations, jax.Array) and isinstance(velocities, jax.Array)):
-            return
-        if durations.ndim > 0 and durations.shape == velocities.shape and self._are_unchecked():
-            join = jnp.vectorize(joined, signature="(n),(n)->(n),(n)")
-            self.durations, self.velocities = join(durations, velocities)
-
-    def _are_unchecked(self) -> bool:
-        return checks.is_traced(self.durations) or checks.is_traced(self.velocities) or self.durations.ndim > 1
-
-    @classmethod
-    def of_distinct(cls, durations: Array, velocities: Array) -> "VelocitySteps":
-        """Intervals of which is known that neighbours differ: they are taken as they are."""
-        made = object.__new__(cls)
-        object.__setattr__(made, "durations", durations)
-        object.__setattr__(made, "velocities", velocities)
-        return made
-
-    def __check_init__(self):
-        for name in ("durations", "velocities"):
-            value = getattr(self, name)
-            if not isinstance(value, jax.Array):
-                raise checks.refused(name, "be an array", value)
-        if self.durations.shape != self.velocities.shape or self.durations.ndim == 0:
-            raise ValueError(
-                "Arguments durations and velocities must have the same shape (intervals,), but they have shapes "
-                f"{self.durations.shape} and {self.velocities.shape}."
-            )
-        if self._are_unchecked():
-            return
-        durations = np.asarray(self.durations)
-        if not np.all(durations >= 0):
-            raise checks.refused("durations", "be zero or positive", durations)
-        if np.any((durations[1:] > 0) & (durations[:-1] == 0)):
-            raise ValueError(
-                "Argument durations must be 0 in unused intervals at the end only, but an interval of duration 0 has "
-                f"one after it that lasts: {checks.show(durations)}; leave it out."
-            )
-        lasting = np.asarray(self.velocities)[durations > 0]
-        checks.bounded("velocities", lasting, ndim=1)
-        if np.any(lasting[1:] == lasting[:-1]):
-            raise ValueError(
-                "Argument velocities must change from interval to interval, but two neighbours are equal; "
-                "use PiecewiseConstant(times, velocities), which merges them."
-            )
-
-    def parts(self) -> Parts:
-        return Parts(base=(GivenSteps(self),))
-
-    def realized_until(self, t1: Scalar) -> Motion:
-        if self.durations.ndim != 1:
-            raise ValueError(
-                f"Argument base must be one realisation, but it has durations of shape {self.durations.shape}; "
-                "use jax.vmap over the realisations, or simulate_ensemble."
-            )
-        return self
-
-    @property
-    def times(self) -> Float[Array, " intervals"]:
-        """Times at which the intervals begin, s."""
-        return begins_of(self.durations)
-
-    def velocity(self, time: AnyArray | float) -> FloatArray:
-        """Base velocity at the given times (any shape), m/s; at a jump, the one after it. One realisation only."""
-        return self.velocities[index_at(self.durations, time)]
-
-
 Interval: TypeAlias = tuple[FloatScalar, FloatScalar, PyTree]
 """Duration (s), velocity (m/s), and the memory for the next interval."""
 
@@ -147,7 +53,6 @@ class PiecewiseConstantLaw(SegmentLaw):
     """Base class of the laws of piecewise-constant base velocity. Subclass it to add one."""
 
     jumps = True
-    is_piecewise_constant = True
     takes_jumps = False
     has_exponential_gaps: ClassVar[bool] = False  # of mean 1 / rate, independent of all else
     rests_on: ClassVar = {
@@ -191,6 +96,10 @@ class PiecewiseConstantLaw(SegmentLaw):
 
         return lax.scan(step, memory, drawn, length=number)[1]
 
+    def all_segments(self, memory: PyTree, drawn: PyTree, number: int, dtype: DTypeLike) -> Drawn:
+        durations, velocities = self.all_intervals(memory, drawn, number, dtype)
+        return durations, velocities, jnp.zeros_like(velocities)
+
     def segments(self, t1: Scalar) -> int:
         return self.capacity(t1)
 
@@ -202,7 +111,7 @@ class PiecewiseConstantLaw(SegmentLaw):
     def capacity(self, t1: Scalar) -> int:
         """The number of intervals that nearly every realisation on ``[0, t1]`` (s) needs at most."""
 
-    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> VelocitySteps:
+    def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "VelocitySteps":
         """One realisation that covers ``[0, t1]``.
 
         Args:
@@ -220,13 +129,13 @@ class PiecewiseConstantLaw(SegmentLaw):
         if capacity is None:
             capacity = known_number(self.checked_capacity, t1, f"find one with {type(self).__name__}(...).capacity(t1)")
         capacity = checks.whole_number("capacity", capacity, maximum=LARGEST_CAPACITY)
-        durations, velocities = _sample(self, self.key_data(key), capacity, jnp.result_type(float))
+        durations, velocities, _ = drawn_segments(self, self.key_data(key), capacity, jnp.result_type(float))
         if not is_of_package(self):
             check_drawn(self, "next_interval", "m/s", durations, velocities)
             durations, velocities = joined(durations, velocities)
         return VelocitySteps.of_distinct(durations, velocities)
 
-    def realized_until(self, t1: Scalar) -> VelocitySteps:
+    def realized_until(self, t1: Scalar) -> "VelocitySteps":
         return self.sample(None, t1)
 
     def checked_capacity(self, t1: Scalar) -> int:
@@ -242,30 +151,101 @@ class PiecewiseConstantLaw(SegmentLaw):
         return capacity
 
 
-class GivenSteps(PiecewiseConstantLaw):
-    """A realisation of a base velocity that jumps, as a law with this one realisation."""
+def _as_array(name: str, values: object) -> Array:
+    if not isinstance(values, (np.ndarray, jax.Array)):
+        raise checks.refused(name, "be an array", values)
+    return checks.jax_array(name, values)
 
-    steps: VelocitySteps
-    is_random = False
+
+class VelocitySteps(PiecewiseConstantLaw):
+    """One realisation of a piecewise-constant base velocity: ``velocities[i]`` (m/s) for ``durations[i]`` (s).
+
+    The intervals follow one another from t = 0. Neighbouring velocities differ; unused intervals at the end have
+    duration 0. The last duration may be infinite. Where JAX traces the numbers, and for many realisations at once,
+    equal neighbours are merged, and impossible intervals show in the status of each simulation. The ``sample`` method
+    of the laws makes them; for a base motion of your own use `PiecewiseConstant`.
+
+    Args:
+        durations: s, (intervals,).
+        velocities: m/s, as many.
+
+    Raises:
+        ValueError: For arrays of different shapes, negative durations, a duration of 0 before the end, velocities that
+            are not finite or equal to their neighbour's.
+    """
+
+    durations: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_array, "durations"))
+    velocities: Float[Array, "*batch intervals"] = eqx.field(converter=partial(_as_array, "velocities"))
+
+    def __post_init__(self):
+        durations, velocities = self.durations, self.velocities
+        if not (isinstance(durations, jax.Array) and isinstance(velocities, jax.Array)):
+            return
+        if durations.ndim > 0 and durations.shape == velocities.shape and self._is_unchecked:
+            join = jnp.vectorize(joined, signature="(n),(n)->(n),(n)")
+            self.durations, self.velocities = join(durations, velocities)
+
+    @property
+    def _is_unchecked(self) -> bool:
+        return checks.is_traced(self.durations) or checks.is_traced(self.velocities) or self.durations.ndim > 1
+
+    @classmethod
+    def of_distinct(cls, durations: Array, velocities: Array) -> "VelocitySteps":
+        """Intervals of which is known that neighbours differ: they are taken as they are."""
+        made = object.__new__(cls)
+        object.__setattr__(made, "durations", durations)
+        object.__setattr__(made, "velocities", velocities)
+        return made
+
+    def check_relations(self) -> None:
+        if self.durations.shape != self.velocities.shape or self.durations.ndim == 0:
+            raise ValueError(
+                "Arguments durations and velocities must have the same shape (intervals,), but they have shapes "
+                f"{self.durations.shape} and {self.velocities.shape}."
+            )
+        if self._is_unchecked:
+            return
+        durations = np.asarray(self.durations)
+        if not np.all(durations >= 0):
+            raise checks.refused("durations", "be zero or positive", durations)
+        if np.any((durations[1:] > 0) & (durations[:-1] == 0)):
+            raise ValueError(
+                "Argument durations must be 0 in unused intervals at the end only, but an interval of duration 0 has "
+                f"one after it that lasts: {checks.show(durations)}; leave it out."
+            )
+        lasting = np.asarray(self.velocities)[durations > 0]
+        checks.bounded("velocities", lasting, ndim=1)
+        if np.any(lasting[1:] == lasting[:-1]):
+            raise ValueError(
+                "Argument velocities must change from interval to interval, but two neighbours are equal; "
+                "use PiecewiseConstant(times, velocities), which merges them."
+            )
 
     def capacity(self, t1) -> int:
-        return self.steps.durations.shape[-1]
+        return self.durations.shape[-1]
 
     def draw(self, key_data, number, dtype):
-        size = self.steps.durations.shape[-1]
-        here = jnp.minimum(number.astype(jnp.int32), size - 1)
-        duration = jnp.where(number < size, self.steps.durations[here], 0)
-        return duration.astype(dtype), self.steps.velocities[here].astype(dtype)
+        return looked_up(number, dtype, self.durations, self.velocities)
 
     def next_interval(self, memory, drawn, dtype):
         return *drawn, ()
 
+    def realized_until(self, t1: Scalar) -> "VelocitySteps":
+        if self.durations.ndim != 1:
+            raise ValueError(
+                f"Argument base must be one realisation, but it has durations of shape {self.durations.shape}; "
+                "use jax.vmap over the realisations, or simulate_ensemble."
+            )
+        return self
 
-@partial(jax.jit, static_argnames=("capacity", "dtype"))
-def _sample(law: PiecewiseConstantLaw, key_data: Array, capacity: int, dtype: DTypeLike) -> tuple[Each, Each]:
-    """Durations and velocities of the first `capacity` intervals."""
-    drawn = jax.vmap(lambda number: law.draw(key_data, number, dtype))(jnp.arange(capacity, dtype=jnp.uint32))
-    return law.all_intervals(law.begin(key_data, dtype), drawn, capacity, dtype)
+    @property
+    def times(self) -> Float[Array, " intervals"]:
+        """Times at which the intervals begin, s."""
+        return begins_of(self.durations)
+
+    def velocity(self, time: AnyArray | float) -> FloatArray:
+        """Base velocity at the given times (any shape), m/s; at a jump, the one after it. One realisation only."""
+        return self.velocities[index_at(self.durations, time)]
 
 
 # Laws of piecewise-constant base velocity.
@@ -285,7 +265,6 @@ class Constant(PiecewiseConstantLaw):
     """
 
     speed: Annotated[Number, Quantity("m/s", "signed")]
-    is_random = False
 
     def draw(self, key_data, number, dtype):
         return number == 0
@@ -316,7 +295,6 @@ class SquareWave(PiecewiseConstantLaw):
 
     speed: Annotated[Number, Quantity("m/s", above=0)]
     period: Annotated[Number, Quantity("s", above=0)]
-    is_random = False
 
     def begin(self, key_data, dtype):
         return -jnp.ones((), dtype)
@@ -335,6 +313,11 @@ class SquareWave(PiecewiseConstantLaw):
         return self.period
 
 
+FirstSign: TypeAlias = Annotated[
+    str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
+]
+
+
 class PoissonSwitching(PiecewiseConstantLaw):
     """``+speed`` or ``-speed``, the sign changing at the points of a Poisson process (Lima and Sampaio 2017).
 
@@ -351,9 +334,7 @@ class PoissonSwitching(PiecewiseConstantLaw):
 
     speed: Annotated[Number, Quantity("m/s", above=0)]
     rate: Annotated[Number, Quantity("1/s", "mean number of switches per second", above=0)]
-    first_sign: Annotated[
-        str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
-    ] = eqx.field(static=True, default="random")
+    first_sign: FirstSign = eqx.field(static=True, default="random")
     is_random = True
     has_exponential_gaps = True
 
@@ -418,12 +399,10 @@ class RandomSteps(PiecewiseConstantLaw):
         return (1 / len(self.levels),) * len(self.levels) if self.probabilities is None else self.probabilities
 
     def begin(self, key_data, dtype):
-        high, _ = random_words(key_data, jnp.asarray(BEGINNING))
-        return _chosen(uniform(high, dtype), jnp.asarray(self.level_probabilities, dtype))
+        return _chosen(self.uniforms(key_data, None, dtype)[0], jnp.asarray(self.level_probabilities, dtype))
 
     def draw(self, key_data, number, dtype):
-        high, low = random_words(key_data, number)
-        return uniform(high, dtype), uniform(low, dtype)
+        return self.uniforms(key_data, number, dtype)
 
     def next_interval(self, memory, drawn, dtype) -> Interval:
         shares = jnp.asarray(self.level_probabilities, dtype)
@@ -455,14 +434,9 @@ class PiecewiseConstant(PiecewiseConstantLaw):
     velocities: Annotated[PerInterval, Quantity("m/s", "during each interval", ndim=1)] = eqx.field(
         converter=partial(checks.real_array, "velocities")
     )
-    is_random = False
 
     def check_relations(self) -> None:
-        if np.shape(self.times) != np.shape(self.velocities) or len(self.times) == 0:
-            raise ValueError(
-                "Arguments times and velocities must have the same length of at least 1, but they have shapes "
-                f"{np.shape(self.times)} and {np.shape(self.velocities)}."
-            )
+        checks.same_length(1, times=self.times, velocities=self.velocities)
         checks.increasing_from_zero("times", self.times)
 
     def draw(self, key_data, number, dtype):
@@ -524,9 +498,7 @@ class SemiMarkovSwitching(PiecewiseConstantLaw):
     gap: RandomNumber
     speed: Number | RandomNumber
     alternating: bool = eqx.field(static=True, default=True)
-    first_sign: Annotated[
-        str, Choice(("random", "positive", "negative"), "of the velocity: random, positive or negative")
-    ] = eqx.field(static=True, default="random")
+    first_sign: FirstSign = eqx.field(static=True, default="random")
     own_distributions = ("gap", "speed")
     is_random = True
 
@@ -534,20 +506,20 @@ class SemiMarkovSwitching(PiecewiseConstantLaw):
         _check_distribution("gap", self.gap, "s", positive=True)
         if isinstance(self.speed, RandomNumber):
             _check_distribution("speed", self.speed, "m/s", positive=self.alternating)
-            if not self.alternating and not self.speed.is_continuous:
-                if not keeps(self.speed, Discrete, "icdf"):  # its values and probabilities are not known
-                    raise ValueError(
-                        "Argument speed must be continuous or a Discrete, and no other distribution of single values, "
-                        f"where alternating is False, but {checks.show(self.speed)} was given."
-                    )
-                assert isinstance(self.speed, Discrete)
-                shares = self.speed.probabilities  # neighbouring velocities can differ
-                if checks.is_traced(shares):
-                    return
-                if (len(self.speed.values) if shares is None else np.count_nonzero(np.asarray(shares))) < 2:
-                    raise checks.refused("speed", "have two or more values with positive probabilities", self.speed)
+            if self.alternating or self.speed.is_continuous:
+                return
+            if not keeps(self.speed, Discrete, "icdf"):  # its values and probabilities are not known
+                raise ValueError(
+                    "Argument speed must be continuous or a Discrete, and no other distribution of single values, "
+                    f"where alternating is False, but {checks.show(self.speed)} was given."
+                )
+            assert isinstance(self.speed, Discrete)
+            shares = self.speed.probabilities
+            number = len(self.speed.values) if shares is None or checks.is_traced(shares) else np.count_nonzero(shares)
+            if number < 2:  # neighbouring velocities cannot differ
+                raise checks.refused("speed", "have two or more values with positive probabilities", self.speed)
             return
-        if any(callable(getattr(self.speed, name, None)) for name in ("icdf", "ppf", "sample")):
+        if is_distribution(self.speed):
             _check_distribution("speed", self.speed, "m/s", positive=True)
         checks.positive("speed", self.speed, "m/s")
         if not self.alternating:
@@ -635,9 +607,7 @@ def _check_distribution(name: str, given: object, unit: str, *, positive: bool) 
             f"{what} whose quantiles can be computed while simulating, but {checks.show(given)} was given; take a "
             "Triangular, a LogNormal or a Truncated one."
         )
-    if any(checks.is_traced(leaf) for leaf in jax.tree.leaves(given)):
-        return
-    if not positive:
+    if not positive or any(map(checks.is_traced, jax.tree.leaves(given))):
         return
     if not isinstance(given, Truncated):
         # Whether the support shows that all draws are positive, without JAX: a study's file is read before it starts.

@@ -5,7 +5,6 @@ import math
 import os
 import re
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -66,10 +65,9 @@ def read_csv(
     checks.numeric("scale", scale)
     if delimiter is not None and not (isinstance(delimiter, str) and len(delimiter) == 1 and delimiter not in '"\r\n'):
         raise checks.refused("delimiter", "be a single sign such as ';', or None for white space", delimiter)
-    path = checks.path("path", path, "the name of a file")
-    file = repr(str(path))
+    file, text = _read(path)
     rows: list[Row] = []
-    for number, line in enumerate(_text(path).split("\n"), 1):
+    for number, line in enumerate(text.split("\n"), 1):
         # Line by line, so that a stray quotation mark cannot swallow the rest of the file.
         try:
             cut = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter), [])
@@ -89,8 +87,7 @@ def read_csv(
     by_name = isinstance(time_column, str) or isinstance(value_column, str)
     if by_name or not (_is_number(rows[0][1][time]) or _is_number(rows[0][1][value])):
         rows = rows[1:]
-    times = _finite(file, ((line, entries[time]) for line, entries in rows))
-    values = _finite(file, ((line, entries[value]) for line, entries in rows))
+    times, values = (_finite(file, ((line, row[column]) for line, row in rows)) for column in (time, value))
     if len(times) < 2:
         raise _unsuitable("at least 2 samples", f"{file} has {len(times)}")
     falls = np.diff(times) <= 0
@@ -201,8 +198,7 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
         OSError: For a file that is missing or cannot be read.
     """
     checks.positive("g", g, "m/s^2")
-    path = checks.path("path", path, "the name of a file")
-    file, text = repr(str(path)), _text(path)
+    file, text = _read(path)
     if not text.strip():
         raise _unsuitable("an accelerogram", f"{file} is empty")
     lines = text.split("\n")
@@ -239,11 +235,13 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
     return GroundAcceleration(np.arange(count) * step, values * float(g))
 
 
-def _text(path: Path) -> str:
+def _read(name: object) -> tuple[str, str]:
+    """The name of the file, as messages show it, and its text."""
+    path = checks.path("path", name, "the name of a file")
     shown = repr(str(path))  # whole: a name that is cut cannot be looked for
     try:
         # Old headers hold names in old encodings: an unreadable character matters only where a number should be.
-        return path.read_text(encoding="utf-8-sig", errors="replace")
+        return shown, path.read_text(encoding="utf-8-sig", errors="replace")
     except FileNotFoundError:
         raise FileNotFoundError(
             f"Argument path must be the name of a file that exists, but {shown} was given; the folder looked in "

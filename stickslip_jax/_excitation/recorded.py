@@ -18,7 +18,7 @@ from jaxtyping import Float
 from .._foundation import checks
 from .._foundation.fields import Quantity
 from .._foundation.types import AnyArray, FloatArray, FloatScalar, Word
-from .motion import SIGNAL_UNIT, Parts
+from .motion import SIGNAL_UNIT
 from .segments import GivenSegments, PerSegment, SegmentLaw
 
 # Noise of recorded motions: how it is told from motion, and taken out.
@@ -102,43 +102,29 @@ def _mean_without_jumps(squares: Float[np.ndarray, " differences"]) -> float:
     return float(np.mean(np.minimum(squares, most)))
 
 
-def smoothed_values(times: AnyArray, values: AnyArray, cutoff_hz: float) -> tuple[PerPoint, str]:
-    """The values of a record, smoothed as `Recorded.smoothed` says, and what was done in words.
-
-    The spline minimises ``sum w (value - s)^2 + integral s''^2 / (2 pi cutoff)^4`` with the time that each point stands
-    for as its weight w: its response to a frequency f is then ``1 / (1 + (f / cutoff)^4)`` (P. Craven and G. Wahba,
-    Numer. Math. 31 (1979)).
-    """
-    from scipy.interpolate import make_smoothing_spline  # noqa: PLC0415 - loaded when asked for
-
-    if checks.is_traced(times) or checks.is_traced(values) or checks.is_traced(cutoff_hz):
-        raise ValueError(
-            "Recorded.smoothed needs numbers, but JAX is tracing them; smooth the record outside jit, vmap and grad."
-        )
-    times, values = np.asarray(times, float), np.asarray(values, float)
-    if times.shape != values.shape or len(times) < 5:
-        raise ValueError(
-            "Arguments times and values must have the same length of at least 5 to be smoothed, but they have shapes "
-            f"{times.shape} and {values.shape}."
-        )
-    checks.increasing_from_zero("times", times, "subtract it to start the record there")
-    checks.positive("cutoff_hz", cutoff_hz, "Hz")
-    apart = np.diff(times)
-    usual, cutoff = float(np.median(apart)), float(cutoff_hz)
-    if not _FINEST <= cutoff * usual <= _COARSEST:
-        hint = "or give every tenth point only, say" if cutoff * usual < _FINEST else "the points resolve no more"
-        bounds = f"{_FINEST / usual:.4g} and {_COARSEST / usual:.4g} Hz"
-        raise checks.refused("cutoff_hz", f"be between {bounds} for points {usual:.4g} s apart", cutoff_hz, hint)
-    weights = (np.append(apart, 0) + np.append(0, apart)) / 2
-    unit = 1 / (2 * math.pi * cutoff)
-    spline = make_smoothing_spline(times / unit, values, w=weights / unit, lam=1.0)
-    return spline(times / unit), f"cubic smoothing spline, half of the amplitude at {cutoff:g} Hz"
-
-
 # Recorded motions: values at given times, joined by straight lines.
 
 
-class Recorded(SegmentLaw):
+class Points(SegmentLaw):
+    """Base class of what is given by numbers at points in time: lines between them, or steps from one to the next.
+
+    Args:
+        times: s, increasing, the first one 0, (points,), at least 2.
+    """
+
+    times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
+        converter=partial(checks.real_array, "times")
+    )
+    jumps = False
+
+    def segments(self, t1) -> int:
+        return len(self.times)
+
+    def next_segment(self, memory, drawn, dtype):
+        return *drawn, ()
+
+
+class Recorded(Points):
     """A recorded base velocity or force, linear in time between the points of the record.
 
     The acceleration of a base whose velocity is linear between points jumps at each point. Short slips there
@@ -155,18 +141,13 @@ class Recorded(SegmentLaw):
         ValueError: For times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
-        converter=partial(checks.real_array, "times")
-    )
     values: Annotated[Float[AnyArray, " points"], Quantity(SIGNAL_UNIT, ndim=1)] = eqx.field(
         converter=partial(checks.real_array, "values")
     )
     smoothing: str | None = eqx.field(static=True, default=None)
-    is_random = False
     is_record = True
     rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"value": ("draw", "next_segment")}
-    jumps = False
 
     def check_parts(self) -> None:
         if self.smoothing is not None and not isinstance(self.smoothing, str):
@@ -198,9 +179,31 @@ class Recorded(SegmentLaw):
         Raises:
             ValueError: For numbers outside these bounds, and those that ``jit``, ``vmap`` or ``grad`` trace.
         """
+        from scipy.interpolate import make_smoothing_spline  # noqa: PLC0415 - loaded when asked for
+
         times, values = (checks.real_array(name, v) for name, v in (("times", times), ("values", values)))
-        smooth, words = smoothed_values(times, values, cutoff_hz)
-        return cls(times, smooth, words)
+        if any(map(checks.is_traced, (times, values, cutoff_hz))):
+            raise ValueError(
+                "Recorded.smoothed needs numbers, but JAX is tracing them; smooth the record outside jit, vmap and "
+                "grad."
+            )
+        checks.same_length(5, times=times, values=values)
+        checks.increasing_from_zero("times", times, "subtract it to start the record there")
+        checks.positive("cutoff_hz", cutoff_hz, "Hz")
+        at, cutoff = np.asarray(times, float), float(cutoff_hz)
+        apart = np.diff(at)
+        usual = float(np.median(apart))
+        if not _FINEST <= cutoff * usual <= _COARSEST:
+            hint = "or give every tenth point only, say" if cutoff * usual < _FINEST else "the points resolve no more"
+            bounds = f"{_FINEST / usual:.4g} and {_COARSEST / usual:.4g} Hz"
+            raise checks.refused("cutoff_hz", f"be between {bounds} for points {usual:.4g} s apart", cutoff_hz, hint)
+        # The spline s minimises ``sum w (value - s)^2 + integral s''^2 / (2 pi cutoff)^4`` with the time that each
+        # point stands for as its weight w: its response to a frequency f is then ``1 / (1 + (f / cutoff)^4)`` (P.
+        # Craven and G. Wahba, Numer. Math. 31 (1979)).
+        weights = (np.append(apart, 0) + np.append(0, apart)) / 2
+        unit = 1 / (2 * math.pi * cutoff)
+        spline = make_smoothing_spline(at / unit, np.asarray(values, float), w=weights / unit, lam=1.0)
+        return cls(times, spline(at / unit), f"cubic smoothing spline, half of the amplitude at {cutoff:g} Hz")
 
     @property
     def duration(self):
@@ -215,14 +218,8 @@ class Recorded(SegmentLaw):
         """The signal at times `t` (s, any shape)."""
         return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.values))
 
-    def segments(self, t1) -> int:
-        return len(self.times)
-
     def draw(self, key_data, number, dtype):
         return line_between(self.times, self.values, number, dtype)
-
-    def next_segment(self, memory, drawn, dtype):
-        return *drawn, ()
 
 
 def line_between(times: AnyArray, values: AnyArray, number: Word, dtype: DTypeLike) -> tuple[FloatScalar, ...]:
@@ -237,18 +234,14 @@ def line_between(times: AnyArray, values: AnyArray, number: Word, dtype: DTypeLi
 
 def check_times(name: str, times: AnyArray, values: AnyArray) -> None:
     """Check that `times` increase from 0 and that the argument `name`, `values`, has as many entries, at least 2."""
-    if np.shape(times) != np.shape(values) or len(times) < 2:
-        raise ValueError(
-            f"Arguments times and {name} must have the same length of at least 2, but they have shapes "
-            f"{np.shape(times)} and {np.shape(values)}."
-        )
+    checks.same_length(2, times=times, **{name: values})
     checks.increasing_from_zero("times", times, "subtract it to start the record there")
 
 
 # Piecewise-constant forces.
 
 
-class ForceSteps(SegmentLaw):
+class ForceSteps(Points):
     """A force that jumps at given times and is constant in between: the normal force of a clutch, closed and opened.
 
     Args:
@@ -259,29 +252,19 @@ class ForceSteps(SegmentLaw):
         ValueError: For times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[Float[AnyArray, " steps"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
-        converter=partial(checks.real_array, "times")
-    )
-    values: Annotated[Float[AnyArray, " steps"], Quantity("N", ndim=1)] = eqx.field(
+    values: Annotated[Float[AnyArray, " points"], Quantity("N", ndim=1)] = eqx.field(
         converter=partial(checks.real_array, "values")
     )
-    is_random = False
+    part_of_excitation = "none"
     only_with: ClassVar = {"value": ("draw", "next_segment")}
-    jumps = False  # of the base velocity: none
 
     def check_relations(self) -> None:
         check_times("values", self.times, self.values)
-
-    def parts(self) -> Parts:
-        raise ValueError("Argument base must be a base motion, but a ForceSteps was given, which is a force.")
 
     def value(self, t: AnyArray | float) -> FloatArray:
         """The force at times `t` (s, any shape), N; at a jump, the one after it."""
         here = jnp.searchsorted(jnp.asarray(self.times), jnp.asarray(t), side="right") - 1
         return jnp.asarray(self.values)[here]
-
-    def segments(self, t1) -> int:
-        return len(self.times)
 
     def draw(self, key_data, number, dtype):
         times, values = jnp.asarray(self.times, dtype), jnp.asarray(self.values, dtype)
@@ -289,9 +272,6 @@ class ForceSteps(SegmentLaw):
         here = jnp.minimum(number.astype(jnp.int32), last)
         duration = jnp.where(number < last, times[jnp.minimum(here + 1, last)] - times[here], jnp.inf)
         return jnp.where(number <= last, duration, 0), values[here], jnp.zeros_like(duration)
-
-    def next_segment(self, memory, drawn, dtype):
-        return *drawn, ()
 
 
 # Ground motions: accelerations of the ground under a system described in coordinates relative to it.
@@ -321,7 +301,7 @@ class GroundSegments(GivenSegments, GroundMotion):  # pyright: ignore[reportInco
         return self.value(t)
 
 
-class GroundAcceleration(GroundMotion):
+class GroundAcceleration(GroundMotion, Points):
     """A recorded ground acceleration, linear in time between the points of the record.
 
     Args:
@@ -332,34 +312,21 @@ class GroundAcceleration(GroundMotion):
         ValueError: For times that do not increase from 0, different lengths, or numbers that are not finite.
     """
 
-    times: Annotated[Float[AnyArray, " points"], Quantity("s", "increasing; the first is 0", ndim=1)] = eqx.field(
-        converter=partial(checks.real_array, "times")
-    )
     accelerations: Annotated[Float[AnyArray, " points"], Quantity("m/s^2", ndim=1)] = eqx.field(
         converter=partial(checks.real_array, "accelerations")
     )
-    is_random = False
     is_record = True
     duration = Recorded.duration
+    covered_time = Recorded.covered_time  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
     rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"acceleration": ("draw", "next_segment")}
 
     def check_relations(self) -> None:
         check_times("accelerations", self.times, self.accelerations)
 
-    @property
-    def covered_time(self) -> float:
-        return math.inf if checks.is_traced(self.times) else float(self.times[-1])
-
     def acceleration(self, t: AnyArray | float) -> FloatArray:
         """The ground acceleration at times `t` (s, any shape), m/s^2."""
         return jnp.interp(jnp.asarray(t), jnp.asarray(self.times), jnp.asarray(self.accelerations))
 
-    def segments(self, t1) -> int:
-        return len(self.times)
-
     def draw(self, key_data, number, dtype):
         return line_between(self.times, self.accelerations, number, dtype)
-
-    def next_segment(self, memory, drawn, dtype):
-        return *drawn, ()

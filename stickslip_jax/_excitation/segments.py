@@ -3,7 +3,7 @@
 import abc
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar, NamedTuple, TypeAlias, TypeVar
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -90,8 +90,11 @@ BEGINNING = np.uint32(0xFFFFFFFF)
 _MOST_DOUBLINGS = 6  # of the number of segments, before a realisation is left too short
 
 
-N = TypeVar("N", int, float)
 PerSegment: TypeAlias = Float[Array, " segments"]
+
+
+Drawn: TypeAlias = tuple[PerSegment, PerSegment, PerSegment]
+"""Durations (s), values at the beginnings and slopes of segments."""
 
 
 class Segment(NamedTuple):
@@ -181,6 +184,20 @@ class SegmentLaw(Checked, Motion):
         finite, ends the sample with ``Status.BASE_INVALID``.
         """
 
+    def all_segments(self, memory: PyTree, drawn: PyTree, number: int, dtype: DTypeLike) -> Drawn:
+        """Durations, values and slopes of the first segments, from the memory before them and what `draw` returned for
+        each, along a first axis; zeros after the last.
+        """
+
+        def step(carry, drawn_here):
+            memory, spent = carry
+            duration, value, slope, memory = self.next_segment(memory, drawn_here, dtype)
+            spent = spent | (duration == 0)
+            duration, value, slope = (jnp.where(spent, 0, jnp.asarray(x, dtype)) for x in (duration, value, slope))
+            return (memory, spent), (duration, value, slope)
+
+        return lax.scan(step, (memory, jnp.zeros((), bool)), drawn, length=number)[1]
+
     @staticmethod
     def uniforms(key_data: KeyData, number: Word | None, dtype: DTypeLike) -> tuple[FloatScalar, FloatScalar]:
         """Two independent random numbers, uniform on (0, 1), for segment `number`; None: for `begin`.
@@ -215,7 +232,7 @@ class SegmentLaw(Checked, Motion):
         advice = f"find one with {type(self).__name__}(...).segments(t1)"
         known = known_number(self.segments, t1, advice) if capacity is None else capacity
         size = checks.whole_number("capacity", known, maximum=LARGEST_CAPACITY)
-        drawn = _sample(self, key_data, size, dtype)
+        drawn = drawn_segments(self, key_data, size, dtype)
         for _ in range(_MOST_DOUBLINGS if capacity is None else 0):
             # Whether they cover the time, or there are no more, is not known of traced ones. `cumsum` adds them in the
             # order in which a simulation does.
@@ -224,7 +241,7 @@ class SegmentLaw(Checked, Motion):
             if not drawn[0][-1] > 0 or float(np.cumsum(np.asarray(drawn[0]))[-1]) >= float(t1):
                 break
             size = checks.whole_number("capacity", 2 * size, maximum=LARGEST_CAPACITY)
-            drawn = _sample(self, key_data, size, dtype)
+            drawn = drawn_segments(self, key_data, size, dtype)
         check_drawn(self, "next_segment", "and per s", *drawn)
         return self.realization(*drawn)
 
@@ -241,11 +258,6 @@ class SegmentLaw(Checked, Motion):
         return key_data_of(key)
 
 
-def _as_truth(may_jump: object) -> bool:
-    checks.truth("may_jump", may_jump)
-    return bool(may_jump)
-
-
 def begins_of(durations: Float[AnyArray, "*batch segments"]) -> Float[Array, "*batch segments"]:
     """Times at which the segments begin that follow one another from t = 0, s."""
     durations = jnp.asarray(durations)
@@ -260,6 +272,14 @@ def index_at(durations: Float[AnyArray, " segments"], t: AnyArray | float) -> In
     return jnp.clip(jnp.searchsorted(begins, jnp.asarray(t), side="right") - 1, 0)
 
 
+def looked_up(number: Word, dtype: DTypeLike, durations: AnyArray, *others: AnyArray) -> tuple[FloatScalar, ...]:
+    """The duration of segment `number`, 0 after the last, and the `others` of it, of arrays (segments,)."""
+    size = np.shape(durations)[-1]
+    here = jnp.minimum(number.astype(jnp.int32), size - 1)
+    duration, *rest = (jnp.asarray(array, dtype)[here] for array in (durations, *others))
+    return jnp.where(number < size, duration, 0), *rest
+
+
 class GivenSegments(SegmentLaw):
     """Base class of realisations in segments, ``values[i] + slopes[i] (t - times[i])`` for ``durations[i]`` (s).
 
@@ -270,8 +290,7 @@ class GivenSegments(SegmentLaw):
     durations: Float[AnyArray, " segments"] = eqx.field(converter=partial(checks.jax_array, "durations"))
     values: Float[AnyArray, " segments"] = eqx.field(converter=partial(checks.jax_array, "values"))
     slopes: Float[AnyArray, " segments"] = eqx.field(converter=partial(checks.jax_array, "slopes"))
-    may_jump: bool = eqx.field(static=True, default=True, converter=_as_truth)
-    is_random = False
+    may_jump: bool = eqx.field(static=True, default=True)
     is_record = True
     only_with: ClassVar = {"value": ("draw", "next_segment")}
 
@@ -309,11 +328,7 @@ class GivenSegments(SegmentLaw):
         return np.shape(self.durations)[-1]
 
     def draw(self, key_data, number, dtype):
-        size = np.shape(self.durations)[-1]
-        here = jnp.minimum(number.astype(jnp.int32), size - 1)
-        arrays = (self.durations, self.values, self.slopes)
-        duration, value, slope = (jnp.asarray(array, dtype)[here] for array in arrays)
-        return jnp.where(number < size, duration, 0), value, slope
+        return looked_up(number, dtype, self.durations, self.values, self.slopes)
 
     def next_segment(self, memory, drawn, dtype):
         return *drawn, ()
@@ -386,8 +401,8 @@ def no_key(law: object) -> ValueError:
 
 
 def known_number(
-    number: Callable[[Scalar], N], t1: Scalar, advice: str, name: str = "capacity", of: str = "law's parameters are"
-) -> N:
+    number: Callable[[Scalar], int], t1: Scalar, advice: str, name: str = "capacity", of: str = "law's parameters are"
+) -> int:
     """The `number` of segments or points until `t1`. Raises ValueError, with `advice`, for traced numbers."""
     try:
         return number(t1)
@@ -398,20 +413,12 @@ def known_number(
         ) from None
 
 
-@partial(jax.jit, static_argnames=("size", "dtype"))
-def _sample(law: SegmentLaw, key_data: Array, size: int, dtype: DTypeLike) -> tuple[PerSegment, PerSegment, PerSegment]:
-    """Durations, values and slopes of the first `size` segments; zeros after the last."""
+@partial(jax.jit, static_argnames=("number", "dtype"))
+def drawn_segments(law: SegmentLaw, key_data: Array, number: int, dtype: DTypeLike) -> Drawn:
+    """Durations, values and slopes of the first segments of the realisation that `key_data` draw."""
     words = (key_data[0], key_data[1])
-
-    def step(carry, number):
-        memory, spent = carry
-        duration, value, slope, memory = law.next_segment(memory, law.draw(words, number, dtype), dtype)
-        spent = spent | (duration == 0)
-        duration, value, slope = (jnp.where(spent, 0, jnp.asarray(x, dtype)) for x in (duration, value, slope))
-        return (memory, spent), (duration, value, slope)
-
-    start = law.begin(words, dtype), jnp.zeros((), bool)
-    return lax.scan(step, start, jnp.arange(size, dtype=jnp.uint32))[1]
+    drawn = jax.vmap(lambda number: law.draw(words, number, dtype))(jnp.arange(number, dtype=jnp.uint32))
+    return law.all_segments(law.begin(words, dtype), drawn, number, dtype)
 
 
 def drawn_sign(first_sign: str, key_data: KeyData, dtype: DTypeLike) -> FloatScalar:

@@ -106,30 +106,31 @@ def _array_of(value: object) -> np.ndarray | None:
     return array if is_number and not too_large else None
 
 
-def _holds_numbers(listed: list[Any] | tuple[Any, ...], level: int = 1) -> bool:
+def _entries(listed: list[Any] | tuple[Any, ...], level: int = 1) -> Iterator[object]:
+    """What is in these lists in lists; those that are within too many others as they are."""
+    for one in listed:
+        if isinstance(one, (list, tuple)) and level < _MOST_LISTS:
+            yield from _entries(one, level + 1)
+        else:
+            yield one
+
+
+def _holds_numbers(listed: list[Any] | tuple[Any, ...]) -> bool:
     """Whether NumPy makes an array of these lists in lists without making numbers of what is none, as of truth values
     and masked entries.
     """
-    if level > _MOST_LISTS:
-        return False
-    for one in listed:
-        if isinstance(one, (list, tuple)):
-            if not _holds_numbers(one, level + 1):
-                return False
-            continue
+    for one in _entries(listed):
         is_masked = isinstance(one, np.ma.MaskedArray) and np.ma.is_masked(one)
-        if is_masked or isinstance(one, _NO_NUMBERS) or getattr(getattr(one, "dtype", None), "kind", "f") not in "iuf":
+        if is_masked or isinstance(one, (*_NO_NUMBERS, list, tuple)):
+            return False
+        if getattr(getattr(one, "dtype", None), "kind", "f") not in "iuf":
             return False
     return True
 
 
-def _holds_masked(listed: list[Any] | tuple[Any, ...], level: int = 1) -> bool:
+def _holds_masked(listed: list[Any] | tuple[Any, ...]) -> bool:
     """Whether a masked number is in these lists in lists."""
-    if level > _MOST_LISTS:
-        return False
-    return any(
-        one is np.ma.masked or (isinstance(one, (list, tuple)) and _holds_masked(one, level + 1)) for one in listed
-    )
+    return any(one is np.ma.masked for one in _entries(listed))
 
 
 def is_tree(value: object) -> bool:
@@ -211,29 +212,36 @@ def bounded(
     numeric(name, value, ndim)
     if is_traced(value):
         return
-    low, high = _range(value, ndim)
-    if above is not None and not low > above:
-        demand = "positive" if above == 0 else f"above {above:g}"
-    elif at_least is not None and not low >= at_least:
-        demand = "zero or positive" if at_least == 0 else f"at least {at_least:g}"
-    elif below is not None and not high < below:
-        demand = f"below {below:g}"
-    elif ndim == 0 and 0 in (above, at_least) and low != 0 and not SMALLEST <= low <= LARGEST:
-        demand, hint = f"between {SMALLEST} and {LARGEST}", "choose other units"
-    elif low < -LARGEST or (high > LARGEST and low <= high):
-        demand, hint = f"between -{LARGEST} and {LARGEST}", "choose other units"
-    else:
-        return
-    in_unit = f" (in {unit})" if unit else ""
-    raise refused(name, f"be {demand}{in_unit}", np.asarray(value) if ndim else value, hint)
+    values = np.asarray(value, float) if ndim else np.float64(value)
+    for wrong, demand, advice in out_of_bounds(values, above, at_least, below, sized=not ndim):
+        if np.any(wrong):
+            in_unit = f" (in {unit})" if unit else ""
+            raise refused(name, f"be {demand}{in_unit}", np.asarray(value) if ndim else value, advice or hint)
 
 
-def _range(value: Any, ndim: int) -> tuple[float, float]:
-    """The smallest and the largest number; for none, what lies within any bounds."""
-    if ndim == 0:
-        return float(value), float(value)
-    array = np.asarray(value)
-    return (float(array.min()), float(array.max())) if array.size else (math.inf, -math.inf)
+def out_of_bounds(
+    values: np.ndarray | np.floating,
+    above: int | float | None,
+    at_least: int | float | None,
+    below: int | float | None,
+    *,
+    sized: bool,
+) -> Iterator[tuple[np.ndarray | np.bool_, str, str]]:
+    """Of each demand on the numbers `values`: which do not meet it, what they must be, and what to do.
+
+    `sized`: whether positive ones must be of a size that can be multiplied and divided.
+    """
+    if above is not None:
+        yield ~(values > above), "positive" if above == 0 else f"above {above:g}", ""
+    if at_least is not None:
+        yield ~(values >= at_least), "zero or positive" if at_least == 0 else f"at least {at_least:g}", ""
+    if below is not None:
+        yield ~(values < below), f"below {below:g}", ""
+    size = np.abs(values)
+    if sized and 0 in (above, at_least):
+        wrong = (values != 0) & ~((size >= SMALLEST) & (size <= LARGEST))
+        yield wrong, f"between {SMALLEST} and {LARGEST}", "choose other units"
+    yield ~(size <= LARGEST), f"between -{LARGEST} and {LARGEST}", "choose other units"
 
 
 def positive(name: str, value: Any, unit: str = "") -> None:
@@ -258,6 +266,21 @@ def real_array(name: str, values: object) -> AnyArray:
     """``values`` as a one-dimensional array of JAX or float64 of NumPy. Raises ValueError for anything else."""
     numeric(name, values, ndim=1)
     return values if isinstance(values, jax.Array) else np.asarray(values, float)
+
+
+def same_length(least: int, **arrays: AnyArray) -> None:
+    """Check that the arguments by name are arrays of the same length of at least ``least``, given as sequences."""
+    shapes = [np.shape(array) for array in arrays.values()]
+    if len(set(shapes)) > 1 or shapes[0][0] < least:
+        raise ValueError(
+            f"Arguments {_and(arrays)} must have the same length of at least {least}, but they have shapes "
+            f"{_and(map(str, shapes))}."
+        )
+
+
+def _and(words: Iterable[str]) -> str:
+    *most, last = words
+    return f"{', '.join(most)} and {last}"
 
 
 def increasing_from_zero(name: str, times: AnyArray, hint: str = "") -> None:

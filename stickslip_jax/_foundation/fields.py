@@ -83,14 +83,8 @@ class Quantity:
 
     def outside(self, values: npt.ArrayLike) -> np.ndarray:
         """Which of the numbers `values` are not finite, or outside the bounds, (values,)."""
-        values = np.asarray(values, float)
-        wrong = ~(np.abs(values) <= checks.LARGEST)
-        if 0 in (self.above, self.at_least):
-            wrong |= (values != 0) & (np.abs(values) < checks.SMALLEST)
-        for holds, bound in ((np.greater, self.above), (np.greater_equal, self.at_least), (np.less, self.below)):
-            if bound is not None:
-                wrong |= ~holds(values, bound)
-        return wrong
+        demands = checks.out_of_bounds(np.asarray(values, float), self.above, self.at_least, self.below, sized=True)
+        return np.any([wrong for wrong, _, _ in demands], axis=0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,16 +159,16 @@ def _to_check(kind: type) -> tuple[tuple[str, Quantity | Choice | Option, bool, 
     """Name, `Quantity` or `Choice` of each described field and `Option` of each that has one, whether it may be None,
     and whether it may be random.
     """
-    fields = {field.name: field for field in dataclasses.fields(kind)}
-    random = {name: kind.may_be_random and not field.metadata.get("static", False) for name, field in fields.items()}
-    options = {
-        name: part
-        for name, field in fields.items()
-        for part in (Truth() if field.type in (bool, bool | None) else None, *getattr(field.type, "__metadata__", ()))
-        if isinstance(part, Option) and field.metadata.get("static", False)
-    }
-    known = {**described(kind), **options}
-    return tuple((name, about, fields[name].default is None, random[name]) for name, about in known.items())
+    found = []
+    for field in dataclasses.fields(kind):
+        is_static, about = field.metadata.get("static", False), described(kind).get(field.name)
+        if is_static:
+            options = [part for part in getattr(field.type, "__metadata__", ()) if isinstance(part, Option)]
+            options += [Truth()] if field.type in (bool, bool | None) else []
+            about = (*options, about)[0]
+        if about is not None:
+            found.append((field.name, about, field.default is None, kind.may_be_random and not is_static))
+    return tuple(found)
 
 
 M = TypeVar("M", bound=eqx.Module)
@@ -202,26 +196,28 @@ def modules_in(tree: object) -> Iterator[eqx.Module]:
             yield from modules_in(entry)
 
 
+def _varying_in(tree: object) -> Iterator[tuple[eqx.Module, str]]:
+    """The modules in `tree` with a number that `varies`, each with the name of its field."""
+    for module in modules_in(tree):
+        for name, about in described(type(module)).items():
+            if varies(getattr(module, name), about):
+                yield module, name
+
+
 def varies_within(tree: object) -> bool:
     """Whether a number of a module in `tree` `varies`."""
-    return any(
-        varies(getattr(module, name), about)
-        for module in modules_in(tree)
-        for name, about in described(type(module)).items()
-    )
+    return any(True for _ in _varying_in(tree))
 
 
 def require_single(**arguments: object) -> None:
     """Raises ValueError where a number of a module in the arguments `varies`, though one is needed."""
     for name, tree in arguments.items():
-        for module in modules_in(tree):
-            for field, about in described(type(module)).items():
-                if varies(getattr(module, field), about):
-                    raise ValueError(
-                        f"Argument {field} of {type(module).__name__} in {name} must be one number here, but "
-                        f"{checks.show(getattr(module, field))} was given; simulate_ensemble takes distributions, and "
-                        "arrays with one number for each sample."
-                    )
+        for module, field in _varying_in(tree):
+            raise ValueError(
+                f"Argument {field} of {type(module).__name__} in {name} must be one number here, but "
+                f"{checks.show(getattr(module, field))} was given; simulate_ensemble takes distributions, and arrays "
+                "with one number for each sample."
+            )
 
 
 def is_of_package(tree: object) -> bool:

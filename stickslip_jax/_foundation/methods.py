@@ -112,29 +112,23 @@ class _Constructor(type(eqx.Module)):
         __tracebackhide__ = True
         kind: Any = cls
         names = _parameters(kind)
-        for place, value in enumerate(args):
-            checks.tree(names[min(place, len(names) - 1)], value)
-        for name, value in kwargs.items():
-            checks.tree(name, value)
-        for place, name in _options(kind):
-            is_by_name = name in kwargs
-            if not is_by_name and place >= len(args):
-                continue
-            value = kwargs[name] if is_by_name else args[place]
-            is_number = isinstance(value, (np.generic, np.ndarray, jax.Array)) and not value.ndim
-            plain = (
-                value.item()
-                if is_number and getattr(value.dtype, "kind", "O") in "biuf" and not checks.is_traced(value)
-                else value
-            )
-            if not isinstance(plain, np.generic) and plain is not value:  # Equinox would warn of a number of NumPy
-                if is_by_name:
-                    kwargs[name] = plain
-                else:
-                    args = (*args[:place], plain, *args[place + 1 :])
-            elif any(isinstance(leaf, (np.ndarray, np.generic, jax.Array)) for leaf in jax.tree.leaves(value)):
-                raise checks.refused(name, "be no array", value)
-        return super().__call__(*args, **kwargs)
+        args = tuple(_taken(kind, names[min(place, len(names) - 1)], value) for place, value in enumerate(args))
+        return super().__call__(*args, **{name: _taken(kind, name, value) for name, value in kwargs.items()})
+
+
+def _taken(kind: Any, name: str, value: Any) -> Any:
+    """`value`, the argument `name` of a class of the `kind`, as Equinox takes it."""
+    checks.tree(name, value)
+    if name not in _options(kind):
+        return value
+    is_number = isinstance(value, (np.generic, np.ndarray, jax.Array)) and not value.ndim
+    if is_number and getattr(value.dtype, "kind", "O") in "biuf" and not checks.is_traced(value):
+        plain = value.item()  # Equinox would warn of a number of NumPy
+        if not isinstance(plain, np.generic):
+            return plain
+    if any(isinstance(leaf, (np.ndarray, np.generic, jax.Array)) for leaf in jax.tree.leaves(value)):
+        raise checks.refused(name, "be no array", value)
+    return value
 
 
 if TYPE_CHECKING:  # for which constructors keep their signatures
@@ -151,13 +145,12 @@ def _parameters(kind: Any) -> list[str]:
 
 
 @cache
-def _options(kind: Any) -> tuple[tuple[int, str], ...]:
-    """Place and name of the arguments of a class of the package that hold no numbers, and are not converted."""
+def _options(kind: Any) -> frozenset[str]:
+    """The arguments of a class of the package that hold no numbers, and are not converted."""
     if not kind.__module__.startswith(f"{__name__.partition('.')[0]}."):
-        return ()
+        return frozenset()
     fields = dataclasses.fields(kind)
-    names = {one.name for one in fields if one.metadata.get("static") and "converter" not in one.metadata}
-    return tuple((place, name) for place, name in enumerate(_parameters(kind)) if name in names)
+    return frozenset(one.name for one in fields if one.metadata.get("static") and "converter" not in one.metadata)
 
 
 class WithMethods(Module):

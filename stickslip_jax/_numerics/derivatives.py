@@ -15,7 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from .._compiler import native_loop, sharing
+from .._compiler import flattened, native_loop, of_moving, sharing
 from .._foundation import checks
 from .._foundation.types import DType, PyTreeDef
 
@@ -163,14 +163,9 @@ def _tangent_shapes(*both: _Leaf, call: _Call, levels: _Levels, moved: tuple[boo
 
 
 def _jvp_of_tangent(primals: Sequence[_Leaf], tangents: Sequence[_Leaf], **params: Any):
-    changed = [not isinstance(tangent, ad.Zero) for tangent in tangents]
-
-    def of(*some):
-        some = iter(some)
-        return _run_tangent(*(next(some) if c else v for v, c in zip(primals, changed, strict=True)), **params)
-
-    points, slopes = ([v for v, c in zip(values, changed, strict=True) if c] for values in (primals, tangents))
-    return jax.jvp(of, points, slopes)
+    moved = [not isinstance(tangent, ad.Zero) for tangent in tangents]
+    points, of = of_moving(partial(_run_tangent, **params), primals, moved)
+    return jax.jvp(of, points, [tangent for tangent, m in zip(tangents, moved, strict=True) if m])
 
 
 def _transposed(cotangents: Sequence[_Leaf], *both: _Leaf, call: _Call, levels: _Levels, moved: tuple[bool, ...]):
@@ -208,75 +203,35 @@ def with_slopes(function: Callable[..., Any], *args: Any, most: int) -> Any:
     They are the derivatives of JAX, of every order and in every mode; only the way to the first one differs.
     """
     # Whole numbers too: what is enclosed here and traced would be a constant, which JAX cannot lower.
-    numbers, rest = eqx.partition(args, eqx.is_array)
-    leaves, tree = jax.tree.flatten(numbers)
-    structure = []
-
-    def flat(*leaves):
-        results, others = eqx.partition(function(*eqx.combine(jax.tree.unflatten(tree, leaves), rest)), eqx.is_array)
-        results, shape = jax.tree.flatten(results)
-        structure.append((shape, others))
-        return results
-
+    flat, leaves, restored = flattened(function, args, {}, eqx.is_array)
     # What `function` encloses may carry derivatives too: friction curves are functions that users write.
     closed, enclosed = jax.closure_convert(flat, *leaves)
-    results = _with_rule(closed, most)(*leaves, *enclosed)
-    shape, others = structure[0]
-    return eqx.combine(jax.tree.unflatten(shape, results), others)
+    return restored(_with_rule(closed, most)(*leaves, *enclosed))
 
 
-def _with_rule(function: Callable[..., list[Any]], most: int) -> Callable[..., list[Any]]:
-    """`function` with the rule for its derivatives; both are native loops, but for the way back over the steps."""
+def _with_rule(function: Callable[..., Any], most: int) -> Callable[..., Any]:
+    """`function` with the rule for its derivatives; both are native loops, but for the way back over the steps.
+
+    `most`: by how many numbers derivatives are computed by their slopes, and not as JAX does by itself.
+    """
     call = jax.custom_jvp(native_loop(function, known_only=True))
 
     def rule(primals, tangents):
-        points, changes, of = _moved(function, primals, tangents)
+        moves = [not isinstance(tangent, SymbolicZero) for tangent in tangents]
+        changes = [tangent for tangent, m in zip(tangents, moves, strict=True) if m]
+        points, of = of_moving(function, primals, moves)
         if len(points) > most or any(np.ndim(point) for point in points):
             return jax.jvp(of, points, changes)
-        moves = tuple(not isinstance(tangent, SymbolicZero) for tangent in tangents)
-        results, slopes = _slopes_of(function, moves)(*primals)
+
+        def with_slopes(*primals):
+            points, of = of_moving(function, primals, moves)
+            return _slopes(of, points)
+
+        results, slopes = _with_rule(with_slopes, most=0)(*primals)
         return results, [_times(changes, result, slope) for result, slope in zip(results, slopes, strict=True)]
 
     call.defjvp(rule, symbolic_zeros=True)
     return call
-
-
-def _slopes_of(function: Callable[..., list[Any]], moves: tuple[bool, ...]) -> Callable[..., Any]:
-    """The results of `function`, and their slopes by the arguments that move; the derivatives of both are JAX's."""
-
-    def slopes(*primals):
-        points, of = _of_those(function, primals, moves)
-        return _slopes(of, points)
-
-    call = jax.custom_jvp(native_loop(slopes, known_only=True))
-
-    def rule(primals, tangents):
-        points, changes, of = _moved(slopes, primals, tangents)
-        return jax.jvp(of, points, changes)
-
-    call.defjvp(rule, symbolic_zeros=True)
-    return call
-
-
-def _moved(
-    function: Callable[..., Any], primals: Any, tangents: Any
-) -> tuple[list[Any], list[Any], Callable[..., Any]]:
-    """The arguments that have a tangent, these tangents, and `function` of those arguments alone."""
-    moves = [not isinstance(tangent, SymbolicZero) for tangent in tangents]
-    points, of = _of_those(function, primals, moves)
-    return points, [tangent for tangent, m in zip(tangents, moves, strict=True) if m], of
-
-
-def _of_those(
-    function: Callable[..., Any], primals: Any, moves: Sequence[bool]
-) -> tuple[list[Any], Callable[..., Any]]:
-    """The arguments that move, and `function` of those alone."""
-
-    def of(*some):
-        given = iter(some)
-        return function(*(next(given) if m else value for value, m in zip(primals, moves, strict=True)))
-
-    return [value for value, m in zip(primals, moves, strict=True) if m], of
 
 
 def _slopes(function: Callable[..., list[Any]], points: list[Any]) -> tuple[list[Any], list[Any]]:

@@ -76,12 +76,6 @@ def _reduced(angle: FloatArray):
     return ((angle - steps * high) - steps * middle) - steps * low, steps.astype(jnp.int32)
 
 
-@computed_once
-def _polynomials(r: FloatArray):
-    z = r * r
-    return r + r * z * _horner(_SIN, z), 1 - 0.5 * z + z * z * _horner(_COS, z)
-
-
 @_sincos.defjvp
 def _sincos_jvp(primals, tangents):
     (angle,), (d_angle,) = primals, tangents
@@ -93,6 +87,9 @@ def sincos_of_small(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     """``(sin(angle), cos(angle))`` for angles below 0.6 rad: the polynomials alone, a third of the work."""
     z = angle * angle
     return angle + angle * z * _horner(_SIN, z), 1 - 0.5 * z + z * z * _horner(_COS, z)
+
+
+_polynomials = computed_once(sincos_of_small)
 
 
 @jax.custom_jvp
@@ -277,7 +274,7 @@ def responses(beta: Any, omega_squared: Any, h: FloatArray) -> Responses:
     if isinstance(beta, int):
         near = turned < _ANGLE
         z = jnp.where(near, turned, 0)
-        step, ramp = h * h * _series(z, 2), h * h * h * _series(z, 3)
+        step, ramp = h * h * _series(z, range(2, 19, 2)), h * h * h * _series(z, range(3, 20, 2))
         squared = jnp.where(near, 1, omega_squared)
         w = jnp.sqrt(squared)
         sine, cosine = sincos(jnp.where(near, 0, w * h))
@@ -295,10 +292,10 @@ def _chosen(first: Any, one: Responses, other: Responses) -> Responses:
     return Responses(*(jnp.where(first, a, b) for a, b in zip(one, other, strict=True)))
 
 
-def _series(z: FloatArray, order: int) -> FloatArray:
-    """``1 / n! - z / (n + 2)! + z^2 / (n + 4)! - ...`` for z below 1/2, n the `order`."""
+def _series(z: FloatArray, numbers: range) -> FloatArray:
+    """``1 / n! - z / m! + z^2 / k! - ...`` with the `numbers` n, m, k and so on."""
     result = jnp.zeros_like(z)
-    for n in range(order + 16, order - 1, -2):
+    for n in reversed(numbers):
         result = 1 / math.factorial(n) - z * result
     return result
 
@@ -355,9 +352,7 @@ def _decays(y: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The integral of ``exp(-s t)`` up to h, and the integral of that; ``y = s h``."""
     near = y < 1
     z = jnp.where(near, y, 0)
-    second = jnp.zeros_like(y)
-    for n in range(20, 1, -1):
-        second = 1 / math.factorial(n) - z * second
+    second = _series(z, range(2, 21))
     far = jnp.where(near, 1, y)
     first = jnp.where(near, 1 - z * second, (1 - jnp.exp(-far)) / far)
     return h * first, h * h * jnp.where(near, second, (1 - first) / far)

@@ -230,11 +230,6 @@ def any_of(of_each: BoolArray) -> BoolScalar:
     return of_each if of_each.ndim == 0 else jnp.any(of_each)
 
 
-def least_of(of_each: FloatArray) -> FloatScalar:
-    """The smallest of all contacts."""
-    return of_each if of_each.ndim == 0 else jnp.min(of_each)
-
-
 def largest_of(of_each: FloatArray) -> FloatScalar:
     """The largest of all contacts."""
     return of_each if of_each.ndim == 0 else jnp.max(of_each)

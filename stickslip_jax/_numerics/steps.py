@@ -129,27 +129,20 @@ def _runge_kutta_step_jvp(primals, tangents, *, solver):
 def _stepped(
     solver: ExplicitSolver, field: Callable[[FloatArray, State], State], y: State, h: FloatArray
 ) -> tuple[State, State]:
-    tableau = _tableau(solver)
+    tableau = solver.tableau
+    assert isinstance(tableau, diffrax.ButcherTableau)
     slopes = [field(0 * h, y)]
     for c, row in zip(np.asarray(tableau.c), tableau.a_lower, strict=True):
         slopes.append(field(float(c) * h, _moved(y, h, np.asarray(row), slopes)))
     reached = _moved(y, h, np.asarray(tableau.b_sol), slopes)
-    h, rows = lax.stop_gradient((h, slopes))
-    return reached, _error(h, np.asarray(tableau.b_error), rows)
-
-
-def _tableau(solver: ExplicitSolver) -> "diffrax.ButcherTableau":
-    assert isinstance(solver.tableau, diffrax.ButcherTableau)
-    return solver.tableau
+    h, slopes = lax.stop_gradient((h, slopes))
+    zero = tuple(jnp.zeros_like(value) for value in slopes[0])
+    return reached, _moved(zero, h, np.asarray(tableau.b_error), slopes)
 
 
 def _moved(y: State, h: FloatArray, weights: np.ndarray, slopes: list[State]) -> State:
     used = [(float(weight), slope) for weight, slope in zip(weights, slopes, strict=True) if weight != 0]
     return tuple(value + h * sum(weight * slope[i] for weight, slope in used) for i, value in enumerate(y))
-
-
-def _error(h: FloatArray, weights: np.ndarray, slopes: list[State]) -> State:
-    return _moved(tuple(jnp.zeros_like(value) for value in slopes[0]), h, weights, slopes)
 
 
 def relative_error(error: State, y: State, reached: State, gross: State) -> FloatArray:

@@ -1,8 +1,7 @@
 """Histograms, moments and sums that are merged exactly, and the compiled loops that fill them."""
 
 import math
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Iterable, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -51,40 +50,28 @@ def places(values: np.ndarray, low: float, exponent: int) -> np.ndarray:
     return (np.floor(scaled) if low < 0 else scaled).astype(np.int64)
 
 
-class BinnedNumbers(NamedTuple):
-    """Numbers (number,) to count along one axis, the smallest and the largest of them, and their bins.
+class CommonBins(NamedTuple):
+    """The bins of numbers from `low` to `high` along one axis, which several histograms may share.
 
-    The bins have the width ``2**exponent``; `first`: number of the first one, `size`: how many there are.
+    There are `number` of them, of width ``2**exponent``, from bin `first` on.
     """
 
-    values: np.ndarray
     low: float
     high: float
     exponent: int
     first: int
-    size: int
-
-    @classmethod
-    def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "BinnedNumbers":
-        """`values`, at least one, in at most `most` bins."""
-        return cls.within(values, float(values.min()), float(values.max()), most, finest)
-
-    @classmethod
-    def within(
-        cls, values: np.ndarray, low: float, high: float, most: int, finest: int | None = None
-    ) -> "BinnedNumbers":
-        """`values` whose smallest and largest number are known."""
-        exponent = exponent_for(low, high, most, finest)
-        first = _floor(low, exponent)
-        return cls(values, low, high, exponent, first, _floor(high, exponent) - first + 1)
-
-
-class CommonBins(NamedTuple):
-    """Bins of one axis that several histograms share: `number` of them, of width ``2**exponent``, from bin `first`."""
-
-    exponent: int
-    first: int
     number: int
+
+    @classmethod
+    def within(cls, low: float, high: float, most: int, finest: int | None = None) -> "CommonBins":
+        """At most `most` bins."""
+        return cls.of_width(low, high, exponent_for(low, high, most, finest))
+
+    @classmethod
+    def of_width(cls, low: float, high: float, exponent: int) -> "CommonBins":
+        """Bins of a given width."""
+        first = _floor(low, exponent)
+        return cls(low, high, exponent, first, _floor(high, exponent) - first + 1)
 
     @classmethod
     def of(cls, histograms: Iterable["DyadicCounts"], most: int) -> "CommonBins | None":
@@ -94,8 +81,7 @@ class CommonBins(NamedTuple):
             return None
         low, high = min(one.low[0] for one in held), max(one.high[0] for one in held)
         exponent = max([exponent_for(low, high, most, held[0].finest), *(one.exponent[0] for one in held)])
-        first = _floor(low, exponent)
-        return cls(exponent, first, _floor(high, exponent) - first + 1)
+        return cls.of_width(low, high, exponent)
 
     def hold(self, histogram: "DyadicCounts") -> bool:
         """Whether all numbers of a histogram lie in these bins, and its own are no wider."""
@@ -130,34 +116,28 @@ class DyadicCounts(NamedTuple):
     @classmethod
     def of(cls, values: np.ndarray, most: int, finest: int | None = None) -> "DyadicCounts":
         """The histogram of `values`, (number,)."""
-        if len(values) == 0:
-            return cls.none(1, most, finest)
-        return cls.on_axes((BinnedNumbers.of(values, most, finest),), most, finest)
+        return cls.of_columns((values,), most, finest)
 
     @classmethod
-    def of_columns(cls, columns: tuple[np.ndarray, ...], most: int) -> "DyadicCounts":
+    def of_columns(cls, columns: tuple[np.ndarray, ...], most: int, finest: int | None = None) -> "DyadicCounts":
         """The joint histogram of `columns`, each (number,)."""
         if len(columns[0]) == 0:
-            return cls.none(len(columns), most)
-        return cls.on_axes(tuple(BinnedNumbers.of(column, most) for column in columns), most)
-
-    @classmethod
-    def on_axes(cls, axes: tuple[BinnedNumbers, ...], most: int, finest: int | None = None) -> "DyadicCounts":
-        """The histogram, or joint histogram, of the numbers of the `axes`."""
-        shape = tuple(axis.size for axis in axes)
+            return cls.none(len(columns), most, finest)
+        axes = [CommonBins.within(float(one.min()), float(one.max()), most, finest) for one in columns]
+        shape = tuple(axis.number for axis in axes)
         counts = np.zeros(math.prod(shape), np.int64)
-        for block in range(0, len(axes[0].values), _BINNED_AT_ONCE):  # intermediate results stay in the cache
+        for block in range(0, len(columns[0]), _BINNED_AT_ONCE):  # intermediate results stay in the cache
             flat = 0
-            for axis in axes:
-                place = places(axis.values[block : block + _BINNED_AT_ONCE], axis.low, axis.exponent)
-                flat = flat * axis.size + (place - axis.first)
+            for values, axis in zip(columns, axes, strict=True):
+                place = places(values[block : block + _BINNED_AT_ONCE], axis.low, axis.exponent)
+                flat = flat * axis.number + (place - axis.first)
             counts += np.bincount(flat, minlength=len(counts))
         return cls.with_counts(axes, counts.reshape(shape), most, finest)
 
     @classmethod
-    def with_counts(cls, axes: tuple[BinnedNumbers, ...], counts: np.ndarray, most: int, finest: int | None = None):
+    def with_counts(cls, axes: Sequence[CommonBins], counts: np.ndarray, most: int, finest: int | None = None):
         """The histogram with these `counts` on given `axes`."""
-        lows, highs, exponents, firsts = zip(*(axis[1:5] for axis in axes), strict=True)
+        lows, highs, exponents, firsts = zip(*(axis[:4] for axis in axes), strict=True)
         return cls(lows, highs, exponents, firsts, counts, most, finest)
 
     @classmethod
@@ -173,31 +153,23 @@ class DyadicCounts(NamedTuple):
             return self
         if self.low[0] > self.high[0]:
             return other
-        low = tuple(min(pair) for pair in zip(self.low, other.low, strict=True))
-        high = tuple(max(pair) for pair in zip(self.high, other.high, strict=True))
-        exponent = tuple(exponent_for(*ends, self.most, self.finest) for ends in zip(low, high, strict=True))
-        counts = self._on(low, high, exponent) + other._on(low, high, exponent)
-        first = tuple(_floor(*pair) for pair in zip(low, exponent, strict=True))
-        return DyadicCounts(low, high, exponent, first, counts, self.most, self.finest)
+        ends = zip(map(min, self.low, other.low), map(max, self.high, other.high), strict=True)
+        axes = [CommonBins.within(*pair, self.most, self.finest) for pair in ends]
+        return self.with_counts(axes, self._on(axes) + other._on(axes), self.most, self.finest)
 
     def in_bins(self, bins: CommonBins) -> np.ndarray:
         """The counts of a histogram of one axis in `bins`, which must hold all its numbers and be no narrower.
 
         (bins,).
         """
-        if self.low[0] > self.high[0]:
-            return np.zeros(bins.number, np.int64)
-        width = math.ldexp(1.0, bins.exponent)
-        last = bins.first + bins.number - 1
-        return self._on((bins.first * width,), (last * width,), (bins.exponent,))
+        return np.zeros(bins.number, np.int64) if self.low[0] > self.high[0] else self._on([bins])
 
-    def _on(self, low, high, exponent) -> np.ndarray:
-        """The counts in the coarser bins of the range ``[low, high]``."""
-        counts, lead = self.counts, self.counts.ndim - len(exponent)
-        for axis, (least, most, coarse) in enumerate(zip(low, high, exponent, strict=True)):
-            begin, at = _floor(least, coarse), lead + axis
-            size, old = _floor(most, coarse) - begin + 1, counts.shape[at]
-            first, shift = self.first[axis], coarse - self.exponent[axis]
+    def _on(self, axes: Sequence[CommonBins]) -> np.ndarray:
+        """The counts in the bins of the `axes`, which are no narrower."""
+        counts, lead = self.counts, self.counts.ndim - len(axes)
+        for axis, (_, _, coarse, begin, size) in enumerate(axes):
+            at = lead + axis
+            old, first, shift = counts.shape[at], self.first[axis], coarse - self.exponent[axis]
             if shift == 0 and (first, old) == (begin, size):
                 continue
             place = np.arange(first, first + old) >> shift
@@ -310,10 +282,7 @@ class PowerSums(NamedTuple):
 
     def one(self, index: int) -> "PowerSums":
         """The sums at one `index` of the leading axis."""
-        return PowerSums(
-            self.number[index], self.mean[index], self.scatter[index], self.third[index], self.smallest[index],
-            self.largest[index],
-        )  # fmt: skip
+        return PowerSums(*(column[index] for column in self))
 
     @classmethod
     def none(cls, d: int) -> "PowerSums":
@@ -328,7 +297,6 @@ class PowerSums(NamedTuple):
         ours, theirs = self.number[..., None], other.number[..., None]
         step = other.mean - self.mean
         spread = ours * (theirs / whole)
-        square = np.diagonal(self.scatter, axis1=-2, axis2=-1), np.diagonal(other.scatter, axis1=-2, axis2=-1)
         return PowerSums(
             number,
             # Weights of 0 and 1 keep the mean of the other side to the last bit.
@@ -337,33 +305,35 @@ class PowerSums(NamedTuple):
             self.third
             + other.third
             + spread * ((ours - theirs) / whole) * step**3
-            + 3 * step * (ours * square[1] - theirs * square[0]) / whole,
+            + 3 * step * (ours * other.squares - theirs * self.squares) / whole,
             np.minimum(self.smallest, other.smallest),
             np.maximum(self.largest, other.largest),
         )
 
     @property
+    def squares(self) -> np.ndarray:
+        """Sums of squares of deviations, (..., d)."""
+        return np.diagonal(self.scatter, axis1=-2, axis2=-1)
+
+    @property
     def variance(self) -> np.ndarray:
         """Unbiased variances, (..., d); NaN for fewer than two vectors."""
-        square = np.diagonal(self.scatter, axis1=-2, axis2=-1)
         number = self.number[..., None]
-        return np.where(number > 1, square / np.maximum(number - 1, 1), np.nan)
+        return np.where(number > 1, self.squares / np.maximum(number - 1, 1), np.nan)
 
     @property
     def skewness(self) -> np.ndarray:
         """Third central moments over cubes of standard deviations (both over ``number``), (..., d); NaN where all are
         equal.
         """
-        square = np.diagonal(self.scatter, axis1=-2, axis2=-1)
-        varies = square > 0
-        scale = np.where(varies, square, 1.0) ** 1.5
+        varies = self.squares > 0
+        scale = np.where(varies, self.squares, 1.0) ** 1.5
         return np.where(varies, np.sqrt(self.number[..., None].astype(float)) * self.third / scale, np.nan)
 
     @property
     def correlation(self) -> np.ndarray:
         """Pearson correlations, (..., d, d); NaN where one of the two does not vary."""
-        square = np.diagonal(self.scatter, axis1=-2, axis2=-1)
-        norm = np.sqrt(square[..., :, None] * square[..., None, :])
+        norm = np.sqrt(self.squares[..., :, None] * self.squares[..., None, :])
         return np.where(norm > 0, self.scatter / np.where(norm > 0, norm, 1.0), np.nan)
 
 
@@ -373,7 +343,6 @@ class PowerSums(NamedTuple):
 # since Numba tests signed ones for being negative.
 
 
-@cache
 def compiled() -> ModuleType:
     """The module of the loops, imported on the first call: Numba takes half a second. Each compiles on its first call.
 

@@ -19,20 +19,9 @@ from .._dynamics.interval.engine import IntervalEngine
 from .._dynamics.switched.engine import steps_for
 from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
-from .._excitation.excitation import (
-    BaseMotion,
-    excitation_of,
-    is_random,
-    key_data_for,
-    law_of,
-)
+from .._excitation.excitation import BaseMotion, excitation_of, is_random, key_data_for, law_of
 from .._excitation.motion import RandomSignal
-from .._excitation.piecewise_constant import (
-    GivenSteps,
-    PiecewiseConstantLaw,
-    PoissonSwitching,
-    VelocitySteps,
-)
+from .._excitation.piecewise_constant import PiecewiseConstantLaw, PoissonSwitching
 from .._excitation.segments import SegmentLaw
 from .._foundation import checks
 from .._foundation.processes import cores, require_threads_of_jax
@@ -355,7 +344,6 @@ def problem_of(
     pilot = Pilot(stick_time, sticks, int(many.require_sticks().count.max()) if keep == "sticks" else None)
     parameters, key_data = parameters_of(inputs.model._asdict(), wrt), key_data_for(first.law, key)
     base = inputs.realization_of(0, first.law, t1) if inputs.has_sampled_law else first.law
-    base = GivenSteps(base) if isinstance(base, VelocitySteps) else base
     problem = SensitivityProblem(
         statistics, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
         dtype, inputs.model,

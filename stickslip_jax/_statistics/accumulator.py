@@ -11,7 +11,7 @@ from .._dynamics.sticks import NUMBERS, FlatSticks, StickStream
 from .._foundation import checks
 from .._foundation.types import Ending
 from .._numerics import sums
-from .._numerics.sums import BinnedNumbers, DyadicCounts, PowerSums
+from .._numerics.sums import CommonBins, DyadicCounts, PowerSums
 from .distribution import BINS
 from .quantities import STICK_QUANTITIES, STREAMED_PAIRS
 
@@ -50,13 +50,13 @@ def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1
     fine = [_bins_within(*ends, BINS) for ends in zip(low, high, strict=True)]
     coarse = [_bins_within(*ends, BINS_OF_PAIRS) for ends in zip(low[:_SLIP], high[:_SLIP], strict=True)]
     axes = [*((one,) for one in fine), *((coarse[x], coarse[y]) for x, y in zip(_X, _Y, strict=True))]
-    shapes = [tuple(axis.size for axis in own) for own in axes]
+    shapes = [tuple(axis.number for axis in own) for own in axes]
     counts, begin = _buffer(shapes)
     mean, scatter, third = total / np.maximum(number, 1), np.zeros((d, d)), np.zeros(d)
     bin_of = begin[:d] - [one.first for one in fine]
     shift = np.array([wide.exponent - one.exponent for wide, one in zip(coarse, fine, strict=False)] + [0])
     pair_bin_of = np.array([one.first for one in coarse] + [0])
-    pairs = np.array([_X, _Y, [coarse[y].size for y in _Y], begin[d:-1]]).T
+    pairs = np.array([_X, _Y, [coarse[y].number for y in _Y], begin[d:-1]]).T
     compiled.count(*columns, mean, _scales(fine), bin_of, shift, pair_bin_of, pairs, counts, scatter, third)
     scatter += np.tril(scatter, -1).T
     of_sticks, of_slips = (
@@ -103,10 +103,10 @@ def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], or
     low, high, total = (np.full((orders, d), value) for value in (np.inf, -np.inf, 0.0))
     compiled.survey_orders(columns, present, low, high, total)
     axes = [_bins_within(*ends, BINS_BY_ORDER) for ends in zip(low.min(axis=0), high.max(axis=0), strict=True)]
-    shapes = [(orders, axis.size) for axis in axes]
+    shapes = [(orders, axis.number) for axis in axes]
     counts, begin = _buffer(shapes)
     mean, scatter, third = total / np.maximum(number, 1)[:, None], np.zeros((orders, d, d)), np.zeros((orders, d))
-    bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.size for axis in axes])
+    bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.number for axis in axes])
     compiled.count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
     scatter += np.tril(scatter, -1).swapaxes(1, 2)
     parts = zip(axes, np.split(counts, begin[1:-1]), shapes, strict=True)
@@ -119,13 +119,13 @@ def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], or
     }
 
 
-def _bins_within(low: float, high: float, bins: int) -> BinnedNumbers:
+def _bins_within(low: float, high: float, bins: int) -> CommonBins:
     """The bins for numbers from `low` to `high`; any bins if there are none (then ``low > high``)."""
     ends = (float(low), float(high)) if low <= high else (0.0, 0.0)
-    return BinnedNumbers.within(np.zeros(0), *ends, bins)
+    return CommonBins.within(*ends, bins)
 
 
-def _scales(axes: Sequence[BinnedNumbers]) -> Float[np.ndarray, " axes"]:
+def _scales(axes: Sequence[CommonBins]) -> Float[np.ndarray, " axes"]:
     """Bins per unit of each quantity."""
     return np.array([math.ldexp(1.0, -axis.exponent) for axis in axes])
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from .._dynamics.simulation import Simulation
 from .._excitation.motion import SourceVoltage
-from .._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
+from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.processes import require_threads_of_jax
@@ -94,7 +94,7 @@ def check_window(window: Window | None, t1: float) -> Window:
 
 def has_steady_base(one: Simulation) -> bool:
     """Whether the mass rubs on a base whose velocity is constant between jumps."""
-    return one.system.look.second_is_base_velocity and isinstance(one.base, (VelocitySteps, PiecewiseConstantLaw))
+    return one.system.look.second_is_base_velocity and isinstance(one.base, PiecewiseConstantLaw)
 
 
 def sticks_in(one: Simulation, window: Window) -> tuple[np.ndarray, np.ndarray]:

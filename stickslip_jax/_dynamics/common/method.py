@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..._excitation.excitation import BaseMotion, Excitation, excitation_of, motion_of
+from ..._excitation.excitation import BaseMotion, Excitation, excitation_of, motion_of, realisation_of
 from ..._excitation.motion import SEEN_IN_STEPS
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
@@ -281,12 +281,7 @@ class Arguments(NamedTuple):
         require_system(system)
         check_method(method)
         checks.positive("t1", t1, "s")
-        start, motion = state_of(system, y0), motion_of(base)
-        if motion.is_random:
-            raise ValueError(
-                f"Argument base must be a realisation, but the random law {type(base).__name__} was given; "
-                "draw one with base.sample(key, t1)."
-            )
+        start, motion = state_of(system, y0), realisation_of(base)
         arguments = cls(system, motion, method, t1)
         arguments.check_length()
         return arguments._replace(base=motion.realized_until(t1)), start
