@@ -12,7 +12,7 @@ INTERNAL = """
     switched_model time_scales sizes memory tracks traits recorded look
     has_contacts static_exceeds_kinetic continued_coefficient
     depends_on_direction in_direction slip_coefficient stick_limit viscous_slope
-    all_intervals gap_rate level_probabilities uniforms key_data path_in_excitation realized realized_until
+    all_intervals all_segments gap_rate level_probabilities uniforms key_data realized realized_until users
     covered_time tones varies enough_harmonics in_lanes next_interval next_segment
     known missing unit_of distributions cells_of_retained line labeled outside model_config
     require_sticks numbered_sticks finished_sticks without_name
