@@ -51,6 +51,7 @@ def test_every_field_of_numbers_is_described(kind):
     others = {"friction", "force", "curve", "signal", "motion", "distribution", "gap", "spectrum", "acceleration"}
     others |= {"speed", "alternating", "harmonics"} if kind in (ss.SemiMarkovSwitching, ss.GaussianProcess) else set()
     others |= {"durations", "values", "slopes", "may_jump"} if kind is ss.VelocitySegments else set()
+    others |= {"durations", "velocities"} if kind is ss.VelocitySteps else set()
     others |= {"smoothing"} if kind is ss.Recorded else set()  # in words
     others |= {"direction"} if kind is ss.Contact else set()
     others |= {"law", "growth"} if kind is ss.Ageing else set()
