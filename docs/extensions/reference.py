@@ -10,9 +10,9 @@ INTERNAL = """
     check check_code check_excitation check_parts check_relations check_solver checked_capacity
     coordinates stick_position angle_scale longest_response
     switched_model time_scales sizes memory tracks traits recorded look
-    has_contacts static_exceeds_kinetic continued_coefficient
+    has_contacts has_static_ratio static_exceeds_kinetic continued_coefficient
     depends_on_direction in_direction slip_coefficient stick_limit viscous_slope
-    all_intervals gap_rate level_probabilities uniforms key_data realized realized_until
+    all_intervals all_segments gap_rate level_probabilities uniforms key_data realized realized_until users
     covered_time tones varies enough_harmonics in_lanes next_interval next_segment
     known missing unit_of distributions cells_of_retained line labeled outside model_config
     require_sticks numbered_sticks finished_sticks without_name

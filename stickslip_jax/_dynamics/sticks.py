@@ -263,7 +263,7 @@ def _in_front(chosen: AnyArray) -> tuple[BoolArray, Callable[..., Any]]:
     order = jnp.argsort(~chosen, axis=-1, stable=True)
     mask = jnp.take_along_axis(chosen, order, axis=-1)
 
-    def fill(values: AnyArray, padding: float | bool = jnp.nan) -> Any:
+    def fill(values: AnyArray, padding: int | float = jnp.nan) -> Any:
         return jnp.where(mask, jnp.take_along_axis(values, order, axis=-1), padding)
 
     return mask, fill

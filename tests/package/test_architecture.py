@@ -43,7 +43,7 @@ ROWS = (
     "__init__",
     "__main__",
 )
-CIRCLES = {("_excitation/motion", "_excitation/segments")}
+CIRCLES: set[tuple[str, ...]] = set()
 """Known circles of files that name each other in annotations. None may be added; one undone leaves the list."""
 
 # A file holds one topic, usually in 200 to 800 lines; a function reads from top to bottom.
