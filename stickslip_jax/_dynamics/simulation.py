@@ -63,7 +63,7 @@ class Energies(NamedTuple):
     imbalance: Float[Array, "*times"]
 
 
-_Rule: TypeAlias = tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]
+_Rule: TypeAlias = tuple[Float[AnyArray, " nodes"], Float[AnyArray, " nodes"]]
 """Nodes and weights of Gauss's rule on [0, 1], the unit of which is a time step."""
 
 
