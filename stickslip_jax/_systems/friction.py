@@ -52,11 +52,7 @@ class TabulatedCurve(Checked):
     scale: Annotated[Number, Quantity(meaning="what the coefficients are multiplied by", at_least=0)] = 1.0
 
     def check_parts(self) -> None:
-        if np.shape(self.speeds) != np.shape(self.coefficients) or len(self.speeds) < 2:
-            raise ValueError(
-                "Arguments speeds and coefficients must have the same length of at least 2, but they have shapes "
-                f"{np.shape(self.speeds)} and {np.shape(self.coefficients)}."
-            )
+        checks.same_length(2, speeds=self.speeds, coefficients=self.coefficients)
         checks.increasing_from_zero(
             "speeds", self.speeds, "put the coefficient at vanishing speed first, curve(0), say that of the first point"
         )

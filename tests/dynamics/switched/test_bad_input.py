@@ -89,7 +89,7 @@ def spring(**changed):
         (lambda: ss.Harmonic(1.0, 0.0), r"angular_frequency must be positive \(in rad/s\), but 0.0 was given"),
         (
             lambda: ss.SumOfHarmonics([1.0, 2.0], [1.0]),
-            r"amplitudes, angular_frequencies and phases must have the",
+            r"amplitudes and angular_frequencies must have the",
         ),
         (lambda: ss.SumOfHarmonics([1.0], [-1.0]), r"angular_frequencies must be positive"),
         (lambda: ss.WithJumps(HARMONIC, HARMONIC), r"jumps must be a law such as PoissonSwitching"),
