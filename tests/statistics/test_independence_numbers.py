@@ -211,7 +211,9 @@ class TestEdges:
         """An ensemble is asked for its finished sticks; single precision and other integers do as well."""
         sticks = iid(np.random.default_rng(10))
         expected = independent(sticks, starts_before=40.0)
-        assert independent(SimpleNamespace(numbered_sticks=lambda: sticks), starts_before=40.0) == expected
+        others = dict.fromkeys(("t1", "moments", "status_counts", "finished_sticks", "require_sticks"), 0.0)
+        ensemble = SimpleNamespace(numbered_sticks=lambda: sticks, **others)
+        assert independent(ensemble, starts_before=40.0) == expected
         small = sticks._replace(count=sticks.count.astype(np.int32), numbers=sticks.numbers.astype(np.float32))
         assert independent(small, starts_before=40.0).p_value == pytest.approx(expected.p_value, rel=1e-2)
 
