@@ -275,7 +275,8 @@ def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, sour
         problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
         system = table.get("system")
         model = system.get("model") if isinstance(system, dict) else None
-        run = kind.runs[model if isinstance(model, str) and model in kind.runs else "MassSpring"]
+        known = model if isinstance(model, str) and model in kind.runs else None
+        run = kind.runs[known or "MassSpring"]
         raise StudyError(source + _sentence_for(problem, options, kind, run)) from None
 
 
