@@ -133,3 +133,21 @@ def test_figures(base):
     with pytest.raises(ValueError, match="Argument abscissa must be 'position' for"):
         plot.phase_portrait(one, abscissa="position_times_omega")
     assert jnp.all(jnp.isfinite(one.evaluate(jnp.linspace(0.0, 20.0, 50))[0]))
+
+
+@pytest.mark.parametrize("method", [ss.Exact(), ss.Exact(step=0.3), ss.Exact(step=0.77)])
+@pytest.mark.parametrize("stiffness", [0.0, 1e-20, 1e-12])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_turning_points_of_a_parabola(method, stiffness, way):
+    """Friction turns the mass round at v^2 / (2 mu g), far from the belt's velocity; and derivatives of that place."""
+
+    def turns_at(numbers):
+        mu, speed = numbers
+        system = ss.MassSpring(1.0, stiffness, 1.0, ss.Coulomb(mu))
+        one = ss.simulate(system, ss.Constant(-5.0 * way), t1=6.0, y0=(0.0, way * speed), method=method)
+        return one.maximum("position") if way > 0 else -one.minimum("position")
+
+    for speed in (1.0, 1.1, 1.3, 1.37):
+        found, (by_mu, by_speed) = jax.value_and_grad(turns_at)(jnp.array([0.5, speed]))
+        np.testing.assert_allclose(found, speed**2, rtol=1e-11)
+        np.testing.assert_allclose([by_mu, by_speed], [-2 * speed**2, 2 * speed], rtol=1e-9)

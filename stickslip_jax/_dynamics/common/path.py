@@ -237,15 +237,15 @@ def largest_in_steps(
     ends = (h[:-1], h[1:], slopes[:-1], slopes[1:])
     bracket = Bracket(*(jnp.take_along_axis(of_ends, chosen, 0)[0] for of_ends in ends))
 
-    def narrow(number: Array, found: tuple[Bracket, FloatArray]) -> tuple[Bracket, FloatArray]:
-        bracket, _ = found
+    def narrow(number: Array, bracket: Bracket) -> Bracket:
         middle = 0.5 * (bracket.low + bracket.high)
         at = jnp.where(number % 4 == 3, middle, bracket.by_secant)  # the Illinois rule, and halving
         _, slope = of_all(fixed, at)
         # An end that stays has its slope halved, so that the other end moves next.
-        return bracket.narrowed(at, slope, kept=0.5), at
+        return bracket.narrowed(at, slope, kept=0.5)
 
-    _, found = lax.fori_loop(0, _TRIES, narrow, (bracket, bracket.low))
+    # The secant of the last bracket, not what was tried last: where one end is the zero itself, the other may be far.
+    found = lax.fori_loop(0, _TRIES, narrow, bracket).by_secant
     at = lax.stop_gradient(jnp.where(jnp.any(turns, axis=0), found, 0))
     values, _ = of_all(steps, at)
     return jnp.maximum(jnp.max(jnp.maximum(values, starts)), last)

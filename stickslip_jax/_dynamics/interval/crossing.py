@@ -236,14 +236,13 @@ def largest_in_interval(
         arcs.append((crosses, side * quotient(alpha + H, crosses, spring), q, side * H, time))
         crosses, begun = crosses & arrives & is_crossed(H, alpha), begun + time
     arcs.append((passage.released, passage.left_at, q, jnp.zeros_like(q), span - passage.left))
-    # How much further an arc turns to its largest and to its smallest value than to its largest position.
-    to_largest, to_smallest = (-jnp.pi / 2, jnp.pi / 2) if of_velocity else (0.0, jnp.pi)
     for exists, x, v, A, time in arcs:
-        # Clockwise from its beginning to the largest position. No derivative passes through when that is: there the
-        # value does not change with time.
-        angle = jnp.arctan2(*lax.stop_gradient((spring.omega * v, A)))
-        ahead = jnp.mod(angle + jnp.where(upwards > 0, to_largest, to_smallest), 2 * jnp.pi)
-        when = ahead * spring.inverse_omega
+        # Clockwise from its beginning to the largest value, or half a turn further to the smallest. By the signs of the
+        # components, for on a soft spring the angle is too small to be added to another. No derivative passes through
+        # when that is: there the value does not change with time.
+        across, along = (-A, spring.omega * v) if of_velocity else (spring.omega * v, A)
+        ahead = jnp.arctan2(*lax.stop_gradient((upwards * across, upwards * along)))
+        when = jnp.mod(ahead, 2 * jnp.pi) * spring.inverse_omega
         reached = exists & ((A != 0) | (v != 0)) & (when <= time)
         position, velocity = swung(x, v, A, jnp.where(reached, when, 0), spring)
         found.append(jnp.where(reached, upwards * (velocity if of_velocity else position), upwards * start))
