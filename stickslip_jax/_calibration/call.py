@@ -26,18 +26,7 @@ from .._systems.system import System, unit_at
 from .._uncertainty.numbers import NumberPath, Parameter, parameters_of, with_numbers
 from .parameters import Transform, covariance_of, transform_of
 from .record import Observer, Record, Windows, asked, whiteness
-from .search import (
-    LOOSE,
-    EstimatedNumbers,
-    FoundFit,
-    Free,
-    Residuals,
-    Search,
-    SearchPoint,
-    Sensor,
-    as_one,
-    fitted,
-)
+from .search import LOOSE, EstimatedNumbers, FoundFit, Free, Residuals, Search, SearchPoint, Sensor, as_one, fitted
 
 # What a record says about each number: covariances, and numbers that it does not tell.
 

@@ -221,9 +221,7 @@ class Harmonic(_Tones):
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
-    @property
-    def repeats_after(self) -> Number:
-        return 2 * math.pi / self.angular_frequency
+    repeats_after = shortest_period
 
 
 class SumOfHarmonics(_Tones):
@@ -343,9 +341,7 @@ class SourceVoltage(Signal):
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
-    @property
-    def repeats_after(self) -> Number:
-        return 2 * math.pi / self.angular_frequency
+    repeats_after = shortest_period
 
 
 # Random signals, among them random phases.

@@ -29,16 +29,7 @@ from .._uncertainty.numbers import number_at, shown, with_numbers
 from . import estimate
 from .counting import recording
 from .estimate import Estimator, Sensitivities, Sensitivity, results_of
-from .estimators import (
-    Accumulator,
-    Source,
-    counted,
-    counting_engine,
-    differenced,
-    recorded,
-    run_chunks,
-    score_leaves,
-)
+from .estimators import Accumulator, Source, counted, counting_engine, differenced, recorded, run_chunks, score_leaves
 from .problem import (
     LANES,
     Pilot,
@@ -50,15 +41,7 @@ from .problem import (
     warn_at_special_speeds,
     warn_if_grazing,
 )
-from .statistic import (
-    AnyStatistic,
-    BufferSizes,
-    OfOutput,
-    features_of,
-    record_sequences,
-    statistic_of,
-    wrapped,
-)
+from .statistic import AnyStatistic, BufferSizes, OfOutput, features_of, record_sequences, statistic_of, wrapped
 
 # A warning where parameters act only together, as a friction coefficient and a normal force do through their product.
 #

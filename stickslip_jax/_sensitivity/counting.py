@@ -223,8 +223,8 @@ class StepCounting(Engine[StepsShared, StepSample, _StepMotion, Trace, Counted])
         before = motion.lane
         beginning, end = (before.t, before.y, before.sign, before.segment_states), (moved.t, moved.y, moved.sign)
         taken = EngineStep(*beginning, *end, motion.crossed)
-        following = crossed_after(shared.segment_laws, shared.t1, taken)
-        candidate = Trace(stick, taken, is_candidate(model, *shared, taken))
+        following = crossed_after(shared, taken)
+        candidate = Trace(stick, taken, is_candidate(model, shared, taken))
         return motion._replace(lane=moved, crossed=following), candidate
 
     def after_block(self, samples: StepSample, motions: _StepMotion, records: Trace) -> _StepMotion:
@@ -266,7 +266,7 @@ class StepCounting(Engine[StepsShared, StepSample, _StepMotion, Trace, Counted])
         engine, shared = self.engine, self.shared(candidates.t.dtype)
 
         def of(candidate, smooth):
-            return distances_of_step(one_contact_model(engine.system, smooth, engine.solver), *shared, candidate)
+            return distances_of_step(one_contact_model(engine.system, smooth, engine.solver), shared, candidate)
 
         return jax.vmap(of)(candidates, smooth)
 

@@ -269,9 +269,7 @@ class Beta(RandomNumber):
     def in_lanes(self) -> bool:
         return False
 
-    @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.low, self.high
+    support = Uniform.support
 
 
 class Triangular(RandomNumber):
@@ -307,9 +305,7 @@ class Triangular(RandomNumber):
         part = part / (width * jnp.where(rising, jnp.where(left > 0, left, 1), jnp.where(right > 0, right, 1)))
         return jnp.where(rising, part, 1 - part)
 
-    @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.low, self.high
+    support = Uniform.support
 
 
 class Exponential(RandomNumber):
@@ -326,9 +322,7 @@ class Exponential(RandomNumber):
     def cdf(self, x: ArrayLike) -> FloatArray:
         return -jnp.expm1(-jnp.maximum(floating(x), 0) / self.mean)
 
-    @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return 0.0, math.inf
+    support = LogNormal.support
 
 
 class Weibull(RandomNumber):
@@ -347,9 +341,7 @@ class Weibull(RandomNumber):
     def cdf(self, x: ArrayLike) -> FloatArray:
         return -jnp.expm1(-((jnp.maximum(floating(x), 0) / self.scale) ** self.shape))
 
-    @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return 0.0, math.inf
+    support = LogNormal.support
 
 
 class Discrete(RandomNumber):

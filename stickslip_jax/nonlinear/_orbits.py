@@ -28,15 +28,7 @@ from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
 from .._systems.system import System
 from .._uncertainty.numbers import NumberPath, with_numbers
-from ._cases import (
-    Cycle,
-    changes_by_itself,
-    check_repeats,
-    check_signals,
-    drive_period,
-    steps_in,
-    without_turns,
-)
+from ._cases import Cycle, changes_by_itself, check_repeats, check_signals, drive_period, steps_in, without_turns
 
 # The sequence of modes of a trajectory: which contacts stick, and which slip in which direction.
 
