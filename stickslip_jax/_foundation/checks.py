@@ -10,7 +10,7 @@ import numbers as kinds_of_numbers
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +24,8 @@ from .types import AnyArray
 
 SMALLEST, LARGEST = 1e-100, 1e100
 """Between these, numbers may be multiplied and divided by one another a few times without leaving float64."""
+Bound: TypeAlias = int | float | None
+"""A bound of a number, None for none."""
 
 
 def is_traced(value: object) -> bool:
@@ -31,12 +33,16 @@ def is_traced(value: object) -> bool:
     return isinstance(value, Tracer)
 
 
+NOT_TRACEABLE = ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError
+"""What JAX raises where code asks for a number that it traces."""
+
+
 @contextlib.contextmanager
 def traceable(what: str) -> Iterator[None]:
     """Say in one sentence that a user's code, `what`, asks for numbers that JAX traces, as NumPy and `if` do."""
     try:
         yield
-    except (ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError) as error:
+    except NOT_TRACEABLE as error:
         raise ValueError(
             f"{what} must be written so that JAX can trace it, but it asks for the value of a number that is not known "
             "yet, as functions of numpy and math, float(...) and if do; write jax.numpy.sqrt(x) or x ** 0.5 for "
@@ -199,9 +205,9 @@ def bounded(
     value: Any,
     unit: str = "",
     *,
-    above: int | float | None = None,
-    at_least: int | float | None = None,
-    below: int | float | None = None,
+    above: Bound = None,
+    at_least: Bound = None,
+    below: Bound = None,
     ndim: int = 0,
     hint: str = "",
 ) -> None:
@@ -220,12 +226,7 @@ def bounded(
 
 
 def out_of_bounds(
-    values: np.ndarray | np.floating,
-    above: int | float | None,
-    at_least: int | float | None,
-    below: int | float | None,
-    *,
-    sized: bool,
+    values: np.ndarray | np.floating, above: Bound, at_least: Bound, below: Bound, *, sized: bool
 ) -> Iterator[tuple[np.ndarray | np.bool_, str, str]]:
     """Of each demand on the numbers `values`: which do not meet it, what they must be, and what to do.
 
