@@ -221,7 +221,9 @@ class Harmonic(_Tones):
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
-    repeats_after = shortest_period
+    @property
+    def repeats_after(self) -> Number:
+        return 2 * math.pi / self.angular_frequency
 
 
 class SumOfHarmonics(_Tones):
@@ -341,7 +343,9 @@ class SourceVoltage(Signal):
     def shortest_period(self) -> Scalar:
         return 2 * math.pi / self.angular_frequency
 
-    repeats_after = shortest_period
+    @property
+    def repeats_after(self) -> Number:
+        return 2 * math.pi / self.angular_frequency
 
 
 # Random signals, among them random phases.

@@ -274,14 +274,9 @@ def same_length(least: int, **arrays: AnyArray) -> None:
     shapes = [np.shape(array) for array in arrays.values()]
     if len(set(shapes)) > 1 or shapes[0][0] < least:
         raise ValueError(
-            f"Arguments {_and(arrays)} must have the same length of at least {least}, but they have shapes "
-            f"{_and(map(str, shapes))}."
+            f"Arguments {one_of(arrays, 'and')} must have the same length of at least {least}, but they have shapes "
+            f"{one_of(map(str, shapes), 'and')}."
         )
-
-
-def _and(words: Iterable[str]) -> str:
-    *most, last = words
-    return f"{', '.join(most)} and {last}"
 
 
 def increasing_from_zero(name: str, times: AnyArray, hint: str = "") -> None:
@@ -348,10 +343,10 @@ def _kind(ndim: int | None) -> str:
     return kinds.get(ndim, f"a {ndim}-dimensional array of real numbers")
 
 
-def one_of(names: Iterable[str]) -> str:
-    """The names as words: "A, B or C"."""
+def one_of(names: Iterable[str], word: str = "or") -> str:
+    """The names as words: "A, B or C", or with another `word`."""
     *most, last = names
-    return f"{', '.join(most)} or {last}" if most else last
+    return f"{', '.join(most)} {word} {last}" if most else last
 
 
 def chosen(name: str, value: object, options: Iterable[str]) -> str:
@@ -365,20 +360,13 @@ def chosen(name: str, value: object, options: Iterable[str]) -> str:
 def path(name: str, value: object, what: str = "the name of a file or folder") -> Path:
     """Check that ``value`` can be the name of a file or folder, and return it as a path. `what`: what it must be."""
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) and not isinstance(value, type) else None
-    if not isinstance(text, str) or not 0 < len(text) <= _LONGEST_NAME or "\0" in text or not _can_be_encoded(text):
-        raise refused(name, f"be {what}", value)
-    return Path(text)
+    with contextlib.suppress(UnicodeEncodeError):
+        if isinstance(text, str) and len(text) <= _LONGEST_NAME and "\0" not in text and os.fsencode(text):
+            return Path(text)
+    raise refused(name, f"be {what}", value)
 
 
 _LONGEST_NAME = 4096  # characters
-
-
-def _can_be_encoded(text: str) -> bool:
-    try:
-        os.fsencode(text)
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 _SHOWN = 80  # characters

@@ -35,6 +35,10 @@ class RandomNumber(Checked):
     the distribution.
     """
 
+    is_continuous: ClassVar[bool] = True
+    """Whether every single value has probability zero, so that the distribution may be `Truncated`."""
+    in_lanes: ClassVar[bool] = True
+    """Whether `icdf` can be computed while simulating, as the gaps between switches of a base are."""
     may_be_random: ClassVar[bool] = False
     shape_numbers: ClassVar[tuple[str, ...]] = ()  # its numbers without a unit; others have that of the draws
     rests_on: ClassVar = {"support": ("icdf",)}
@@ -52,16 +56,6 @@ class RandomNumber(Checked):
     def support(self) -> tuple[Scalar, Scalar]:
         """The interval that holds all draws."""
         return -math.inf, math.inf
-
-    @property
-    def is_continuous(self) -> bool:
-        """Whether every single value has probability zero, so that the distribution may be `Truncated`."""
-        return True
-
-    @property
-    def in_lanes(self) -> bool:
-        """Whether `icdf` can be computed while simulating, as the gaps between switches of a base are."""
-        return True
 
 
 def floating(x: ArrayLike) -> FloatArray:
@@ -138,7 +132,7 @@ class Truncated(RandomNumber):
         )
 
     @property
-    def in_lanes(self) -> bool:
+    def in_lanes(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of what is restricted
         return self.distribution.in_lanes
 
 
@@ -242,6 +236,7 @@ class Beta(RandomNumber):
     Raises ValueError for numbers outside these bounds, or unless ``low < high``.
     """
 
+    in_lanes = False
     shape_numbers: ClassVar[tuple[str, ...]] = ("a", "b")
     a: Annotated[Scalar, Quantity(meaning="first shape number", above=0)]
     b: Annotated[Scalar, Quantity(meaning="second shape number", above=0)]
@@ -264,10 +259,6 @@ class Beta(RandomNumber):
         below = jnp.clip((self.high - x) / width, 0, 1).astype(above.dtype)
         share = _beta_share(a, b, above)
         return jnp.where((share > 0.5) | (below < 1e-4), 1 - _beta_share(b, a, below), share)
-
-    @property
-    def in_lanes(self) -> bool:
-        return False
 
     support = Uniform.support
 
@@ -353,6 +344,7 @@ class Discrete(RandomNumber):
     Raises ValueError for values that do not increase, or probabilities that do not fit.
     """
 
+    is_continuous = False
     values: Annotated[PerValue, Quantity(meaning="the values", ndim=1)] = eqx.field(
         converter=partial(checks.real_array, "values")
     )
@@ -392,10 +384,6 @@ class Discrete(RandomNumber):
     @property
     def support(self) -> tuple[Scalar, Scalar]:
         return self.values[0], self.values[-1]
-
-    @property
-    def is_continuous(self) -> bool:
-        return False
 
 
 def _check_order(low: Scalar, high: Scalar) -> None:
