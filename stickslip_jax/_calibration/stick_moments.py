@@ -99,10 +99,9 @@ def moments_of(moments: object) -> tuple[StickStatistic, ...]:
         raise ValueError(str(error).replace("Argument statistic", "Argument moments", 1)) from error
     for one in found:
         if isinstance(one, OfOutput) or (isinstance(one, OfTotals) and one.counts_slips):
-            raise checks.refused(
-                "moments", "hold statistics of sticks, of which recordings of sticks tell", one.name,
-                "of slips take a StickFunctional of what lies between the sticks",
-            )  # fmt: skip
+            demand = "hold statistics of sticks, of which recordings of sticks tell"
+            hint = "of slips take a StickFunctional of what lies between the sticks"
+            raise checks.refused("moments", demand, one.name, hint)
     return found
 
 
@@ -232,16 +231,6 @@ class Simulated(NamedTuple):
     def covariance(self) -> Float[np.ndarray, "moments moments"]:
         """That of the mean."""
         return self.error[: len(self.mean), : len(self.mean)]
-
-    @property
-    def covariance_of_one(self) -> Float[np.ndarray, "moments moments"]:
-        """That of one realisation's numbers."""
-        return self.covariance * self.samples
-
-    @property
-    def is_known(self) -> bool:
-        """Whether all moments and derivatives are numbers."""
-        return bool(np.all(np.isfinite(self.mean)) and np.all(np.isfinite(self.slope)))
 
     def scaled(self, by: Float[np.ndarray, "parameters coordinates"]) -> "Simulated":
         """With derivatives by coordinates; `by`: those of the parameters by the coordinates."""
@@ -465,7 +454,7 @@ class Experiments:
             )
         shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.models.names, values, strict=True))
         for one, seen in zip(found, self.observations, strict=True):
-            if not one.is_known:
+            if not (np.all(np.isfinite(one.mean)) and np.all(np.isfinite(one.slope))):
                 raise ValueError(
                     f"The moments or their derivatives do not exist at {shown}: there are no sticks, or every motion "
                     "grazes the base velocity; start from other values."

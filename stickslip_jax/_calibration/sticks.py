@@ -394,7 +394,7 @@ def result_of(fit: Experiments) -> StickCalibration:
     found = minimised(fit.part, np.zeros(len(models.names)), _MOST)
     if not fit.is_likelihood:
         # Of the misfits, with those of the simulations where the first search ended.
-        known = [covariance_of_misfit(*pair, pair[1].covariance_of_one) for pair in fit.pairs(found.x)]
+        known = [covariance_of_misfit(seen, one, one.covariance * one.samples) for seen, one in fit.pairs(found.x)]
         found = minimised(lambda x: fit.part(x, known), found.x, _MOST)
     certain = precision(found.part, found.stands)
     values = transform.numbers(found.x)

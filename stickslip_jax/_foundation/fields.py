@@ -248,11 +248,9 @@ class Checked(WithClaims, WithMethods):
                     checks.numeric(name, value)
             about.check(name, value)
         type(self).check_parts(self)
-        if vary or type(self).has_varying_parts(
-            self
-        ):  # what several fields must satisfy together is checked for what is drawn
-            return
-        type(self).check_relations(self)  # `self.check_relations` would make a module of the method
+        # What several fields must satisfy together is checked for what is drawn.
+        if not (vary or type(self).has_varying_parts(self)):
+            type(self).check_relations(self)  # `self.check_relations` would make a module of the method
 
     def check_parts(self) -> None:
         """Check fields of other kinds than numbers. Raises ValueError otherwise."""

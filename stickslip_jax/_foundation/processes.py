@@ -76,9 +76,8 @@ def _has_started() -> bool:
     """Whether JAX has started. No function of JAX tells it, but it refuses another number of devices from then on."""
     now = getattr(jax.config, _PROBED)
     try:
-        jax.config.update(
-            _PROBED, -2 if now < 0 else now + 1
-        )  # any negative number: the number that the flags of XLA say
+        # Any negative number is the number that the flags of XLA say.
+        jax.config.update(_PROBED, -2 if now < 0 else now + 1)
     except RuntimeError:
         return True
     jax.config.update(_PROBED, now)

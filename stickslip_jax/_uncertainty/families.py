@@ -80,14 +80,12 @@ class Truncated(RandomNumber):
 
     def check_relations(self) -> None:
         if not isinstance(self.distribution, RandomNumber):
-            raise checks.refused(
-                "distribution", "be a distribution of stickslip_jax such as Normal(mean, std)", self.distribution,
-                "of other distributions give an array of draws",
-            )  # fmt: skip
+            demand = "be a distribution of stickslip_jax such as Normal(mean, std)"
+            hint = "of other distributions give an array of draws"
+            raise checks.refused("distribution", demand, self.distribution, hint)
         if not self.distribution.is_continuous:
-            raise checks.refused(
-                "distribution", "be continuous", self.distribution, "leave out those of its values that are not wanted"
-            )
+            hint = "leave out those of its values that are not wanted"
+            raise checks.refused("distribution", "be continuous", self.distribution, hint)
         limits = [limit for limit in (self.low, self.high) if limit is not None]
         if any(checks.is_traced(value) for value in (*limits, *self._shares())):
             return

@@ -264,9 +264,8 @@ def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.n
     """The values along each axis of a grid of starts, and all starts (starts, coordinates)."""
     if not isinstance(y0, Mapping):
         if checks.dimensions(y0) != 2:
-            raise checks.refused(
-                "y0", "be starts, an array (starts, coordinates), or a dict of values by coordinate", y0
-            )
+            demand = "be starts, an array (starts, coordinates), or a dict of values by coordinate"
+            raise checks.refused("y0", demand, y0)
         return None, checks.numbers("y0", y0, ndim=2)
     names = [coordinate.name for coordinate in checked_system(system).coordinates]
     for name in y0:
