@@ -16,8 +16,7 @@ from jaxtyping import Array, Float, Int
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
-from .._foundation.fields import with_fields
-from .._foundation.methods import WithMethods
+from .._foundation.fields import WithMethods, with_fields
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
 from .._systems.memory_models import InnerStates

@@ -16,8 +16,7 @@ from .._excitation.excitation import Excitation
 from .._excitation.motion import Signal, SourceVoltage
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
-from .._foundation.fields import Choice, Quantity, is_distribution
-from .._foundation.methods import keeps
+from .._foundation.fields import Choice, Quantity, is_distribution, keeps
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import (
     AnyArray,

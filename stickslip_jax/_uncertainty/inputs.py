@@ -17,8 +17,7 @@ from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, PyTree
 
 from .._foundation import checks
-from .._foundation.fields import Checked, Quantity, described, is_distribution, varies
-from .._foundation.methods import Module
+from .._foundation.fields import Checked, Module, Quantity, described, is_distribution, varies
 from .._foundation.types import AnyArray, DType, FloatArray, Number
 from .._numerics.elementary import key_data_of, random_words, uniform
 from .design import Design

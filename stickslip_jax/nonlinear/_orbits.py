@@ -22,7 +22,7 @@ from .._ensemble.points import Setter, SweepSetting
 from .._excitation.excitation import BaseMotion, motion_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation import checks
-from .._foundation.methods import WithMethods
+from .._foundation.fields import WithMethods
 from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar, Status
 from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
