@@ -4,7 +4,6 @@ them.
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -598,7 +597,7 @@ def calibrate(
     is_whole = isinstance(whole, FoundFit)
     done = result_of(search, whole if is_whole else found, None if is_whole else whole)
     for remark in done.remarks:
-        warnings.warn(remark, RuntimeWarning, stacklevel=2)
+        checks.warn(remark)
     return done
 
 

@@ -4,7 +4,6 @@ parameters to summaries of the sticks.
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -288,11 +287,9 @@ class StickSimulator:
         means = np.mean(found.reshape(len(rows), number, -1), axis=1)
         if not np.all(finished):
             means[~finished] = np.nan
-            warnings.warn(
+            checks.warn(
                 f"{np.count_nonzero(~finished)} of {len(rows)} rows did not reach t1 = {self.t1:g} s and are NaN; see "
-                "the status of simulate with these numbers.",
-                RuntimeWarning,
-                stacklevel=2,
+                "the status of simulate with these numbers."
             )
         return means
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -384,7 +383,7 @@ def calibrate_sticks(
         simulators.append(Simulator(own, one.t1, samples, of_experiment, models.names, method, threads, estimator))
     result = result_of(Experiments(models, observations, simulators, is_likelihood))
     for remark in result.remarks:
-        warnings.warn(remark, RuntimeWarning, stacklevel=2)
+        checks.warn(remark)
     return result
 
 

@@ -1,13 +1,15 @@
 """Argument checks. Each raises ValueError that names the argument, what is allowed, and the value given.
 
 The numbers that ``jit``, ``vmap`` and ``grad`` trace are not known yet: they pass unchecked, and what unsuitable
-ones cause shows in the status of each trajectory.
+ones cause shows in the status of each trajectory. What is allowed but may not be meant, `warn` says.
 """
 
 import contextlib
 import math
 import numbers as kinds_of_numbers
 import os
+import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,6 +28,17 @@ SMALLEST, LARGEST = 1e-100, 1e100
 """Between these, numbers may be multiplied and divided by one another a few times without leaving float64."""
 Bound: TypeAlias = int | float | None
 """A bound of a number, None for none."""
+
+
+_INNER = (__name__.partition(".")[0], "equinox", "jaxtyping", "beartype", "importlib")  # whose lines no user wrote
+
+
+def warn(text: str) -> None:
+    """Warn (RuntimeWarning) at the line that a user wrote: the first outside the package."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INNER:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, RuntimeWarning, stacklevel=level)
 
 
 def is_traced(value: object) -> bool:

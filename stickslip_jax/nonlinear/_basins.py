@@ -1,6 +1,5 @@
 """Basins of attraction: which starts end on which attractor."""
 
-import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -217,11 +216,9 @@ def basins(
     labels, attractors = matched(states, sizes, found, stuck, points_of, cases.turns, tolerance, most)
     none = np.sum((labels < 0) & finished)
     if none:
-        warnings.warn(
+        checks.warn(
             f"{none} of {len(labels)} starts belong to none of the {most} attractors that were looked for: basin is 0 "
-            "there. Their motions may need a longer transient, or a larger tolerance or most.",
-            RuntimeWarning,
-            stacklevel=2,
+            "there. Their motions may need a longer transient, or a larger tolerance or most."
         )
 
     dims = (START,) if grid is None else tuple(name.replace(" ", "_") for name in grid)
