@@ -287,7 +287,7 @@ class GaussianProcess(RandomSignal):
         """The variance: the integral of the spectrum up to the cutoff, or ``rms^2``."""
         return self._of_spectrum if self.rms is None else self.rms**2
 
-    shortest_period = GaussianSample.shortest_period
+    shortest_period = GaussianSample.shortest_period  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
     def spectral_density(self, angular_frequency: AnyArray | float) -> FloatArray:
         """The one-sided density at these angular frequencies (rad/s, any shape); zero from the cutoff on."""

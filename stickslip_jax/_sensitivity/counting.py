@@ -67,8 +67,9 @@ class Counted(NamedTuple):
 
 def recording(engine: IntervalEngine | SwitchedEngine, first: FirstSegment) -> "IntervalCounting | StepCounting":
     """`engine` with its candidates recorded."""
-    kind = IntervalCounting if isinstance(engine, IntervalEngine) else StepCounting
-    return kind(engine, np.zeros(0), first, with_distances=True)
+    if isinstance(engine, IntervalEngine):
+        return IntervalCounting(engine, np.zeros(0), first, with_distances=True)
+    return StepCounting(engine, np.zeros(0), first, with_distances=True)
 
 
 class CountedSample(NamedTuple):

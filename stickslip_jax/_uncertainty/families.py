@@ -258,7 +258,7 @@ class Beta(RandomNumber):
         share = _beta_share(a, b, above)
         return jnp.where((share > 0.5) | (below < 1e-4), 1 - _beta_share(b, a, below), share)
 
-    support = Uniform.support
+    support = Uniform.support  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
 
 class Triangular(RandomNumber):
@@ -294,7 +294,7 @@ class Triangular(RandomNumber):
         part = part / (width * jnp.where(rising, jnp.where(left > 0, left, 1), jnp.where(right > 0, right, 1)))
         return jnp.where(rising, part, 1 - part)
 
-    support = Uniform.support
+    support = Uniform.support  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
 
 class Exponential(RandomNumber):
@@ -311,7 +311,7 @@ class Exponential(RandomNumber):
     def cdf(self, x: ArrayLike) -> FloatArray:
         return -jnp.expm1(-jnp.maximum(floating(x), 0) / self.mean)
 
-    support = LogNormal.support
+    support = LogNormal.support  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
 
 class Weibull(RandomNumber):
@@ -330,7 +330,7 @@ class Weibull(RandomNumber):
     def cdf(self, x: ArrayLike) -> FloatArray:
         return -jnp.expm1(-((jnp.maximum(floating(x), 0) / self.scale) ** self.shape))
 
-    support = LogNormal.support
+    support = LogNormal.support  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
 
 class Discrete(RandomNumber):
