@@ -16,7 +16,6 @@ from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, slow
 from .._dynamics.simulate import simulate
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState
 from .._statistics.distribution import wrapped
 from .._statistics.estimate import Estimate, correlated_estimates
@@ -564,7 +563,7 @@ def calibrate(
     >>> print(f"mu = {found['mu'].value:.6f}")
     mu = 0.700000
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
     # Numbers of system and base, and delays and offsets of sensors.
     paths: dict[str, NumberPath] = {"clock.delay": ("clock", "delay")}

@@ -22,7 +22,6 @@ from .._ensemble.setup import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.fields import Quantity
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import FloatArray, InitialState, Status
 from .._numerics.derivatives import as_arrays
 from .._systems.system import System
@@ -79,7 +78,7 @@ class LogLikelihood(eqx.Module):
 
         Raises ValueError for names or shapes that do not fit, and for noise that is not given at all.
         """
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         return _density(self, self._numbers(values), self._sigma(noise))
 
     def _density(self, numbers: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -201,7 +200,7 @@ def log_likelihood(
     >>> print(f"{likelihood({'mu': 0.7}):.2f}, {likelihood({'mu': -0.7})}")
     368.62, -inf
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
     setting, method = EstimatedNumbers(arguments.system, arguments.base), arguments.method
     state = tuple(start.tolist())

@@ -13,7 +13,6 @@ from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState
 from .._sensitivity.call import check_estimator, require_differences
 from .._sensitivity.estimate import Estimator
@@ -362,7 +361,7 @@ def calibrate_sticks(
             for the covariance of the moments; fewer moments than parameters; moments that are the same in all
             recordings; first guesses at a bound; and for what `sensitivity` refuses.
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     checks.chosen("objective", objective, get_args(Objective))
     check_estimator(estimator)
     require_differences(estimator, method)

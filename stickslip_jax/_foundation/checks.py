@@ -21,7 +21,6 @@ import numpy.typing as npt
 from jax.core import Tracer
 from jax.errors import ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError
 
-from .processes import require_threads_of_jax
 from .types import AnyArray
 
 SMALLEST, LARGEST = 1e-100, 1e100
@@ -400,3 +399,49 @@ def show(value: object) -> str:
     except Exception:  # the object is anybody's
         return f"an object of the class {type(value).__name__}"
     return f"{text[: _SHOWN - 3]}..." if cut or len(text) > _SHOWN else text
+
+
+# Forks of a process in which JAX has started: its threads are not in the fork, and what needs them waits for ever.
+
+
+_PROBED = "jax_num_cpu_devices"  # which JAX refuses to change once it has started
+
+
+class _State:
+    """`started`: whether JAX had started when this process was forked last. `lost`: whether this is such a fork."""
+
+    started = False
+    lost = False
+
+
+def require_threads_of_jax() -> None:
+    """Raises RuntimeError in a fork of a process in which JAX had started."""
+    if _State.lost:
+        raise RuntimeError(
+            "JAX cannot run in a fork of a process in which it had started, and would wait for threads that are not "
+            'there; start processes by multiprocessing.get_context("spawn"), or let Sweep.run(workers=...) do it.'
+        )
+
+
+def _before() -> None:
+    _State.started = _State.lost or _has_started()
+
+
+def _in_fork() -> None:
+    _State.lost = _State.started
+
+
+def _has_started() -> bool:
+    """Whether JAX has started. No function of JAX tells it, but it refuses another number of devices from then on."""
+    now = getattr(jax.config, _PROBED)
+    try:
+        # Any negative number is the number that the flags of XLA say.
+        jax.config.update(_PROBED, -2 if now < 0 else now + 1)
+    except RuntimeError:
+        return True
+    jax.config.update(_PROBED, now)
+    return False
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_before, after_in_child=_in_fork)

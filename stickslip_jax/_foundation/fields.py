@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from . import checks
-from .processes import require_threads_of_jax
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -85,7 +84,7 @@ class Method(eqx.Module):
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         __tracebackhide__ = True
-        require_threads_of_jax()  # what it computes would wait for them for ever
+        checks.require_threads_of_jax()  # what it computes would wait for them for ever
         return self.__func__(self.__self__, *args, **kwargs)
 
     def __get__(self, instance: object, owner: type | None = None) -> "Method":

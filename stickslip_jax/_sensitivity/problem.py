@@ -23,7 +23,7 @@ from .._excitation.motion import RandomSignal
 from .._excitation.piecewise_constant import PiecewiseConstantLaw, PoissonSwitching
 from .._excitation.segments import SegmentLaw
 from .._foundation import checks
-from .._foundation.processes import cores, require_threads_of_jax
+from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
 from .._systems.system import System, require_system
@@ -309,7 +309,7 @@ def problem_of(
     chunk: int | None = None,
 ) -> tuple[SensitivityProblem, Pilot]:
     """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     statistics = statistics_of(statistic)
     threads = cores() if threads is None else checks.whole_number("threads", threads)
     size = None if chunk is None else checks.whole_number("chunk", chunk)

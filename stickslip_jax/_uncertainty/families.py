@@ -16,7 +16,6 @@ from jaxtyping import Float
 
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import AnyArray, FloatArray, Scalar
 
 # The interface of a distribution, and its restriction to an interval.
@@ -202,7 +201,7 @@ class LogNormal(RandomNumber):
     @classmethod
     def from_moments(cls, mean: Scalar, std: Scalar) -> "LogNormal":
         """The one with this mean and this standard deviation, both positive. Raises ValueError for others."""
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         checks.positive("mean", mean)
         checks.positive("std", std)
         ratio = std / mean
