@@ -21,7 +21,6 @@ from ._dynamics.simulate import simulate
 from ._excitation.motion import Harmonic, RandomPhase, SourceVoltage
 from ._excitation.piecewise_constant import Constant, PiecewiseConstantLaw, PoissonSwitching, RandomSteps, SquareWave
 from ._foundation import checks
-from ._foundation.processes import require_threads_of_jax
 from ._foundation.types import Scalar
 from ._sweep.sweep import Sweep
 from ._systems.friction import Coulomb
@@ -185,7 +184,7 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     >>> print(f"{100 * ss.papers.steady_stick_share(1.2):.2f} %")
     36.43 %
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     periods = checks.whole_number("periods", periods)
     setup = square_wave_belt(ratio)
     period = jnp.asarray(_belt_period(ratio))

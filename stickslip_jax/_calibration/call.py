@@ -4,7 +4,6 @@ them.
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -17,7 +16,6 @@ from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, slow
 from .._dynamics.simulate import simulate
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState
 from .._statistics.distribution import wrapped
 from .._statistics.estimate import Estimate, correlated_estimates
@@ -26,18 +24,7 @@ from .._systems.system import System, unit_at
 from .._uncertainty.numbers import NumberPath, Parameter, parameters_of, with_numbers
 from .parameters import Transform, covariance_of, transform_of
 from .record import Observer, Record, Windows, asked, whiteness
-from .search import (
-    LOOSE,
-    EstimatedNumbers,
-    FoundFit,
-    Free,
-    Residuals,
-    Search,
-    SearchPoint,
-    Sensor,
-    as_one,
-    fitted,
-)
+from .search import LOOSE, EstimatedNumbers, FoundFit, Free, Residuals, Search, SearchPoint, Sensor, as_one, fitted
 
 # What a record says about each number: covariances, and numbers that it does not tell.
 
@@ -576,7 +563,7 @@ def calibrate(
     >>> print(f"mu = {found['mu'].value:.6f}")
     mu = 0.700000
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
     # Numbers of system and base, and delays and offsets of sensors.
     paths: dict[str, NumberPath] = {"clock.delay": ("clock", "delay")}
@@ -609,7 +596,7 @@ def calibrate(
     is_whole = isinstance(whole, FoundFit)
     done = result_of(search, whole if is_whole else found, None if is_whole else whole)
     for remark in done.remarks:
-        warnings.warn(remark, RuntimeWarning, stacklevel=2)
+        checks.warn(remark)
     return done
 
 

@@ -4,7 +4,6 @@ parameters to summaries of the sticks.
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -23,7 +22,6 @@ from .._ensemble.setup import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.fields import Quantity
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import FloatArray, InitialState, Status
 from .._numerics.derivatives import as_arrays
 from .._systems.system import System
@@ -80,7 +78,7 @@ class LogLikelihood(eqx.Module):
 
         Raises ValueError for names or shapes that do not fit, and for noise that is not given at all.
         """
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         return _density(self, self._numbers(values), self._sigma(noise))
 
     def _density(self, numbers: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -202,7 +200,7 @@ def log_likelihood(
     >>> print(f"{likelihood({'mu': 0.7}):.2f}, {likelihood({'mu': -0.7})}")
     368.62, -inf
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     arguments, start, record = asked(system, base, times, measured, noise, y0, observe, method)
     setting, method = EstimatedNumbers(arguments.system, arguments.base), arguments.method
     state = tuple(start.tolist())
@@ -288,11 +286,9 @@ class StickSimulator:
         means = np.mean(found.reshape(len(rows), number, -1), axis=1)
         if not np.all(finished):
             means[~finished] = np.nan
-            warnings.warn(
+            checks.warn(
                 f"{np.count_nonzero(~finished)} of {len(rows)} rows did not reach t1 = {self.t1:g} s and are NaN; see "
-                "the status of simulate with these numbers.",
-                RuntimeWarning,
-                stacklevel=2,
+                "the status of simulate with these numbers."
             )
         return means
 

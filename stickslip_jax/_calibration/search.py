@@ -225,10 +225,11 @@ class Residuals(NamedTuple):
 
 
 class FitProblem(NamedTuple):
-    """A model and the windows of a record."""
+    """A model, and a record and its windows."""
 
     model: FittedMotion
     windows: Windows
+    record: Record
 
     def seen(self, point: SearchPoint) -> Residuals:
         """Residuals and derivatives at a point; NaN where a motion does not reach its window's end."""
@@ -419,7 +420,7 @@ class Search(NamedTuple):
             tuple(channel.observe for channel in self.record.channels),
             more * self.steps(windows, numbers),
         )
-        return FitProblem(model, jax.tree.map(jnp.asarray, windows))
+        return FitProblem(model, jax.tree.map(jnp.asarray, windows), self.record)
 
     def steps(self, windows: Windows, numbers: np.ndarray) -> int:
         """Loop steps for the longest of the windows, with the parameters at `numbers`."""
@@ -446,21 +447,16 @@ def fitted(search: Search, cuts: Cuts, x: np.ndarray, sigma: np.ndarray | None =
             f"{', '.join(f'{one.name} = {one.value:g}' for one in search.parameters)}, but it does not; see the status "
             "of simulate(system, base, ...)."
         )
-    found = _with_noise(problem, search.record, start, free, sigma)
+    found = _with_noise(problem, start, free, sigma)
     # The motion where the search ended may need more steps than it had.
     while search.steps(problem.windows, numbers := search.transform.numbers(found.point.x)) > problem.model.steps:
         problem = search.problem(cuts, numbers, more)
-        found = _with_noise(problem, search.record, found.point, free, sigma)
+        found = _with_noise(problem, found.point, free, sigma)
     return found
 
 
 def _with_noise(
-    problem: FitProblem,
-    record: Record,
-    start: SearchPoint,
-    free: Free,
-    sigma: np.ndarray | None,
-    about: np.ndarray | None = None,
+    problem: FitProblem, start: SearchPoint, free: Free, sigma: np.ndarray | None, about: np.ndarray | None = None
 ) -> FoundFit:
     """The fit with the noise `sigma`, or with the standard deviation of what is not known of it estimated too, in turn.
 
@@ -468,6 +464,7 @@ def _with_noise(
     """
     if sigma is not None:
         return problem.search(sigma, start, free)
+    record = problem.record
     known = np.isfinite(record.noise)
     spread = np.nanstd(record.values, axis=1)
     least = 1e-10 * np.nanmax(np.abs(record.values), axis=1) + np.finfo(float).tiny
@@ -503,4 +500,4 @@ def as_one(search: Search, found: FoundFit) -> FoundFit | float:
     fewer = found.point.s.size - (search.y0 is None) * whole.point.s.size
     if not whole.converged or growth > stats.chi2.isf(_CONTRADICTION, fewer):
         return growth
-    return _with_noise(whole.problem, search.record, whole.point, whole.free, None, found.sigma)
+    return _with_noise(whole.problem, whole.point, whole.free, None, found.sigma)

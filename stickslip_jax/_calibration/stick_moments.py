@@ -29,6 +29,7 @@ from .._sensitivity.statistic import (
 )
 from .._statistics.totals import mean_stick_count, mean_total_stick_time
 from .._uncertainty.inputs import StochasticModel
+from .parameters import Models
 
 # Moments of stick sequences: which, what was observed of them, and how the observed ones scatter.
 
@@ -98,10 +99,9 @@ def moments_of(moments: object) -> tuple[StickStatistic, ...]:
         raise ValueError(str(error).replace("Argument statistic", "Argument moments", 1)) from error
     for one in found:
         if isinstance(one, OfOutput) or (isinstance(one, OfTotals) and one.counts_slips):
-            raise checks.refused(
-                "moments", "hold statistics of sticks, of which recordings of sticks tell", one.name,
-                "of slips take a StickFunctional of what lies between the sticks",
-            )  # fmt: skip
+            demand = "hold statistics of sticks, of which recordings of sticks tell"
+            hint = "of slips take a StickFunctional of what lies between the sticks"
+            raise checks.refused("moments", demand, one.name, hint)
     return found
 
 
@@ -232,16 +232,6 @@ class Simulated(NamedTuple):
         """That of the mean."""
         return self.error[: len(self.mean), : len(self.mean)]
 
-    @property
-    def covariance_of_one(self) -> Float[np.ndarray, "moments moments"]:
-        """That of one realisation's numbers."""
-        return self.covariance * self.samples
-
-    @property
-    def is_known(self) -> bool:
-        """Whether all moments and derivatives are numbers."""
-        return bool(np.all(np.isfinite(self.mean)) and np.all(np.isfinite(self.slope)))
-
     def scaled(self, by: Float[np.ndarray, "parameters coordinates"]) -> "Simulated":
         """With derivatives by coordinates; `by`: those of the parameters by the coordinates."""
         moments = len(self.mean)
@@ -334,6 +324,7 @@ class Simulator:
 # by their Fisher information, if a recording's numbers were jointly normal.
 
 
+_Vector = Float[np.ndarray, " parameters"]
 _Square = Float[np.ndarray, "parameters parameters"]
 
 
@@ -347,7 +338,7 @@ class FitPart(NamedTuple):
     """
 
     value: float
-    gradient: Float[np.ndarray, " parameters"]
+    gradient: _Vector
     hessian: _Square
     noise: _Square
     scores: _Square
@@ -427,3 +418,64 @@ def by_likelihood(observed: Observed, simulated: Simulated) -> FitPart:
     value = np.linalg.slogdet(correlation)[1] + 2 * math.fsum(np.log(spread)) + float(np.sum(inverse * seen))
     noise = simulated.noise(recordings * to_standard.T @ information @ to_standard)
     return FitPart(0.5 * recordings * value, -weighted @ misfit, hessian, noise, weighted @ of_means @ weighted.T)
+
+
+# All experiments of a fit together.
+
+
+@dataclasses.dataclass(eq=False)
+class Experiments:
+    """A fit: models, what was observed, and simulations at the parameters that were looked at."""
+
+    models: Models
+    observations: list[Observed]
+    simulators: list[Simulator]
+    is_likelihood: bool
+    simulated: dict[bytes, list[Simulated] | None] = dataclasses.field(default_factory=dict)
+
+    def at(self, x: _Vector) -> list[Simulated] | None:
+        """The simulations at coordinates `x`; None where there are none. Raises ValueError at the first."""
+        if x.tobytes() not in self.simulated:
+            try:
+                self.simulated[x.tobytes()] = self._simulate(x)
+            except ValueError:
+                if not self.simulated:
+                    raise
+                self.simulated[x.tobytes()] = None
+        return self.simulated[x.tobytes()]
+
+    def _simulate(self, x: _Vector) -> list[Simulated]:
+        values = self.models.transform.numbers(x)
+        slopes = self.models.transform.slopes(values)
+        found = [one(model).scaled(slopes) for one, model in zip(self.simulators, self.models.at(values), strict=True)]
+        if everywhere := frozenset.intersection(*(one.products for one in self.simulators)):
+            raise ValueError(
+                f"Argument wrt must name parameters that can be told apart, but {min(everywhere)}; fit one."
+            )
+        shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.models.names, values, strict=True))
+        for one, seen in zip(found, self.observations, strict=True):
+            if not (np.all(np.isfinite(one.mean)) and np.all(np.isfinite(one.slope))):
+                raise ValueError(
+                    f"The moments or their derivatives do not exist at {shown}: there are no sticks, or every motion "
+                    "grazes the base velocity; start from other values."
+                )
+            size = len(seen.mean)
+            if self.is_likelihood and np.any(np.diag(one.covariance)[:size] <= 1e-24 * one.mean[:size] ** 2):
+                raise ValueError(
+                    "Argument moments must differ between realisations, but one is the same in all that were simulated "
+                    f"at {shown}; leave it out."
+                )
+        return found
+
+    def pairs(self, x: _Vector) -> list[tuple[Observed, Simulated]]:
+        """What was observed and simulated in each experiment, at coordinates `x` that have been simulated."""
+        return list(zip(self.observations, self.at(x) or [], strict=True))
+
+    def part(self, x: _Vector, covariances: list[Float[np.ndarray, "moments moments"]] | None = None) -> FitPart:
+        """What all experiments add up to at `x`; `covariances` of the misfits, by default from the recordings."""
+        if self.at(x) is None:
+            return FitPart.nothing(len(x))
+        if self.is_likelihood:
+            return FitPart.total([by_likelihood(*pair) for pair in self.pairs(x)])
+        known = covariances or [covariance_of_misfit(*pair) for pair in self.pairs(x)]
+        return FitPart.total([by_moments(*pair, weight) for pair, weight in zip(self.pairs(x), known, strict=True)])

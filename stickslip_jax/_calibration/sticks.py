@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -14,7 +13,6 @@ from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._ensemble.result import Ensemble
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState
 from .._sensitivity.call import check_estimator, require_differences
 from .._sensitivity.estimate import Estimator
@@ -22,17 +20,7 @@ from .._sensitivity.statistic import AnyStatistic
 from .._statistics.estimate import Estimate, correlated_estimates
 from .._systems.system import System, unit_at
 from .parameters import Models, covariance_of
-from .stick_moments import (
-    FitPart,
-    Observed,
-    Simulated,
-    Simulator,
-    by_likelihood,
-    by_moments,
-    covariance_of_misfit,
-    observations_of,
-    with_products,
-)
+from .stick_moments import Experiments, FitPart, Simulator, covariance_of_misfit, observations_of, with_products
 
 # The search for the parameters of a fit, by SciPy's trust region, and how well they are determined.
 
@@ -373,7 +361,7 @@ def calibrate_sticks(
             for the covariance of the moments; fewer moments than parameters; moments that are the same in all
             recordings; first guesses at a bound; and for what `sensitivity` refuses.
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     checks.chosen("objective", objective, get_args(Objective))
     check_estimator(estimator)
     require_differences(estimator, method)
@@ -392,127 +380,66 @@ def calibrate_sticks(
         # Simulations of an experiment are independent of those of the others.
         of_experiment = key if key is None or at == 0 else jax.random.fold_in(key, at)
         simulators.append(Simulator(own, one.t1, samples, of_experiment, models.names, method, threads, estimator))
-    result = _Fit(models, observations, simulators, is_likelihood).result()
+    result = result_of(Experiments(models, observations, simulators, is_likelihood))
     for remark in result.remarks:
-        warnings.warn(remark, RuntimeWarning, stacklevel=2)
+        checks.warn(remark)
     return result
 
 
-@dataclasses.dataclass(eq=False)
-class _Fit:
-    """A fit: models, what was observed, and simulations at the parameters that were looked at."""
+def result_of(fit: Experiments) -> StickCalibration:
+    """The estimate. Of moments, a second search has the weights that the first one's end suggests."""
+    models, transform, recordings = fit.models, fit.models.transform, sum(o.recordings for o in fit.observations)
+    found = minimised(fit.part, np.zeros(len(models.names)), _MOST)
+    if not fit.is_likelihood:
+        # Of the misfits, with those of the simulations where the first search ended.
+        known = [covariance_of_misfit(seen, one, one.covariance * one.samples) for seen, one in fit.pairs(found.x)]
+        found = minimised(lambda x: fit.part(x, known), found.x, _MOST)
+    certain = precision(found.part, found.stands)
+    values = transform.numbers(found.x)
+    slopes = transform.slopes(values)
+    covariance = covariance_of(slopes, certain.covariance, np.isfinite(np.diag(certain.covariance)))
+    fits = []
+    for experiment, (observed, simulated) in enumerate(fit.pairs(found.x)):
+        names, units = zip(*((one.name, one.unit) for one in observed.statistics), strict=True)
+        number, recorded = len(names), observed.covariance / observed.recordings
+        seen = correlated_estimates(names, observed.mean, units, recorded, observed.recordings)
+        within = simulated.covariance[:number, :number]
+        fitted = correlated_estimates(names, simulated.mean[:number], units, within, simulated.samples)
+        for one, other in zip(seen, fitted, strict=True):
+            # One recording alone has no scatter: the model's stands for it.
+            error = other.standard_error * math.sqrt(1 + simulated.samples / observed.recordings)
+            if observed.recordings > 1:
+                error = math.hypot(one.standard_error, other.standard_error)
+            fits.append(MomentFit(experiment, one, other, error))
+    test = curvature = None
+    if fit.is_likelihood:
+        errors = np.sqrt(np.diag(slopes @ np.linalg.pinv(found.part.hessian) @ slopes.T))
+        curvature = dict(zip(models.names, errors.tolist(), strict=True))
+    else:
+        from scipy import stats  # noqa: PLC0415 - takes long to load
 
-    models: Models
-    observations: list[Observed]
-    simulators: list[Simulator]
-    is_likelihood: bool
-    simulated: dict[bytes, list[Simulated] | None] = dataclasses.field(default_factory=dict)
-
-    def at(self, x: _Vector) -> list[Simulated] | None:
-        """The simulations at coordinates `x`; None where there are none. Raises ValueError at the first."""
-        if x.tobytes() not in self.simulated:
-            try:
-                self.simulated[x.tobytes()] = self._simulate(x)
-            except ValueError:
-                if not self.simulated:
-                    raise
-                self.simulated[x.tobytes()] = None
-        return self.simulated[x.tobytes()]
-
-    def _simulate(self, x: _Vector) -> list[Simulated]:
-        values = self.models.transform.numbers(x)
-        slopes = self.models.transform.slopes(values)
-        found = [one(model).scaled(slopes) for one, model in zip(self.simulators, self.models.at(values), strict=True)]
-        if everywhere := frozenset.intersection(*(one.products for one in self.simulators)):
-            raise ValueError(
-                f"Argument wrt must name parameters that can be told apart, but {min(everywhere)}; fit one."
-            )
-        shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.models.names, values, strict=True))
-        for one, seen in zip(found, self.observations, strict=True):
-            if not one.is_known:
-                raise ValueError(
-                    f"The moments or their derivatives do not exist at {shown}: there are no sticks, or every motion "
-                    "grazes the base velocity; start from other values."
-                )
-            size = len(seen.mean)
-            if self.is_likelihood and np.any(np.diag(one.covariance)[:size] <= 1e-24 * one.mean[:size] ** 2):
-                raise ValueError(
-                    "Argument moments must differ between realisations, but one is the same in all that were simulated "
-                    f"at {shown}; leave it out."
-                )
-        return found
-
-    def pairs(self, x: _Vector) -> list[tuple[Observed, Simulated]]:
-        """What was observed and simulated in each experiment, at coordinates `x` that have been simulated."""
-        return list(zip(self.observations, self.at(x) or [], strict=True))
-
-    def part(self, x: _Vector, covariances: list[Float[np.ndarray, "moments moments"]] | None = None) -> FitPart:
-        """What all experiments add up to at `x`; `covariances` of the misfits, by default from the recordings."""
-        if self.at(x) is None:
-            return FitPart.nothing(len(x))
-        if self.is_likelihood:
-            return FitPart.total([by_likelihood(*pair) for pair in self.pairs(x)])
-        known = covariances or [covariance_of_misfit(*pair) for pair in self.pairs(x)]
-        return FitPart.total([by_moments(*pair, weight) for pair, weight in zip(self.pairs(x), known, strict=True)])
-
-    def result(self) -> StickCalibration:
-        """The estimate. Of moments, a second search has the weights that the first one's end suggests."""
-        models, transform, recordings = self.models, self.models.transform, sum(o.recordings for o in self.observations)
-        found = minimised(self.part, np.zeros(len(models.names)), _MOST)
-        if not self.is_likelihood:
-            # Of the misfits, with those of the simulations where the first search ended.
-            known = [covariance_of_misfit(*pair, pair[1].covariance_of_one) for pair in self.pairs(found.x)]
-            found = minimised(lambda x: self.part(x, known), found.x, _MOST)
-        certain = precision(found.part, found.stands)
-        values = transform.numbers(found.x)
-        slopes = transform.slopes(values)
-        covariance = covariance_of(slopes, certain.covariance, np.isfinite(np.diag(certain.covariance)))
-        fits = []
-        for experiment, (observed, simulated) in enumerate(self.pairs(found.x)):
-            origins: Any = object(), object()
-            errors = np.sqrt(np.diag(observed.covariance) / observed.recordings)
-            for at, one in enumerate(observed.statistics):
-                # The moment as observed and as fitted.
-                pair = [(observed.mean[at], errors[at], observed.recordings)]
-                pair += [(simulated.mean[at], math.sqrt(simulated.covariance[at, at]), simulated.samples)]
-                seen, fitted = (
-                    Estimate(one.name, float(mean), float(error), one.unit, number, origin)
-                    for (mean, error, number), origin in zip(pair, origins, strict=True)
-                )
-                # One recording alone has no scatter: the model's stands for it.
-                error = fitted.standard_error * math.sqrt(1 + simulated.samples / observed.recordings)
-                if observed.recordings > 1:
-                    error = math.hypot(seen.standard_error, fitted.standard_error)
-                fits.append(MomentFit(experiment, seen, fitted, error))
-        test = curvature = None
-        if self.is_likelihood:
-            errors = np.sqrt(np.diag(slopes @ np.linalg.pinv(found.part.hessian) @ slopes.T))
-            curvature = dict(zip(models.names, errors.tolist(), strict=True))
-        else:
-            from scipy import stats  # noqa: PLC0415 - takes long to load
-
-            freedom, statistic = len(fits) - len(models.names), 2 * found.part.value
-            p_value = float(stats.chi2.sf(statistic, freedom)) if freedom else math.nan
-            test = Overidentification(statistic, freedom, p_value)
-        # The errors of the likelihood rest on simulations alone.
-        samples = self.simulators[0].samples
-        units = [unit_at(models.models[0], parameter.path) for parameter in models.parameters[0]]
-        size = samples if self.is_likelihood else recordings
-        estimates = correlated_estimates(models.names, values, units, covariance, size)
-        unfinished, ends = sum(simulated.unfinished for _, simulated in self.pairs(found.x)), models.at(values)
-        return StickCalibration(
-            estimates={one.name: one for one in estimates},
-            covariance=covariance,
-            objective="likelihood" if self.is_likelihood else "moments",
-            moments=tuple(fits),
-            overidentification=test,
-            curvature_errors=curvature,
-            systems=tuple(model.system for model in ends),
-            laws=tuple(model.law for model in ends),
-            recordings=recordings,
-            samples=samples,
-            unfinished=unfinished,
-            converged=certain.converged,
-            evaluations=len(self.simulated),
-            remarks=remarks_of(models.names, certain, test, unfinished, samples * len(self.simulators)),
-        )
+        freedom, statistic = len(fits) - len(models.names), 2 * found.part.value
+        p_value = float(stats.chi2.sf(statistic, freedom)) if freedom else math.nan
+        test = Overidentification(statistic, freedom, p_value)
+    # The errors of the likelihood rest on simulations alone.
+    samples = fit.simulators[0].samples
+    units = [unit_at(models.models[0], parameter.path) for parameter in models.parameters[0]]
+    size = samples if fit.is_likelihood else recordings
+    estimates = correlated_estimates(models.names, values, units, covariance, size)
+    unfinished, ends = sum(simulated.unfinished for _, simulated in fit.pairs(found.x)), models.at(values)
+    return StickCalibration(
+        estimates={one.name: one for one in estimates},
+        covariance=covariance,
+        objective="likelihood" if fit.is_likelihood else "moments",
+        moments=tuple(fits),
+        overidentification=test,
+        curvature_errors=curvature,
+        systems=tuple(model.system for model in ends),
+        laws=tuple(model.law for model in ends),
+        recordings=recordings,
+        samples=samples,
+        unfinished=unfinished,
+        converged=certain.converged,
+        evaluations=len(fit.simulated),
+        remarks=remarks_of(models.names, certain, test, unfinished, samples * len(fit.simulators)),
+    )

@@ -15,7 +15,6 @@ from jax.typing import ArrayLike
 
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Scalar, Status
 from .._systems.system import System
 from .common.method import EXACT, Arguments, Exact, Regularized, working_dtype
@@ -179,7 +178,7 @@ def simulate(
     >>> print(sticks.start[0], sticks.end[0], ss.Ending(int(sticks.ending[0])).name)
     0.0 0.25 RELEASED
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     arguments, start = Arguments.of_one(system, base, method, t1, y0)
     dtype = working_dtype(*(leaf for leaf in jax.tree.leaves(arguments.base) if eqx.is_inexact_array(leaf)))
     try:

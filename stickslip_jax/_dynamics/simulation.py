@@ -16,9 +16,7 @@ from jaxtyping import Array, Float, Int
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
-from .._foundation.fields import with_fields
-from .._foundation.methods import WithMethods
-from .._foundation.processes import require_threads_of_jax
+from .._foundation.fields import WithMethods, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
@@ -277,7 +275,7 @@ class Simulation(WithMethods):
 
     @property
     def slips(self) -> Slips:
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         if self.sticks.contact is not None:
             raise ValueError(
                 "Slips are those of one contact here: take simulation.of_contact(number).slips, or those of "
@@ -327,12 +325,12 @@ class Simulation(WithMethods):
 
     @property
     def slip_time(self) -> Float[Array, "*batch"]:
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         return self.time_reached - self.totals.stick_time
 
     @property
     def stick_fraction(self) -> Float[Array, "*batch"]:
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         return self.totals.stick_time / self.t1
 
     @property
@@ -599,7 +597,7 @@ class Simulation(WithMethods):
         return np.ndim(self.status) == 0 and not checks.holds_traced(self)
 
     def __repr__(self) -> str:
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         if not self._is_one:
             return f"Simulation(status={self.status}, sticks={self.sticks!r})"
         status = Status(int(self.status))

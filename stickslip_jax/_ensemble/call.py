@@ -14,7 +14,6 @@ from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.simulate import Output, Outputs, checked_outputs
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState, Status
 from .._statistics.accumulator import Numbering
 from .._systems.system import System, WithContacts
@@ -93,7 +92,7 @@ def simulate_ensemble(
     >>> print(ss.mean_stick_duration(many))
     mean stick duration (pooled): 0.2540 +- 0.0011 s
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     numbering, model = Numbering.checked(orders, count_initial_rest), StochasticModel(system, law, y0)
     wanted = checked_outputs(outputs, TAKEN)
     setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
@@ -246,7 +245,7 @@ def simulate_contacts(
     >>> print(ss.stick_fraction(many.of_all_contacts()))
     stick fraction: 0.0555 +- 0.0037
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     numbering, model = Numbering.checked(orders, count_initial_rest), StochasticModel(system, law, y0)
     wanted = checked_outputs(outputs, TAKEN)
     setup = EnsembleSetup.checked(

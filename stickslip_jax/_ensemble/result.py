@@ -18,7 +18,6 @@ from .._dynamics.sticks import Slips, Sticks, in_slots
 from .._excitation.excitation import is_random
 from .._foundation import checks, html
 from .._foundation.files import file_to_write
-from .._foundation.processes import require_threads_of_jax
 from .._numerics.sums import DyadicCounts, PowerSums
 from .._statistics.accumulator import Numbering
 from .._statistics.distribution import BINS, Clusters, Distribution, Summary, shown, table_of
@@ -147,7 +146,7 @@ class Ensemble(EnsembleData):
         Raises:
             ValueError: For an ensemble that was not simulated by `simulate_ensemble`, or that was joined.
         """
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         self._check_extendable()
         first = self.first_sample + self.samples
         samples = checks.whole_number("samples", samples, maximum=MOST_SAMPLES - first)
@@ -268,7 +267,7 @@ class Ensemble(EnsembleData):
         Raises:
             ValueError: Unless ``0 <= number < samples``, and for an ensemble that does not know its base motion.
         """
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         if checks.whole_number("number", number, minimum=0) >= self.samples:
             raise checks.refused("number", f"be below the {self.samples} samples", number)
         ends = np.cumsum([part.samples for part in self._parts])

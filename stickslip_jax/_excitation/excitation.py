@@ -14,7 +14,6 @@ from jaxtyping import Array, PyTree
 
 from .._foundation import checks
 from .._foundation.fields import is_of_package
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import AnyArray, FloatArray, FloatScalar, KeyData, Number, Scalar, Word
 from .._numerics.derivatives import NotKnown
 from .._numerics.elementary import key_data_of, random_words
@@ -305,7 +304,7 @@ def base_velocity(base: BaseMotion, times: AnyArray | Sequence[float] | float | 
     >>> print(ss.base_velocity(ss.Recorded([0.0, 2.0], [0.0, 1.0]), [0.0, 0.5, 2.0]))
     [0.   0.25 1.  ]
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     checks.numeric("times", times, ndim=None)
     excitation = excitation_of(realisation_of(base))
     if excitation.ground or isinstance(excitation.smooth, SourceVoltage):

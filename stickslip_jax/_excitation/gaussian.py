@@ -273,9 +273,8 @@ class GaussianProcess(RandomSignal):
         with jax.ensure_compile_time_eval(), np.errstate(all="ignore"):  # what is not finite is refused below
             coarse, fine = (np.asarray(self._band(np, rule).variances, float) for rule in _RULES)
         if not (np.all(np.isfinite(fine)) and np.all(fine >= 0) and fine.sum() > 0):
-            raise checks.refused(
-                "spectrum", "be finite and zero or positive up to the cutoff, and not zero everywhere", self.spectrum
-            )
+            demand = "be finite and zero or positive up to the cutoff, and not zero everywhere"
+            raise checks.refused("spectrum", demand, self.spectrum)
         if np.abs(fine - coarse).sum() > _LARGEST_ERROR * fine.sum():
             raise ValueError(
                 f"Argument spectrum must vary little within a {_PARTS}th of the cutoff, "
@@ -288,9 +287,7 @@ class GaussianProcess(RandomSignal):
         """The variance: the integral of the spectrum up to the cutoff, or ``rms^2``."""
         return self._of_spectrum if self.rms is None else self.rms**2
 
-    @property
-    def shortest_period(self) -> Scalar:
-        return 2 * math.pi / self.cutoff
+    shortest_period = GaussianSample.shortest_period  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
     def spectral_density(self, angular_frequency: AnyArray | float) -> FloatArray:
         """The one-sided density at these angular frequencies (rad/s, any shape); zero from the cutoff on."""

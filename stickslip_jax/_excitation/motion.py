@@ -16,8 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._foundation import checks
-from .._foundation.fields import Checked, Quantity, is_of_package
-from .._foundation.methods import Module
+from .._foundation.fields import Checked, Module, Quantity, is_of_package
 from .._foundation.types import AnyArray, FloatArray, KeyData, Number, Scalar
 from .._numerics.elementary import key_data_of, random_words, sincos, uniform
 

@@ -15,8 +15,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, PyTree
 
 from .._foundation import checks
-from .._foundation.fields import Choice, Quantity, is_distribution, is_of_package
-from .._foundation.methods import keeps
+from .._foundation.fields import Choice, Quantity, is_distribution, is_of_package, keeps
 from .._foundation.types import AnyArray, FloatArray, FloatScalar, Number, Scalar
 from .._numerics.derivatives import largest, smallest
 from .._numerics.elementary import exponential, fine_uniform, random_words

@@ -3,8 +3,6 @@ steps.
 """
 
 import math
-import sys
-import warnings
 from functools import partial
 from typing import Annotated, ClassVar
 
@@ -44,8 +42,6 @@ _LARGEST = 0.3  # of the root mean square: what is larger is the motion itself
 _LEAST = 0.1  # of the root mean square change from point to point: what is smaller does no harm
 _COARSEST, _FINEST = 1 / 2, 1 / 2000  # cutoff times the time between points; below, the spline loses digits
 
-_INNER = (__name__.partition(".")[0], "equinox", "jaxtyping", "beartype", "importlib")  # whose lines no user wrote
-
 PerPoint = Float[np.ndarray, " points"]
 
 
@@ -58,17 +54,12 @@ def warn_of_noise(times: AnyArray, values: AnyArray) -> None:
     if noise is None:
         return
     rate = math.sqrt(2) * noise / float(np.median(np.diff(times)))
-    level, frame = 1, sys._getframe()  # up to the line that made the record: the first outside the package
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INNER:
-        level, frame = level + 1, frame.f_back
-    warnings.warn(
+    checks.warn(
         f"The record of {len(times)} points looks noisy: from point to point it jumps by independent errors of about "
         f"{noise:.2g} (standard deviation, in the unit of the values), which as a base velocity in m/s accelerate by "
         f"{rate:.2g} m/s^2 and break sticks into many short ones. Smooth it, Recorded.smoothed(times, values, "
         "cutoff_hz=...) or read_recorded_csv(..., cutoff_hz=...); where every point is meant, call "
-        "warnings.filterwarnings('ignore', message='The record of').",
-        RuntimeWarning,
-        stacklevel=level,
+        "warnings.filterwarnings('ignore', message='The record of')."
     )
 
 

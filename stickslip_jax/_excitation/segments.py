@@ -16,17 +16,7 @@ from jaxtyping import Array, Float, PyTree, UInt32
 
 from .._foundation import checks
 from .._foundation.fields import Checked
-from .._foundation.types import (
-    AnyArray,
-    BoolArray,
-    BoolScalar,
-    FloatArray,
-    FloatScalar,
-    IntArray,
-    KeyData,
-    Scalar,
-    Word,
-)
+from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, IntArray, KeyData, Scalar, Word
 from .._numerics.derivatives import NotKnown
 from .._numerics.elementary import key_data_of, random_words, uniform
 from .motion import Motion
@@ -467,7 +457,3 @@ class SegmentTable(eqx.Module):
         """The segment at time `t` (s); at the instant between two, the second."""
         index = jnp.clip(jnp.searchsorted(self.segments.begin, t, side="right") - 1, 0)
         return jax.tree.map(lambda values: values[index], self.segments)
-
-    def reaches(self, t1: FloatArray) -> BoolArray:
-        """Whether the segments last until `t1` (s)."""
-        return self.end >= t1

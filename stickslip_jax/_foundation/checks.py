@@ -1,16 +1,18 @@
 """Argument checks. Each raises ValueError that names the argument, what is allowed, and the value given.
 
 The numbers that ``jit``, ``vmap`` and ``grad`` trace are not known yet: they pass unchecked, and what unsuitable
-ones cause shows in the status of each trajectory.
+ones cause shows in the status of each trajectory. What is allowed but may not be meant, `warn` says.
 """
 
 import contextlib
 import math
 import numbers as kinds_of_numbers
 import os
+import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +21,23 @@ import numpy.typing as npt
 from jax.core import Tracer
 from jax.errors import ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError
 
-from .processes import require_threads_of_jax
 from .types import AnyArray
 
 SMALLEST, LARGEST = 1e-100, 1e100
 """Between these, numbers may be multiplied and divided by one another a few times without leaving float64."""
+Bound: TypeAlias = int | float | None
+"""A bound of a number, None for none."""
+
+
+_INNER = (__name__.partition(".")[0], "equinox", "jaxtyping", "beartype", "importlib")  # whose lines no user wrote
+
+
+def warn(text: str) -> None:
+    """Warn (RuntimeWarning) at the line that a user wrote: the first outside the package."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INNER:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, RuntimeWarning, stacklevel=level)
 
 
 def is_traced(value: object) -> bool:
@@ -31,12 +45,16 @@ def is_traced(value: object) -> bool:
     return isinstance(value, Tracer)
 
 
+NOT_TRACEABLE = ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError
+"""What JAX raises where code asks for a number that it traces."""
+
+
 @contextlib.contextmanager
 def traceable(what: str) -> Iterator[None]:
     """Say in one sentence that a user's code, `what`, asks for numbers that JAX traces, as NumPy and `if` do."""
     try:
         yield
-    except (ConcretizationTypeError, TracerArrayConversionError, TracerIntegerConversionError) as error:
+    except NOT_TRACEABLE as error:
         raise ValueError(
             f"{what} must be written so that JAX can trace it, but it asks for the value of a number that is not known "
             "yet, as functions of numpy and math, float(...) and if do; write jax.numpy.sqrt(x) or x ** 0.5 for "
@@ -199,9 +217,9 @@ def bounded(
     value: Any,
     unit: str = "",
     *,
-    above: int | float | None = None,
-    at_least: int | float | None = None,
-    below: int | float | None = None,
+    above: Bound = None,
+    at_least: Bound = None,
+    below: Bound = None,
     ndim: int = 0,
     hint: str = "",
 ) -> None:
@@ -220,12 +238,7 @@ def bounded(
 
 
 def out_of_bounds(
-    values: np.ndarray | np.floating,
-    above: int | float | None,
-    at_least: int | float | None,
-    below: int | float | None,
-    *,
-    sized: bool,
+    values: np.ndarray | np.floating, above: Bound, at_least: Bound, below: Bound, *, sized: bool
 ) -> Iterator[tuple[np.ndarray | np.bool_, str, str]]:
     """Of each demand on the numbers `values`: which do not meet it, what they must be, and what to do.
 
@@ -273,14 +286,9 @@ def same_length(least: int, **arrays: AnyArray) -> None:
     shapes = [np.shape(array) for array in arrays.values()]
     if len(set(shapes)) > 1 or shapes[0][0] < least:
         raise ValueError(
-            f"Arguments {_and(arrays)} must have the same length of at least {least}, but they have shapes "
-            f"{_and(map(str, shapes))}."
+            f"Arguments {one_of(arrays, 'and')} must have the same length of at least {least}, but they have shapes "
+            f"{one_of(map(str, shapes), 'and')}."
         )
-
-
-def _and(words: Iterable[str]) -> str:
-    *most, last = words
-    return f"{', '.join(most)} and {last}"
 
 
 def increasing_from_zero(name: str, times: AnyArray, hint: str = "") -> None:
@@ -347,10 +355,10 @@ def _kind(ndim: int | None) -> str:
     return kinds.get(ndim, f"a {ndim}-dimensional array of real numbers")
 
 
-def one_of(names: Iterable[str]) -> str:
-    """The names as words: "A, B or C"."""
+def one_of(names: Iterable[str], word: str = "or") -> str:
+    """The names as words: "A, B or C", or with another `word`."""
     *most, last = names
-    return f"{', '.join(most)} or {last}" if most else last
+    return f"{', '.join(most)} {word} {last}" if most else last
 
 
 def chosen(name: str, value: object, options: Iterable[str]) -> str:
@@ -364,20 +372,13 @@ def chosen(name: str, value: object, options: Iterable[str]) -> str:
 def path(name: str, value: object, what: str = "the name of a file or folder") -> Path:
     """Check that ``value`` can be the name of a file or folder, and return it as a path. `what`: what it must be."""
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) and not isinstance(value, type) else None
-    if not isinstance(text, str) or not 0 < len(text) <= _LONGEST_NAME or "\0" in text or not _can_be_encoded(text):
-        raise refused(name, f"be {what}", value)
-    return Path(text)
+    with contextlib.suppress(UnicodeEncodeError):
+        if isinstance(text, str) and len(text) <= _LONGEST_NAME and "\0" not in text and os.fsencode(text):
+            return Path(text)
+    raise refused(name, f"be {what}", value)
 
 
 _LONGEST_NAME = 4096  # characters
-
-
-def _can_be_encoded(text: str) -> bool:
-    try:
-        os.fsencode(text)
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 _SHOWN = 80  # characters
@@ -398,3 +399,49 @@ def show(value: object) -> str:
     except Exception:  # the object is anybody's
         return f"an object of the class {type(value).__name__}"
     return f"{text[: _SHOWN - 3]}..." if cut or len(text) > _SHOWN else text
+
+
+# Forks of a process in which JAX has started: its threads are not in the fork, and what needs them waits for ever.
+
+
+_PROBED = "jax_num_cpu_devices"  # which JAX refuses to change once it has started
+
+
+class _State:
+    """`started`: whether JAX had started when this process was forked last. `lost`: whether this is such a fork."""
+
+    started = False
+    lost = False
+
+
+def require_threads_of_jax() -> None:
+    """Raises RuntimeError in a fork of a process in which JAX had started."""
+    if _State.lost:
+        raise RuntimeError(
+            "JAX cannot run in a fork of a process in which it had started, and would wait for threads that are not "
+            'there; start processes by multiprocessing.get_context("spawn"), or let Sweep.run(workers=...) do it.'
+        )
+
+
+def _before() -> None:
+    _State.started = _State.lost or _has_started()
+
+
+def _in_fork() -> None:
+    _State.lost = _State.started
+
+
+def _has_started() -> bool:
+    """Whether JAX has started. No function of JAX tells it, but it refuses another number of devices from then on."""
+    now = getattr(jax.config, _PROBED)
+    try:
+        # Any negative number is the number that the flags of XLA say.
+        jax.config.update(_PROBED, -2 if now < 0 else now + 1)
+    except RuntimeError:
+        return True
+    jax.config.update(_PROBED, now)
+    return False
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_before, after_in_child=_in_fork)

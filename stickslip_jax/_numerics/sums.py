@@ -38,10 +38,8 @@ def joined_bins(number: int, most: int) -> int:
     A last bin that extends far beyond the numbers would show too low a density.
     """
     least = -(-number // most)
-    within = range(least, least + least // 8 + 1)
-    waste = {together: -number % together / together for together in within}
-    nearly_full = [together for together in within if waste[together] <= 0.1]
-    return nearly_full[0] if nearly_full else min(within, key=waste.__getitem__)
+    # The least number of which less than a tenth of the last bin is empty, or else that of which least is.
+    return min(range(least, least + least // 8 + 1), key=lambda together: max(-number % together / together, 0.1))
 
 
 def places(values: np.ndarray, low: float, exponent: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import PyTree
 
 from .._compiler import sharing
-from .._dynamics.common.path import SegmentLaws, following_segments
+from .._dynamics.common.path import StepsShared, following_segments
 from .._dynamics.interval.arcs import Scales, carry_across, excess_of, touch
 from .._dynamics.interval.crossing import MassState, cross_interval, start_motion
 from .._dynamics.interval.engine import IntervalEngine
@@ -380,11 +380,11 @@ class _AtRoot(NamedTuple):
     slope: FloatArray
 
 
-def crossed_after(segment_laws: SegmentLaws, t1: FloatArray, step: EngineStep) -> FloatArray:
+def crossed_after(shared: StepsShared, step: EngineStep) -> FloatArray:
     """`EngineStep.crossed` for the step after `step`."""
-    laws_and_states = zip(segment_laws.all, step.segment_states, strict=True)
+    laws_and_states = zip(shared.segment_laws.all, step.segment_states, strict=True)
     ends = [segment_state.segment.end for law, segment_state in laws_and_states if law.jumps]
-    crosses = (step.sign != 0) & (step.sign_end == -step.sign) & (step.end < _stop(t1, step))
+    crosses = (step.sign != 0) & (step.sign_end == -step.sign) & (step.end < _stop(shared.t1, step))
     # Once the base velocity has jumped, the slip does not count as begun at the base velocity any more.
     jumped = jnp.any(jnp.stack([jnp.zeros((), bool), *(step.end >= end for end in ends)]))
     goes_on = (step.sign_end == step.sign) & ~jumped
@@ -392,23 +392,20 @@ def crossed_after(segment_laws: SegmentLaws, t1: FloatArray, step: EngineStep) -
 
 
 @sharing
-def is_candidate(
-    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: EngineStep
-) -> BoolArray:
+def is_candidate(model: OneContactModel, shared: StepsShared, step: EngineStep) -> BoolArray:
     """Whether the step may be close to a boundary; no other step is."""
-    outcome = _outcome_of(*without_derivatives((model, segment_laws, t1, step_length, step)))
+    outcome = _outcome_of(*without_derivatives((model, shared, step)))
     return outcome.has_event | outcome.crosses | outcome.dips | outcome.falls
 
 
 @sharing
-def distances_of_step(
-    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: EngineStep
-) -> BoundaryDistances:
+def distances_of_step(model: OneContactModel, shared: StepsShared, step: EngineStep) -> BoundaryDistances:
     """The signed distances of a step for which `is_candidate` is true."""
     # What has no derivatives decides and searches; the rest is evaluated once, at the instants found.
-    known = without_derivatives((model, segment_laws, t1, step_length, step))
-    (still, still_laws, _, still_length, fixed), outcome, sticking = known, _outcome_of(*known), step.sign == 0
-    segments, still_segments = segment_laws.segments(step.segment_states), still_laws.segments(fixed.segment_states)
+    known = without_derivatives((model, shared, step))
+    (still, (still_laws, _, still_length), fixed), outcome, sticking = known, _outcome_of(*known), step.sign == 0
+    t1, segments = shared.t1, shared.segment_laws.segments(step.segment_states)
+    still_segments = still_laws.segments(fixed.segment_states)
     nothing, stop = jnp.zeros_like(step.end), outcome.stop
     # Two flows: that of the step, and that of a mass which crosses the base velocity at the step's end.
     start = _stacked((step.t, step.y, step.sign), (step.end, step.y_end, -step.sign))
@@ -499,13 +496,11 @@ def distances_of_step(
     )
 
 
-def _outcome_of(
-    model: OneContactModel, segment_laws: SegmentLaws, t1: FloatArray, step_length: FloatArray, step: EngineStep
-) -> _Outcome:
-    sticking = step.sign == 0
-    tau = step.end - step.t
-    stop = _stop(t1, step)
-    inputs = model.forcing(step.t, segment_laws.segments(step.segment_states))
+def _outcome_of(model: OneContactModel, shared: StepsShared, step: EngineStep) -> _Outcome:
+    segment_laws, t1, step_length = shared
+    sticking, tau, stop = step.sign == 0, step.end - step.t, _stop(t1, step)
+    segments = segment_laws.segments(step.segment_states)
+    inputs = model.forcing(step.t, segments)
 
     def measured(tau, y):
         s, d = model.guard(inputs, tau, y, step.sign)
@@ -521,9 +516,7 @@ def _outcome_of(
     has_event = inside & ((step.sign_end == 0) != sticking)
     crosses = inside & ~sticking & (step.sign_end == -step.sign)
     # Far from the edge of the stick band a crossing stays one whatever the parameter's change.
-    held, _ = model.guard(
-        model.forcing(step.end, segment_laws.segments(step.segment_states)), 0 * tau, step.y_end, 0 * tau
-    )
+    held, _ = model.guard(model.forcing(step.end, segments), 0 * tau, step.y_end, 0 * tau)
     crosses = crosses & (jnp.abs(held) < _FAR)
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
     # Would the mode have switched soon, had the segment gone on? Along the tangent of the guard, within a few steps.

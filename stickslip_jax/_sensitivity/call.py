@@ -1,7 +1,6 @@
 """`sensitivity` and `differentiable`: derivatives of stick statistics, corrected for sticks that appear and vanish."""
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import combinations
@@ -29,16 +28,7 @@ from .._uncertainty.numbers import number_at, shown, with_numbers
 from . import estimate
 from .counting import recording
 from .estimate import Estimator, Sensitivities, Sensitivity, results_of
-from .estimators import (
-    Accumulator,
-    Source,
-    counted,
-    counting_engine,
-    differenced,
-    recorded,
-    run_chunks,
-    score_leaves,
-)
+from .estimators import Accumulator, Source, counted, counting_engine, differenced, recorded, run_chunks, score_leaves
 from .problem import (
     LANES,
     Pilot,
@@ -50,15 +40,7 @@ from .problem import (
     warn_at_special_speeds,
     warn_if_grazing,
 )
-from .statistic import (
-    AnyStatistic,
-    BufferSizes,
-    OfOutput,
-    features_of,
-    record_sequences,
-    statistic_of,
-    wrapped,
-)
+from .statistic import AnyStatistic, BufferSizes, OfOutput, features_of, record_sequences, statistic_of, wrapped
 
 # A warning where parameters act only together, as a friction coefficient and a normal force do through their product.
 #
@@ -211,7 +193,7 @@ def sensitivity(
     widths = [source.widths for source, kind in zip(sources, kinds, strict=True) for _ in kind.statistics]
     found = results_of(problem, accumulated, widths, elasticity, chosen, grazing)
     for sentence in products_among(problem, accumulated):
-        warnings.warn(f"{sentence}; vary one of them only.", RuntimeWarning, 2)
+        checks.warn(f"{sentence}; vary one of them only.")
     checked = range(len(found))  # the statistics whose windows are compared
     if chosen == "corrected":
         each = enumerate(map(problem.only, problem.statistics))
@@ -225,20 +207,16 @@ def sensitivity(
         if parameter.name not in grazing and estimate.windows_disagree(accumulated.single(number, place))
     ]
     if disagreeing:
-        warnings.warn(
+        checks.warn(
             f"No two windows agree on the derivative with respect to {', '.join(dict.fromkeys(disagreeing))}: it "
             "depends on how far one looks for sticks about to appear or vanish, or does not exist. That of the "
             "narrowest window is given, with a standard error of NaN; compare with estimator='finite-difference' at "
-            "several steps.",
-            RuntimeWarning,
-            stacklevel=2,
+            "several steps."
         )
     few = min((one.sticks_in_window for at in checked for one in found[at].values()), default=estimate.FEW)
     if chosen == "corrected" and few < estimate.FEW:
-        warnings.warn(
-            f"The event part rests on {few} sticks only, so that its standard error means little; take more samples.",
-            RuntimeWarning,
-            stacklevel=2,
+        checks.warn(
+            f"The event part rests on {few} sticks only, so that its standard error means little; take more samples."
         )
     single = [next(iter(one.values())) if isinstance(wrt, str) else Sensitivities(one) for one in found]
     if not isinstance(statistic, (list, tuple)):

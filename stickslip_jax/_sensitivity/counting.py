@@ -1,6 +1,6 @@
 """Engines that count sticks with the derivative of the expected count, or record all that decides about sticks."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, PyTree
 
-from .._dynamics.common.lanes import Engine
+from .._dynamics.common.lanes import Engine, Motion, Shared
 from .._dynamics.common.path import SegmentLaws, StepsShared
 from .._dynamics.interval.arcs import Scales
 from .._dynamics.interval.crossing import start_motion, status_of
@@ -68,8 +68,32 @@ class Counted(NamedTuple):
 def recording(engine: IntervalEngine | SwitchedEngine, first: FirstSegment) -> "IntervalCounting | StepCounting":
     """`engine` with its candidates recorded."""
     if isinstance(engine, IntervalEngine):
-        return IntervalCounting(engine, np.zeros(0), None, first, with_distances=True)
+        return IntervalCounting(engine, np.zeros(0), first, with_distances=True)
     return StepCounting(engine, np.zeros(0), first, with_distances=True)
+
+
+class CountedSample(NamedTuple):
+    """Constants of a sample: what its excitation follows from (the key data, or its smooth part), and when the first
+    random thing happens in it, s.
+    """
+
+    own: Any
+    deterministic_until: FloatArray
+
+
+class CountingEngine(Engine[Shared, CountedSample, Motion, Trace, Counted]):
+    """Engine that counts the sticks that another `engine` simulates, and records candidates, if `with_distances`.
+
+    `bandwidths` (windows,): relative bandwidths of the kernels (see `two_sided_kernel`).
+    """
+
+    engine: Any
+    bandwidths: AnyArray
+    first: FirstSegment = eqx.field(static=True)
+    with_distances: bool = eqx.field(static=True, default=False)
+
+    def shared(self, dtype) -> Shared:
+        return self.engine.shared(dtype)
 
 
 # Over whole intervals of the base. Where the gaps between switches are exponential, the time left at an arrival is
@@ -85,13 +109,6 @@ class Likelihood(NamedTuple):
     sticks: Scalar
 
 
-class IntervalSample(NamedTuple):
-    """Constants of a sample: its key data, and when the first random thing happens in it, s."""
-
-    key_data: tuple[Array, Array]
-    deterministic_until: FloatArray
-
-
 class _IntervalMotion(NamedTuple):
     """The motion of one lane, its sums so far, and the number of switches of its base."""
 
@@ -100,35 +117,26 @@ class _IntervalMotion(NamedTuple):
     switches: IntArray
 
 
-class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Counted]):
-    """Engine that counts the sticks that an `IntervalEngine` simulates, and records candidates, if `with_distances`.
-
-    `bandwidths` (windows,): relative bandwidths of the kernels (see `two_sided_kernel`).
-    """
+class IntervalCounting(CountingEngine[Scales, _IntervalMotion]):
+    """The counting engine of an `IntervalEngine`."""
 
     engine: IntervalEngine
-    bandwidths: AnyArray
-    likelihood: Likelihood | None
-    first: FirstSegment = eqx.field(static=True)
-    with_distances: bool = eqx.field(static=True, default=False)
+    likelihood: Likelihood | None = None
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[IntervalSample, _IntervalMotion]:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[CountedSample, _IntervalMotion]:
         law, (x, velocity), zero = self.engine.law, self.engine.y0, jnp.zeros((), dtype)
         motion = start_motion(self.shared(dtype), (x, velocity))
         memory = law.begin(key_data, dtype)
         end, _, _ = law.next_interval(memory, law.draw(key_data, jnp.zeros((), jnp.uint32), dtype), dtype)
         lane = IntervalLane(memory, motion, start_totals(dtype), zero)
         begun = _IntervalMotion(lane, BoundarySums.none(len(self.bandwidths), dtype), jnp.zeros((), jnp.int32))
-        return IntervalSample(key_data, self.first.deterministic_until(end)), begun
+        return CountedSample(key_data, self.first.deterministic_until(end)), begun
 
-    def shared(self, dtype) -> Scales:
-        return self.engine.shared(dtype)
-
-    def draw(self, sample: IntervalSample, number: Array, dtype) -> PyTree:
-        return self.engine.law.draw(sample.key_data, number, dtype)
+    def draw(self, sample: CountedSample, number: Array, dtype) -> PyTree:
+        return self.engine.law.draw(sample.own, number, dtype)
 
     def step(
-        self, shared: Scales, sample: IntervalSample, motion: _IntervalMotion, drawn: PyTree
+        self, shared: Scales, sample: CountedSample, motion: _IntervalMotion, drawn: PyTree
     ) -> tuple[_IntervalMotion, Trace]:
         (lane, sums, switches), law = motion, self.engine.law
         moved, stick, distances, duration = cross_with_distances(law, shared, lane, drawn)
@@ -150,14 +158,14 @@ class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Co
             return following, Trace(stick, None, None)
         return following, Trace(stick, distances, distances.any_active & (distances.time <= shared.t1))
 
-    def distances(self, samples: IntervalSample, candidates: BoundaryDistances) -> BoundaryDistances:
+    def distances(self, samples: CountedSample, candidates: BoundaryDistances) -> BoundaryDistances:
         """The signed distances of candidates (slots, lanes)."""
         return candidates
 
     def ended(self, motion: _IntervalMotion, before: _IntervalMotion) -> BoolArray:
         return is_over(motion.lane.motion, before.lane.motion, self.engine.t1)
 
-    def results(self, sample: IntervalSample, motion: _IntervalMotion) -> Counted:
+    def results(self, sample: CountedSample, motion: _IntervalMotion) -> Counted:
         totals, sums = motion.lane.totals, motion.sums
         time = totals.stick_time
         if self.likelihood is not None:
@@ -175,13 +183,6 @@ class IntervalCounting(Engine[Scales, IntervalSample, _IntervalMotion, Trace, Co
 # block, and their signed distances are found together.
 
 
-class StepSample(NamedTuple):
-    """Constants of a sample: the smooth part of its excitation, and when the first random thing happens in it, s."""
-
-    smooth: Signal | None
-    deterministic_until: FloatArray
-
-
 class _StepMotion(NamedTuple):
     """A lane of the switched engine, its `EngineStep.crossed`, and its sums so far."""
 
@@ -190,44 +191,35 @@ class _StepMotion(NamedTuple):
     sums: BoundarySums
 
 
-class StepCounting(Engine[StepsShared, StepSample, _StepMotion, Trace, Counted]):
-    """Engine that counts the sticks that a `SwitchedEngine` simulates; its fields are those of `IntervalCounting`.
-
-    Without distances it gives only pathwise derivatives.
-    """
+class StepCounting(CountingEngine[StepsShared, _StepMotion]):
+    """The counting engine of a `SwitchedEngine`. Without distances it gives only pathwise derivatives."""
 
     engine: SwitchedEngine
-    bandwidths: AnyArray
-    first: FirstSegment = eqx.field(static=True)
-    with_distances: bool = eqx.field(static=True)
     looks_back = True
 
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[StepSample, _StepMotion]:
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[CountedSample, _StepMotion]:
         smooth, lane = self.engine.begin(key_data, dtype)
         laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
         ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
         until = self.first.deterministic_until(jnp.min(jnp.stack(ends))) if ends else jnp.zeros((), dtype)
         begun = _StepMotion(lane, -jnp.ones((), dtype), BoundarySums.none(len(self.bandwidths), dtype))
-        return StepSample(smooth, until), begun
-
-    def shared(self, dtype) -> StepsShared:
-        return self.engine.shared(dtype)
+        return CountedSample(smooth, until), begun
 
     def step(
-        self, shared: StepsShared, sample: StepSample, motion: _StepMotion, drawn: None
+        self, shared: StepsShared, sample: CountedSample, motion: _StepMotion, drawn: None
     ) -> tuple[_StepMotion, Trace]:
-        model = one_contact_model(self.engine.system, sample.smooth, self.engine.solver)
+        model = one_contact_model(self.engine.system, sample.own, self.engine.solver)
         moved, stick = advance(model, *shared, motion.lane)
         if not self.with_distances:
             return motion._replace(lane=moved), Trace(stick, None, None)
         before = motion.lane
         beginning, end = (before.t, before.y, before.sign, before.segment_states), (moved.t, moved.y, moved.sign)
         taken = EngineStep(*beginning, *end, motion.crossed)
-        following = crossed_after(shared.segment_laws, shared.t1, taken)
-        candidate = Trace(stick, taken, is_candidate(model, *shared, taken))
+        following = crossed_after(shared, taken)
+        candidate = Trace(stick, taken, is_candidate(model, shared, taken))
         return motion._replace(lane=moved, crossed=following), candidate
 
-    def after_block(self, samples: StepSample, motions: _StepMotion, records: Trace) -> _StepMotion:
+    def after_block(self, samples: CountedSample, motions: _StepMotion, records: Trace) -> _StepMotion:
         if records.is_candidate is None or len(self.bandwidths) == 0:
             return motions
         bandwidths = jnp.asarray(self.bandwidths, samples.deterministic_until.dtype)
@@ -257,24 +249,24 @@ class StepCounting(Engine[StepsShared, StepSample, _StepMotion, Trace, Counted])
         _, sums = lax.while_loop(lambda carry: carry[0] < found[-1], with_some_more, begun)
         return motions._replace(sums=sums)
 
-    def distances(self, samples: StepSample, candidates: EngineStep) -> BoundaryDistances:
+    def distances(self, samples: CountedSample, candidates: EngineStep) -> BoundaryDistances:
         """The signed distances of candidates (slots, lanes)."""
-        return jax.vmap(self._distances_of, in_axes=(0, None))(candidates, samples.smooth)
+        return jax.vmap(self._distances_of, in_axes=(0, None))(candidates, samples.own)
 
     def _distances_of(self, candidates: EngineStep, smooth: Signal | None) -> BoundaryDistances:
         """The signed distances of candidates (candidates,), each under its own smooth excitation."""
         engine, shared = self.engine, self.shared(candidates.t.dtype)
 
         def of(candidate, smooth):
-            return distances_of_step(one_contact_model(engine.system, smooth, engine.solver), *shared, candidate)
+            return distances_of_step(one_contact_model(engine.system, smooth, engine.solver), shared, candidate)
 
         return jax.vmap(of)(candidates, smooth)
 
     def ended(self, motion: _StepMotion, before: _StepMotion) -> BoolArray:
         return self.engine.ended(motion.lane, before.lane)
 
-    def results(self, sample: StepSample, motion: _StepMotion) -> Counted:
-        totals = self.engine.results(sample.smooth, motion.lane)
+    def results(self, sample: CountedSample, motion: _StepMotion) -> Counted:
+        totals = self.engine.results(sample.own, motion.lane)
         return Counted(totals.status, totals.stick_time, totals.sticks, motion.sums)
 
 

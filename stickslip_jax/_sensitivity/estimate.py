@@ -313,9 +313,8 @@ def results_of(
             whole = np.zeros((2, len(accumulated.halves[0].mean)))
             whole[:, accumulated.columns(number, place)] = by_means
             slopes.append(whole)
-    covariance = np.zeros((len(slopes), len(slopes)))
-    for moments, of in zip(accumulated.halves, np.stack(slopes, axis=1), strict=True):
-        covariance = covariance + of @ moments.covariance_of_mean @ of.T
+    each_half = zip(accumulated.halves, np.stack(slopes, axis=1), strict=True)
+    covariance = np.sum([of @ moments.covariance_of_mean @ of.T for moments, of in each_half], axis=0)
     spread, errors = np.sqrt(np.diag(covariance)), np.array([one.standard_error for one in found])
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = np.where(spread > 0, errors / spread, 0)

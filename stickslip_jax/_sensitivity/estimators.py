@@ -294,7 +294,7 @@ def counting_engine(
         law, likelihood = engine.law, None
         if law.gap_rate is not None:
             likelihood = Likelihood(getattr(law, law.gap_rate), pilot.stick_time, pilot.sticks)
-        return IntervalCounting(engine, bandwidths, likelihood, problem.first_segment)
+        return IntervalCounting(engine, bandwidths, problem.first_segment, likelihood=likelihood)
 
     return wrapped(problem.engine(), counting)
 

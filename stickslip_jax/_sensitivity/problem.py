@@ -1,7 +1,6 @@
 """A sensitivity problem: statistic, motion and parameters, its pilot simulation, and where no derivative exists."""
 
 import dataclasses
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -24,7 +23,7 @@ from .._excitation.motion import RandomSignal
 from .._excitation.piecewise_constant import PiecewiseConstantLaw, PoissonSwitching
 from .._excitation.segments import SegmentLaw
 from .._foundation import checks
-from .._foundation.processes import cores, require_threads_of_jax
+from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
 from .._systems.system import System, require_system
@@ -310,7 +309,7 @@ def problem_of(
     chunk: int | None = None,
 ) -> tuple[SensitivityProblem, Pilot]:
     """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     statistics = statistics_of(statistic)
     threads = cores() if threads is None else checks.whole_number("threads", threads)
     size = None if chunk is None else checks.whole_number("chunk", chunk)
@@ -427,13 +426,11 @@ def warn_if_grazing(problem: SensitivityProblem) -> tuple[str, ...]:
         return ()
     grazes, moved = _zeros(problem, relative_excess)
     if moved:
-        warnings.warn(
+        checks.warn(
             f"The derivative with respect to {', '.join(moved)} does not exist: {np.mean(grazes):.0%} of the "
             "trajectories begin with an arc that grazes the base velocity exactly, so that a change of one sign, "
             "however small, makes a stick there, and one of the other sign none. The derivative is given as NaN; "
-            "change y0, or make it random.",
-            RuntimeWarning,
-            stacklevel=3,
+            "change y0, or make it random."
         )
     return tuple(moved)
 
@@ -453,12 +450,10 @@ def warn_at_special_speeds(problem: SensitivityProblem, already_warned: tuple[st
     moved = [name for name in moved if name not in already_warned]
     if moved:
         special = _SPECIAL[int(np.argmax(np.any(found, axis=0)))]
-        warnings.warn(
+        checks.warn(
             f"The dimensionless base speed w = speed / (a omega) is exactly {special:g}, where the mean number of "
             f"sticks has no derivative with respect to {', '.join(moved)}: its slope depends on the step at which it "
-            "is taken. The slope over about `relative_bandwidth` is given; see docs/sensitivity.md.",
-            RuntimeWarning,
-            stacklevel=3,
+            "is taken. The slope over about `relative_bandwidth` is given; see docs/sensitivity.md."
         )
 
 

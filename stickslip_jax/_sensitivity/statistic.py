@@ -61,16 +61,10 @@ class StickStatistic(abc.ABC):
 class OfTotals(StickStatistic):
     """A statistic of the total stick time and the number of sticks, as `_statistics/totals.py` defines it."""
 
+    name: str
+    unit: str
     definition: StatisticOfTotals
     is_of_totals = True
-
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return self.definition.label
-
-    @property
-    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return self.definition.unit
 
     @property
     def ignores_stick_count(self) -> bool:
@@ -215,15 +209,9 @@ class StickFunctional(StickStatistic):
 class OfOutput(StickStatistic):
     """The mean of an output of a user's own."""
 
+    name: str
+    unit: str
     output: Output
-
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return f"mean {self.output.name}"
-
-    @property
-    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
-        return self.output.unit
 
     def parts(self, sticks: StickSequence, t1: Scalar) -> tuple[Array, Array]:
         raise NotImplementedError("an output is that of a whole simulation, not of its sticks")
@@ -246,7 +234,7 @@ def statistics_of(statistic: AnyStatistic | Sequence[AnyStatistic]) -> tuple[Sti
 def statistic_of(statistic: object) -> StickStatistic:
     """`statistic` as a `StickStatistic`. Raises ValueError for anything else."""
     if isinstance(statistic, Output):
-        return OfOutput(statistic)
+        return OfOutput(f"mean {statistic.name}", statistic.unit, statistic)
     if isinstance(statistic, str):
         statistic = next((one for one in DIFFERENTIABLE if one.name == statistic), statistic)
     if isinstance(statistic, StickStatistic):
@@ -255,7 +243,7 @@ def statistic_of(statistic: object) -> StickStatistic:
             raise checks.refused("statistic", "have is_of_totals = False", statistic, hint)
         return statistic
     if isinstance(statistic, StatisticOfTotals) and any(statistic is one for one in DIFFERENTIABLE):
-        return OfTotals(statistic)
+        return OfTotals(statistic.label, statistic.unit, statistic)
     known = ", ".join(map(repr, DIFFERENTIABLE))
     demand = f"be {known}, or a StickStatistic such as StickDuration(1), an Output, or a list of them"
     raise checks.refused("statistic", demand, statistic)

@@ -19,7 +19,6 @@ from .._ensemble.result import Ensemble
 from .._ensemble.setup import MOST_SAMPLES, TAKEN
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState
 from .._statistics.accumulator import Numbering
 from .._statistics.quantities import SampledQuantity
@@ -213,7 +212,7 @@ class Sweep:
         """
         from .run import run_sweep  # noqa: PLC0415 - needs an extra
 
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         path = None if folder is None else checks.path("folder", folder)
         return run_sweep(
             self._plan, path, threads=threads, workers=workers, executor=executor, shared_folder=shared_folder,

@@ -19,8 +19,7 @@ from .._excitation.recorded import ForceSteps, Recorded
 from .._excitation.segments import added
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
-from .._foundation.fields import Quantity, is_distribution
-from .._foundation.methods import keeps
+from .._foundation.fields import Quantity, is_distribution, keeps
 from .._foundation.types import (
     AnyArray,
     BoolScalar,

@@ -16,9 +16,7 @@ from .._excitation.excitation import Excitation
 from .._excitation.motion import Signal, SourceVoltage
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
-from .._foundation.fields import Choice, Quantity, is_distribution
-from .._foundation.methods import keeps
-from .._foundation.processes import require_threads_of_jax
+from .._foundation.fields import Choice, Quantity, is_distribution, keeps
 from .._foundation.types import (
     AnyArray,
     BoolScalar,
@@ -613,7 +611,7 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     >>> print(f"{bound:.5f} s")
     0.50828 s
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     if not isinstance(system, MotorCart) or not keeps(voltage, SourceVoltage, "value"):
         raise ValueError(
             "Arguments system and voltage must be a MotorCart and a SourceVoltage, but "

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from .._excitation.motion import Signal
 from .._excitation.segments import Segment
 from .._foundation import checks
-from .._foundation.methods import keeps
+from .._foundation.fields import keeps
 from .._foundation.types import BoolArray, BoolScalar, DType, FloatArray, FloatScalar, Number, Scalar, State
 from .friction import FrictionLaw
 

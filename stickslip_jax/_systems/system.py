@@ -16,8 +16,7 @@ from .._excitation.excitation import Excitation
 from .._excitation.motion import SIGNAL_UNIT, RandomPhase, RandomSignal, Signal, SourceVoltage
 from .._excitation.segments import SegmentLaw
 from .._foundation import checks
-from .._foundation.fields import PACKAGE, Checked, Option, modules_in, with_fields
-from .._foundation.methods import keeps
+from .._foundation.fields import PACKAGE, Checked, Option, keeps, modules_in, with_fields
 from .._foundation.types import AnyArray, BoolScalar, ExplicitSolver, FloatArray, InitialState, Number, Scalar, Solver
 from .._uncertainty.families import RandomNumber
 from .._uncertainty.numbers import NumberPath, number_at, quantity_at

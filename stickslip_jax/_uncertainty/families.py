@@ -16,7 +16,6 @@ from jaxtyping import Float
 
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import AnyArray, FloatArray, Scalar
 
 # The interface of a distribution, and its restriction to an interval.
@@ -35,6 +34,10 @@ class RandomNumber(Checked):
     the distribution.
     """
 
+    is_continuous: ClassVar[bool] = True
+    """Whether every single value has probability zero, so that the distribution may be `Truncated`."""
+    in_lanes: ClassVar[bool] = True
+    """Whether `icdf` can be computed while simulating, as the gaps between switches of a base are."""
     may_be_random: ClassVar[bool] = False
     shape_numbers: ClassVar[tuple[str, ...]] = ()  # its numbers without a unit; others have that of the draws
     rests_on: ClassVar = {"support": ("icdf",)}
@@ -52,16 +55,6 @@ class RandomNumber(Checked):
     def support(self) -> tuple[Scalar, Scalar]:
         """The interval that holds all draws."""
         return -math.inf, math.inf
-
-    @property
-    def is_continuous(self) -> bool:
-        """Whether every single value has probability zero, so that the distribution may be `Truncated`."""
-        return True
-
-    @property
-    def in_lanes(self) -> bool:
-        """Whether `icdf` can be computed while simulating, as the gaps between switches of a base are."""
-        return True
 
 
 def floating(x: ArrayLike) -> FloatArray:
@@ -86,14 +79,12 @@ class Truncated(RandomNumber):
 
     def check_relations(self) -> None:
         if not isinstance(self.distribution, RandomNumber):
-            raise checks.refused(
-                "distribution", "be a distribution of stickslip_jax such as Normal(mean, std)", self.distribution,
-                "of other distributions give an array of draws",
-            )  # fmt: skip
+            demand = "be a distribution of stickslip_jax such as Normal(mean, std)"
+            hint = "of other distributions give an array of draws"
+            raise checks.refused("distribution", demand, self.distribution, hint)
         if not self.distribution.is_continuous:
-            raise checks.refused(
-                "distribution", "be continuous", self.distribution, "leave out those of its values that are not wanted"
-            )
+            hint = "leave out those of its values that are not wanted"
+            raise checks.refused("distribution", "be continuous", self.distribution, hint)
         limits = [limit for limit in (self.low, self.high) if limit is not None]
         if any(checks.is_traced(value) for value in (*limits, *self._shares())):
             return
@@ -138,7 +129,7 @@ class Truncated(RandomNumber):
         )
 
     @property
-    def in_lanes(self) -> bool:
+    def in_lanes(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - that of what is restricted
         return self.distribution.in_lanes
 
 
@@ -210,7 +201,7 @@ class LogNormal(RandomNumber):
     @classmethod
     def from_moments(cls, mean: Scalar, std: Scalar) -> "LogNormal":
         """The one with this mean and this standard deviation, both positive. Raises ValueError for others."""
-        require_threads_of_jax()
+        checks.require_threads_of_jax()
         checks.positive("mean", mean)
         checks.positive("std", std)
         ratio = std / mean
@@ -242,6 +233,7 @@ class Beta(RandomNumber):
     Raises ValueError for numbers outside these bounds, or unless ``low < high``.
     """
 
+    in_lanes = False
     shape_numbers: ClassVar[tuple[str, ...]] = ("a", "b")
     a: Annotated[Scalar, Quantity(meaning="first shape number", above=0)]
     b: Annotated[Scalar, Quantity(meaning="second shape number", above=0)]
@@ -265,13 +257,7 @@ class Beta(RandomNumber):
         share = _beta_share(a, b, above)
         return jnp.where((share > 0.5) | (below < 1e-4), 1 - _beta_share(b, a, below), share)
 
-    @property
-    def in_lanes(self) -> bool:
-        return False
-
-    @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.low, self.high
+    support = Uniform.support  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
 
 class Triangular(RandomNumber):
@@ -307,9 +293,7 @@ class Triangular(RandomNumber):
         part = part / (width * jnp.where(rising, jnp.where(left > 0, left, 1), jnp.where(right > 0, right, 1)))
         return jnp.where(rising, part, 1 - part)
 
-    @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return self.low, self.high
+    support = Uniform.support  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
 
 class Exponential(RandomNumber):
@@ -326,9 +310,7 @@ class Exponential(RandomNumber):
     def cdf(self, x: ArrayLike) -> FloatArray:
         return -jnp.expm1(-jnp.maximum(floating(x), 0) / self.mean)
 
-    @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return 0.0, math.inf
+    support = LogNormal.support  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
 
 class Weibull(RandomNumber):
@@ -347,9 +329,7 @@ class Weibull(RandomNumber):
     def cdf(self, x: ArrayLike) -> FloatArray:
         return -jnp.expm1(-((jnp.maximum(floating(x), 0) / self.scale) ** self.shape))
 
-    @property
-    def support(self) -> tuple[Scalar, Scalar]:
-        return 0.0, math.inf
+    support = LogNormal.support  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
 
 
 class Discrete(RandomNumber):
@@ -361,6 +341,7 @@ class Discrete(RandomNumber):
     Raises ValueError for values that do not increase, or probabilities that do not fit.
     """
 
+    is_continuous = False
     values: Annotated[PerValue, Quantity(meaning="the values", ndim=1)] = eqx.field(
         converter=partial(checks.real_array, "values")
     )
@@ -400,10 +381,6 @@ class Discrete(RandomNumber):
     @property
     def support(self) -> tuple[Scalar, Scalar]:
         return self.values[0], self.values[-1]
-
-    @property
-    def is_continuous(self) -> bool:
-        return False
 
 
 def _check_order(low: Scalar, high: Scalar) -> None:

@@ -17,8 +17,7 @@ from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, PyTree
 
 from .._foundation import checks
-from .._foundation.fields import Checked, Quantity, described, is_distribution, varies
-from .._foundation.methods import Module
+from .._foundation.fields import Checked, Module, Quantity, described, is_distribution, varies
 from .._foundation.types import AnyArray, DType, FloatArray, Number
 from .._numerics.elementary import key_data_of, random_words, uniform
 from .design import Design
@@ -145,14 +144,6 @@ def _check_definite(name: str, matrix: AnyArray, of: str, what: str) -> None:
 # Laws that users write: any object with a method ``sample(key, t1)``.
 
 
-_NOT_TRACEABLE = (
-    jax.errors.TracerArrayConversionError,
-    jax.errors.TracerBoolConversionError,
-    jax.errors.TracerIntegerConversionError,
-    jax.errors.ConcretizationTypeError,
-)
-
-
 @runtime_checkable
 class UserLaw(Protocol):
     """A random base motion of your own: any object with this method. ::
@@ -193,7 +184,7 @@ class SampledLaw(eqx.Module):
         """
         try:
             return jax.vmap(lambda key: _each_as_array(self.law.sample(key, t1)))(keys())
-        except _NOT_TRACEABLE:  # written in NumPy: one after the other
+        except checks.NOT_TRACEABLE:  # written in NumPy: one after the other
             each = keys()
             found = [_each_as_array(self.law.sample(each[i], t1)) for i in range(number)]
         shapes = {(jax.tree.structure(one), tuple(np.shape(leaf) for leaf in jax.tree.leaves(one))) for one in found}

@@ -1,6 +1,5 @@
 """Basins of attraction: which starts end on which attractor."""
 
-import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -217,11 +216,9 @@ def basins(
     labels, attractors = matched(states, sizes, found, stuck, points_of, cases.turns, tolerance, most)
     none = np.sum((labels < 0) & finished)
     if none:
-        warnings.warn(
+        checks.warn(
             f"{none} of {len(labels)} starts belong to none of the {most} attractors that were looked for: basin is 0 "
-            "there. Their motions may need a longer transient, or a larger tolerance or most.",
-            RuntimeWarning,
-            stacklevel=2,
+            "there. Their motions may need a longer transient, or a larger tolerance or most."
         )
 
     dims = (START,) if grid is None else tuple(name.replace(" ", "_") for name in grid)
@@ -264,9 +261,8 @@ def _starts(system: System, y0: Any) -> tuple[dict[str, np.ndarray] | None, np.n
     """The values along each axis of a grid of starts, and all starts (starts, coordinates)."""
     if not isinstance(y0, Mapping):
         if checks.dimensions(y0) != 2:
-            raise checks.refused(
-                "y0", "be starts, an array (starts, coordinates), or a dict of values by coordinate", y0
-            )
+            demand = "be starts, an array (starts, coordinates), or a dict of values by coordinate"
+            raise checks.refused("y0", demand, y0)
         return None, checks.numbers("y0", y0, ndim=2)
     names = [coordinate.name for coordinate in checked_system(system).coordinates]
     for name in y0:

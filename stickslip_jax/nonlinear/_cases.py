@@ -24,7 +24,6 @@ from .._excitation.motion import Motion, Signal, UserMotion
 from .._foundation import checks
 from .._foundation.extras import Dataset, Entries, flags, labeled_dataset, require_labels, variable
 from .._foundation.fields import is_of_package, modules_in
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import DType, FloatArray, InitialState, Number, Scalar, Status
 from .._numerics.derivatives import NotKnown, as_arrays, values_of
 from .._systems.system import System, checked_system
@@ -498,7 +497,7 @@ def cases_of(
 
 def check_repeats(system: System, base: BaseMotion, period: Scalar | None, method: object) -> None:
     """Raise ValueError for what cannot be followed from period to period, as a base that is random."""
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     if not isinstance(method, Exact):
         raise ValueError(f"Argument method must be Exact(...), but {checks.show(method)} was given.")
     if period is not None:

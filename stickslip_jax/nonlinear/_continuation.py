@@ -14,7 +14,6 @@ from .._dynamics.simulation import provenance, source
 from .._ensemble.points import SweepSetting, label_and_unit, setter_of
 from .._foundation import checks
 from .._foundation.extras import Dataset, Entries, labeled_dataset, require_labels, variable
-from .._foundation.processes import require_threads_of_jax
 from .._uncertainty.numbers import number_at
 from ._cases import apart
 from ._orbits import TOLERANCE, Equations, Evaluated, Mode, PeriodicOrbit, Plane, count, sequence
@@ -321,7 +320,7 @@ def continue_orbit(
         ValueError: For arguments that do not fit, and for an orbit that has not converged.
         ImportError: Without the extra ``study``.
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     require_labels()
     if not isinstance(orbit, PeriodicOrbit) or not bool(np.all(np.asarray(orbit.converged))):
         shown = "one that has not" if isinstance(orbit, PeriodicOrbit) else checks.show(orbit)

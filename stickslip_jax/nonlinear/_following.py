@@ -7,7 +7,6 @@ import json
 import math
 import os
 import types
-import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -398,29 +397,25 @@ def _with_enough_steps(cases: Cases, run: Callable[[Cycle], FollowedT]) -> Follo
 # Warnings of cases that were not followed to the end.
 
 
-def warn_of_unfinished(found: Followed, stacklevel: int = 3) -> None:
-    """Warn (RuntimeWarning) of cases that were not followed to the end, and say why; by default the caller's caller."""
+def warn_of_unfinished(found: Followed) -> None:
+    """Warn (RuntimeWarning) of cases that were not followed to the end, and say why."""
     bad = found.status[found.status != int(Status.FINISHED)]
     if len(bad):
         codes, counts = np.unique(bad, return_counts=True)
         why = [f"{count} because {Status(int(code)).meaning}" for code, count in zip(codes, counts, strict=True)]
-        warnings.warn(
+        checks.warn(
             f"{len(bad)} of {len(found.status)} cases were not followed to the end: {'; '.join(why)}. They hold NaN "
-            "from there on, and the variable status says which they are.",
-            RuntimeWarning,
-            stacklevel=stacklevel,
+            "from there on, and the variable status says which they are."
         )
 
 
-def warn_of_unsettled(unsettled: np.ndarray, so_far: str, argument: str, stacklevel: int) -> None:
+def warn_of_unsettled(unsettled: np.ndarray, so_far: str, argument: str) -> None:
     """Warn (RuntimeWarning) of the cases that are `unsettled`, which a larger `argument` lets go on."""
     if np.any(unsettled):
-        warnings.warn(
+        checks.warn(
             f"{np.sum(unsettled)} of {np.size(unsettled)} motions have not settled within {so_far}: differences "
             f"between their returns still fall or grow, which the result says of each. A larger {argument} lets them "
-            "go on; near a bifurcation that may take very long.",
-            RuntimeWarning,
-            stacklevel=stacklevel,
+            "go on; near a bifurcation that may take very long."
         )
 
 
@@ -623,8 +618,8 @@ def settled(
             found[case] = _by_orbits(cases, int(case), states[case], sizes[case], tolerance)
     if longest > transient:
         so_far = f"{transient + np.max(more)} periods"
-        warn_of_unsettled(found == UNSETTLED, so_far, "longest_transient", stacklevel=4)
-    warn_of_unfinished(seen, stacklevel=4)
+        warn_of_unsettled(found == UNSETTLED, so_far, "longest_transient")
+    warn_of_unfinished(seen)
     return seen, found, more
 
 

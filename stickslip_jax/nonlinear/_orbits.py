@@ -22,21 +22,13 @@ from .._ensemble.points import Setter, SweepSetting
 from .._excitation.excitation import BaseMotion, motion_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation import checks
-from .._foundation.methods import WithMethods
+from .._foundation.fields import WithMethods
 from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar, Status
 from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
 from .._systems.system import System
 from .._uncertainty.numbers import NumberPath, with_numbers
-from ._cases import (
-    Cycle,
-    changes_by_itself,
-    check_repeats,
-    check_signals,
-    drive_period,
-    steps_in,
-    without_turns,
-)
+from ._cases import Cycle, changes_by_itself, check_repeats, check_signals, drive_period, steps_in, without_turns
 
 # The sequence of modes of a trajectory: which contacts stick, and which slip in which direction.
 

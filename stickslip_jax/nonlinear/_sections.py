@@ -1,6 +1,5 @@
 """Sections of motions: states once a period, bifurcation diagrams that show them, and states at events."""
 
-import warnings
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
@@ -322,12 +321,10 @@ def event_section(
     warn_of_unfinished(found)
     missing = np.sum((found.number < transient + kept) & (found.status == int(Status.FINISHED)))
     if missing:
-        warnings.warn(
+        checks.warn(
             f"In {missing} of {cases.number} cases fewer events were found in {most} periods than are asked for: the "
             "variable event_count says how many. Their places hold NaN; the motion may have come to rest, or never "
-            "pass there.",
-            RuntimeWarning,
-            stacklevel=2,
+            "pass there."
         )
 
     # After how many events the state recurs, and where motions drive the system its phase.
@@ -338,7 +335,7 @@ def event_section(
         numbered, turns = np.concatenate([states, phase[..., None]], axis=-1), (*turns, 1.0)
     recurs = recurrence(numbered, np.max(np.abs(numbered), axis=1), RECURS, turns)
     if transient:
-        warn_of_unsettled(recurs == UNSETTLED, f"{transient + kept} events", "transient", stacklevel=3)
+        warn_of_unsettled(recurs == UNSETTLED, f"{transient + kept} events", "transient")
 
     # A case goes on while others of its block do: what it then finds does not count.
     number = np.minimum(found.number, transient + kept)

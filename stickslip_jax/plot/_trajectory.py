@@ -16,7 +16,6 @@ from .._excitation.motion import SourceVoltage
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
-from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import Status
 from . import _style
 from ._style import SeveralAxes, Window, legend_above
@@ -53,7 +52,7 @@ def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None
 
     `of_one_contact`: whether its sticks must be those of one contact.
     """
-    require_threads_of_jax()
+    checks.require_threads_of_jax()
     if not isinstance(result, Simulation):
         hint = "sample i of an ensemble is simulated with its base motion and initial state, ensemble.realization(i)"
         raise checks.refused("result", "be a result of simulate", result, hint)

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from stickslip_jax._compiler.native_loops import VARIABLE
+from stickslip_jax._compiler import VARIABLE
 
 BEGIN = """
 import jax

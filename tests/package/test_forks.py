@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from stickslip_jax._foundation import processes
+from stickslip_jax._foundation import checks
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 
@@ -122,14 +122,14 @@ def test_the_question_changes_nothing():
     """Whether JAX has started is asked of it without a trace."""
     program = """
 import jax
-from stickslip_jax._foundation import processes
+from stickslip_jax._foundation import checks
 before = jax.config.jax_num_cpu_devices
-print(processes._has_started(), jax.config.jax_num_cpu_devices == before)
+print(checks._has_started(), jax.config.jax_num_cpu_devices == before)
 jax.config.update("jax_num_cpu_devices", 3)
-print(processes._has_started(), len(jax.devices("cpu")), processes._has_started(), jax.config.jax_num_cpu_devices)
+print(checks._has_started(), len(jax.devices("cpu")), checks._has_started(), jax.config.jax_num_cpu_devices)
 """
     assert lines_of(program) == ["False True", "False 3 True 3"]
 
 
 def test_this_process_is_no_fork():
-    processes.require_threads_of_jax()
+    checks.require_threads_of_jax()

@@ -18,7 +18,7 @@ from ..._excitation.excitation import BaseMotion, Excitation, excitation_of, mot
 from ..._excitation.motion import SEEN_IN_STEPS
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
-from ..._foundation.methods import Module
+from ..._foundation.fields import Module
 from ..._foundation.types import AnyArray, InitialState, Number, Scalar
 from ..._numerics.derivatives import NotKnown, largest, primal_of, smallest
 from ..._systems.system import SHORTEST_TIME, StepCount, System, require_system
