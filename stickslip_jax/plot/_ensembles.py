@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm, Normalize, to_rgba
 from matplotlib.patches import StepPatch
 
 from .._dynamics.simulation import Simulation
@@ -261,7 +261,8 @@ def histogram(
     if number:
         if is_whole:
             _style.whole_numbers(ax.xaxis)
-        color = _style.free_color(color, [outline.get_edgecolor() for outline in earlier])
+        used = {to_rgba(outline.get_edgecolor(), 1.0) for outline in earlier}
+        color = next((one for one in (color, *_style.SERIES) if to_rgba(one) not in used), color)
         _style.draw_histogram(ax, edges, heights, errors, color, label=text)
         if mean is not None:
             named, color = f"mean {_style.with_error(mean)}", color if earlier or label else _style.MASS
@@ -291,19 +292,19 @@ def _outlines(ax: Axes) -> list[StepPatch]:
 class Cells(NamedTuple):
     """A joint histogram.
 
-    - `edges`: of the bins along x (m + 1,) and y (n + 1,). `density`: masked where no pair fell, (m, n).
-      Of pairs, atoms are not in it.
-    - `sides`: the histograms of x and of y: density and its standard error, NaN if not known, (bins,) each.
-    - `units`: of x and y. `label`: how many pairs there are, or a note that there are none. `empty`: whether there are
-      none.
+    - `edges`: of the bins along x (m + 1,) and y (n + 1,). `counts`: of the pairs in them, and `density`, masked where
+      no pair fell, (m, n). Of pairs, atoms are not in it.
+    - `errors`: of the shares of pairs in the bins along x and along y, NaN if not known, (m,) and (n,).
+    - `units`: of x and y. `number`: of all pairs. `label`: how many there are, or a note that there are none.
     """
 
     edges: tuple[np.ndarray, np.ndarray]
+    counts: np.ndarray
     density: np.ma.MaskedArray
-    sides: list[tuple[np.ndarray, np.ndarray]]
+    errors: list[np.ndarray]
     units: tuple[str, str]
+    number: int
     label: str
-    empty: bool
 
 
 def cells_of_pairs(joint: JointDistribution, bins: JointBins) -> Cells:
@@ -317,16 +318,12 @@ def cells_of_pairs(joint: JointDistribution, bins: JointBins) -> Cells:
         hint = "bins of your own go with the sticks: joint_histogram(ensemble, bins=(edges, edges))"
         raise checks.refused("bins", demand, bins, hint)
     drawn = joint.histogram(checks.whole_number("bins", bins))
-    edges, sides = (drawn.x_edges, drawn.y_edges), []
-    for axis, own in enumerate((joint.x, joint.y)):
-        width = np.diff(edges[axis])
-        share = drawn.counts.sum(axis=1 - axis) / max(drawn.number, 1)
-        errors = own.errors_of_shares(bin_of(own.values, edges[axis]), len(width))
-        sides.append((share / width, errors / width))
+    edges, own = (drawn.x_edges, drawn.y_edges), (joint.x, joint.y)
+    errors = [one.errors_of_shares(bin_of(one.values, at), len(at) - 1) for one, at in zip(own, edges, strict=True)]
     atoms = joint.share_of_atoms(int(bins))
     density = np.ma.masked_where((drawn.counts == 0) | (atoms == 1), drawn.density * (1 - atoms))
     label = _style.counted(drawn.number, "pair") if drawn.number else "no pairs"
-    return Cells(edges, density, sides, joint.units, label, drawn.number == 0)
+    return Cells(edges, drawn.counts, density, errors, joint.units, drawn.number, label)
 
 
 def cells_of_sticks(sticks: PlacedSticks, bins: JointBins) -> Cells:
@@ -349,13 +346,10 @@ def cells_of_sticks(sticks: PlacedSticks, bins: JointBins) -> Cells:
         edges_of_bins("bins[1]", pair[1], (0.0, sticks.duration.max(initial=0) or 1.0), units[1]),
     )
     counts, *_ = np.histogram2d(sticks.position, sticks.duration, edges)
-    widths = (np.diff(edges[0]), np.diff(edges[1]))
-    density = np.ma.masked_equal(counts, 0) / (max(number, 1) * np.outer(*widths))
-    sides = [
-        (counts.sum(axis=1 - axis) / max(number, 1) / width, np.full(len(width), np.nan))
-        for axis, width in enumerate(widths)
-    ]
-    return Cells(edges, density, sides, units, outside(sticks.label, number - int(counts.sum())), number == 0)
+    density = np.ma.masked_equal(counts, 0) / (max(number, 1) * np.outer(*map(np.diff, edges)))
+    errors = [np.full(bins, np.nan) for bins in counts.shape]
+    label = outside(sticks.label, number - int(counts.sum()))
+    return Cells(edges, counts, density, errors, units, number, label)
 
 
 # The joint distribution of two quantities, and of each by itself.
@@ -432,12 +426,22 @@ def joint_histogram(
         demand = "hold three matplotlib Axes (joint histogram, above it, to the right of it), or be one"
         raise checks.refused("axes", demand, axes)
     main, *others = panels
-    _draw_density(panels, cells, log)
+    if cells.number:
+        norm, label = LogNorm() if log else Normalize(vmin=0), _style.density_label(*cells.units)
+        _style.draw_cells(main, cells.edges, cells.density, norm, label, list(panels))
+        main.plot([], [], ls="none", label=cells.label)
+    for axis, ax in enumerate(others):
+        label = _style.density_label(cells.units[axis]).replace(" density", "\ndensity")
+        ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
+        if cells.number:
+            widths, shares = np.diff(cells.edges[axis]), cells.counts.sum(axis=1 - axis) / cells.number
+            side = shares / widths, cells.errors[axis] / widths
+            _style.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
     if isinstance(result, JointDistribution):
         _draw_pairs(main, result, cells, bins if conditional_mean else 0)
     elif sticks is not None:
         finish(main, sticks)
-    if others and not cells.empty:
+    if others and cells.number:
         above, right = others
         above.set(xlim=main.get_xlim(), ylim=(0, None))
         right.set(ylim=main.get_ylim(), xlim=(0, None))
@@ -447,19 +451,6 @@ def joint_histogram(
     return panels
 
 
-def _draw_density(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
-    """The density of all cells that hold a pair, the scale of its colours, and the histograms beside it."""
-    main, *others = panels
-    if not cells.empty:
-        norm, label = LogNorm() if log else Normalize(vmin=0), _style.density_label(*cells.units)
-        _style.draw_cells(main, cells.edges, cells.density, norm, label, list(panels))
-        main.plot([], [], ls="none", label=cells.label)
-    for axis, (ax, side) in enumerate(zip(others, cells.sides, strict=False)):
-        label = _style.density_label(cells.units[axis]).replace(" density", "\ndensity")
-        ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
-        if not cells.empty:
-            _style.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
-
 
 def _draw_pairs(main: Axes, joint: JointDistribution, cells: Cells, bins: Any) -> None:
     """The names of the axes and their limits, points that have a probability of their own, and the conditional mean.
@@ -468,17 +459,17 @@ def _draw_pairs(main: Axes, joint: JointDistribution, cells: Cells, bins: Any) -
     """
     xlabel, ylabel = map(_style.quantity_label, joint.labels, joint.units)
     main.set(xlabel=xlabel, ylabel=ylabel)
-    if cells.empty:
-        _style.note(main, cells.label)
-    else:
+    if cells.number:
         main.set(xlim=cells.edges[0][[0, -1]], ylim=cells.edges[1][[0, -1]])
+    else:
+        _style.note(main, cells.label)
     atoms = joint.atoms
     if number := len(atoms.share):
         share = f"{100 * atoms.share.sum():.1f} % of the pairs"
         label = f"{number:,} points that {share} lie on" if number > 1 else f"a point that {share} lie on"
         look = {"facecolors": "none", "edgecolors": _style.STICK, "lw": 1.2, "clip_on": False, "zorder": 3}
         main.scatter(atoms.x, atoms.y, s=np.maximum(12, _LARGEST * atoms.share), label=label, **look)
-    if bins and not cells.empty:
+    if bins and cells.number:
         means = joint.conditional_mean(min(bins, _MEANS))
         known = means.counts > 0
         centers, errors = (means.edges[1:] + means.edges[:-1]) / 2, np.nan_to_num(means.error)

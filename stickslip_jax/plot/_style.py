@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from textwrap import fill
@@ -20,7 +20,6 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
-from matplotlib.typing import ColorType
 
 from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
@@ -103,11 +102,6 @@ def axes_or_new(ax: Axes | None, size: tuple[float, float]) -> Axes:
         raise checks.refused("ax", "be a matplotlib Axes", ax)
     return ax
 
-
-def free_color(preferred: str, used: Iterable[ColorType]) -> str:
-    """`preferred`, or where that is `used` the first of `SERIES` that is not; the first of all where all are used."""
-    taken = {to_rgba(color, 1.0) for color in used}
-    return next((color for color in (preferred, *SERIES) if to_rgba(color) not in taken), preferred)
 
 
 def next_look(ax: Axes, points: np.ndarray) -> dict[str, Any]:
@@ -425,20 +419,16 @@ class _WholeNumbers(ScalarFormatter):
     def __init__(self) -> None:
         super().__init__(useOffset=False)
         self.set_scientific(False)
-        self._ticks = np.zeros(0)
-
-    def set_locs(self, locs: Any) -> None:
-        super().set_locs(locs)
-        self._ticks = np.asarray(locs, float)
 
     def __call__(self, x: Any, pos: int | None = None) -> str:
-        largest = np.max(np.abs(self._ticks), initial=0.0)
+        ticks = np.asarray(self.locs, float)
+        largest = np.max(np.abs(ticks), initial=0.0)
         if largest == 0 or _LEAST <= largest < _MOST:
             return super().__call__(x, pos)
         if x == 0:
             return "0"
         power = int(np.floor(np.log10(np.abs(x)) + 1e-9))
-        step = np.min(np.diff(np.unique(self._ticks)), initial=np.inf)
+        step = np.min(np.diff(np.unique(ticks)), initial=np.inf)
         digits = max(0, power - int(np.floor(np.log10(step) + 1e-9))) if np.isfinite(step) else 2
         mantissa = f"{x / 10.0**power:.{digits}f}"
         if "." in mantissa:
