@@ -2,6 +2,8 @@
 stick after the other, and how estimates converge.
 """
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
@@ -20,6 +22,7 @@ from .._statistics.estimate import DEFAULT_LEVEL, check_level
 from .._statistics.joint import JointDistribution
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES, FirstSticks
 from .._statistics.totals import Convergence, HistogramConvergence
+from .._systems.motor_cart import MotorCart, stick_duration_bound
 from .._systems.system import System, require_system, unphased
 from . import _style
 from ._style import Bins, JointBins, SeveralAxes, SimulatedSticks, Voltage, Window, legend_above, plain_numbers
@@ -185,6 +188,63 @@ def finish(ax: Axes, sticks: PlacedSticks) -> None:
     ax.set_ylim(bottom=0)
 
 
+# The longest possible stick of a motor against the angle at which it stops.
+
+
+_LONG = 20  # letters: three columns of longer labels are wider than the axes
+
+
+def stick_bounds(
+    system: MotorCart, voltage: Voltage, *, mu: Sequence[float] | np.ndarray | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw the longest possible duration of a stick of a `MotorCart` against its angle, a curve for each `mu`.
+
+    This is Lima and Sampaio (2022), figure 3; see `stick_duration_bound`. A curve is interrupted where the bound is
+    infinite; the legend gives the share of such angles, and says so where no angle allows a stick.
+
+    Args:
+        system: A `MotorCart`.
+        voltage: A `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
+        mu: Friction coefficients in place of that of `system`, zero or positive.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind.
+    """
+    signal: Any = unphased(voltage)
+    stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind
+    if mu is None and system.friction is not None:
+        systems = {type(system.friction).__name__: system}
+    else:
+        given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
+        checks.numeric("mu", given, ndim=1)
+        systems = {rf"$\mu$ = {one:g}": dataclasses.replace(system, mu=float(one), friction=None) for one in given}
+    ax = _style.axes_or_new(ax, (5.6, 4.0))
+    period = system.coordinates[0].period
+    assert period is not None
+    angles = np.linspace(0, period, _BOUND_POINTS)
+    for name, one in systems.items():
+        longest = np.asarray(stick_duration_bound(one, signal, angles), float)
+        endless = np.isinf(longest)
+        none = not np.any(longest > 0)
+        label = f"{name}, no limit at {100 * endless.mean():.0f} % of the angles" if endless.any() else name
+        look = _style.next_look(ax, angles)
+        if none:  # a curve that is zero throughout lies on the axis, below the ends of the others
+            label, look = f"{label}: no stick", look | {"lw": 2.5 * _style.SLIP_WIDTH, "zorder": 3, "clip_on": False}
+        ax.plot(angles, np.where(endless, np.nan, longest), label=label, **look)
+    _style.angle_axis(ax, period)
+    ax.set_xlabel(system.coordinates[0].labeled(" of the stick"))
+    ax.set_ylabel(_style.quantity_label("longest possible stick duration", "s"))
+    ax.autoscale(axis="y")  # to all curves that have been drawn, also in axes that share this one's scale
+    ax.set_ylim(bottom=0)
+    longest_label = max(map(len, ax.get_legend_handles_labels()[1]))
+    legend_above(ax, columns=2 if longest_label > _LONG else 3)
+    return ax
+
+
 # The distribution of one quantity.
 
 
@@ -236,28 +296,25 @@ def histogram(
         # A bin of whole numbers is centred on its number.
         edges, heights, errors = drawn.edges - 0.5 * is_whole, drawn.density, drawn.error
         color, mean = _style.STICK if "stick" in name else _style.SERIES[0], result.mean if number else None
-        text = _style.counted(number, "value") if number else "no values"
-        more = "; bars: standard error" if np.any(np.isfinite(errors)) else ""
-        text = f"{text} in {_style.counted(result.samples, 'sample')}{more}"
+        values = _style.counted(number, "value") if number else "no values"
+        bars = "; bars: standard error" if np.any(np.isfinite(errors)) else ""
+        text = f"{values} in {_style.counted(result.samples, 'sample')}{bars}"
     else:
         duration, _, text = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
         number, name, unit, color = len(duration), "stick duration", "s", _style.STICK
-        span = (0.0, duration.max(initial=0) or 1.0)
-        edges = edges_of_bins("bins", DEFAULT_BINS if bins is None else bins, span, "s")
+        longest = duration.max(initial=0) or 1.0
+        edges = edges_of_bins("bins", DEFAULT_BINS if bins is None else bins, (0.0, longest), "s")
         counts, _ = np.histogram(duration, edges)
         heights, errors = counts / (max(number, 1) * np.diff(edges)), np.full(len(counts), np.nan)
         text = outside(text, number - int(counts.sum()))
     checks.text("label", label, or_none=True)
+    text = text if label is None else f"{label}: {text}"
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     earlier, ylabel = _outlines(ax), "probability" if is_whole else _style.density_label(unit)
     for axis, named in ((ax.xaxis, _style.quantity_label(name, unit)), (ax.yaxis, ylabel)):
         before = axis.get_label_text() if earlier else ""
         if named not in before:  # each name once
             axis.set_label_text(f"{before}, {named}" if before else named)
-    text = text if label is None else f"{label}: {text}"
-    if not number and not earlier:
-        _style.note(ax, text)
-        return ax
     if number:
         if is_whole:
             _style.whole_numbers(ax.xaxis)
@@ -266,17 +323,18 @@ def histogram(
         _style.draw_histogram(ax, edges, heights, errors, color, label=text)
         if mean is not None:
             named, color = f"mean {_style.with_error(mean)}", color if earlier or label else _style.MASS
-            if np.isfinite(mean.standard_error):
-                ends = (mean.value - mean.standard_error, mean.value + mean.standard_error)
-                ax.axvspan(*ends, color=color, alpha=0.25, lw=0)
+            if np.isfinite(error := mean.standard_error):
+                ax.axvspan(mean.value - error, mean.value + error, color=color, alpha=0.25, lw=0)
                 named += " (shaded: ±)"
             ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=named)
         edges = np.concatenate([outline.get_data()[1] for outline in _outlines(ax)])
         ax.set_xlim(edges.min(), edges.max())
         ax.autoscale(axis="y")
         ax.set_ylim(bottom=0)
-    else:
+    elif earlier:
         ax.plot([], [], ls="none", label=text)
+    else:
+        _style.note(ax, text)
     legend_above(ax, columns=1)
     return ax
 
@@ -426,17 +484,7 @@ def joint_histogram(
         demand = "hold three matplotlib Axes (joint histogram, above it, to the right of it), or be one"
         raise checks.refused("axes", demand, axes)
     main, *others = panels
-    if cells.number:
-        norm, label = LogNorm() if log else Normalize(vmin=0), _style.density_label(*cells.units)
-        _style.draw_cells(main, cells.edges, cells.density, norm, label, list(panels))
-        main.plot([], [], ls="none", label=cells.label)
-    for axis, ax in enumerate(others):
-        label = _style.density_label(cells.units[axis]).replace(" density", "\ndensity")
-        ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
-        if cells.number:
-            widths, shares = np.diff(cells.edges[axis]), cells.counts.sum(axis=1 - axis) / cells.number
-            side = shares / widths, cells.errors[axis] / widths
-            _style.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
+    _draw_density(panels, cells, log)
     if isinstance(result, JointDistribution):
         _draw_pairs(main, result, cells, bins if conditional_mean else 0)
     elif sticks is not None:
@@ -450,6 +498,22 @@ def joint_histogram(
         plain_numbers(ax.xaxis)
     return panels
 
+
+def _draw_density(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
+    """The density of all cells that hold a pair, the scale of its colours, and the histograms beside it."""
+    main, *others = panels
+    for axis, ax in enumerate(others):
+        label = _style.density_label(cells.units[axis]).replace(" density", "\ndensity")
+        ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
+    if not cells.number:
+        return
+    norm, label = LogNorm() if log else Normalize(vmin=0), _style.density_label(*cells.units)
+    _style.draw_cells(main, cells.edges, cells.density, norm, label, list(panels))
+    main.plot([], [], ls="none", label=cells.label)
+    for axis, ax in enumerate(others):
+        widths, shares = np.diff(cells.edges[axis]), cells.counts.sum(axis=1 - axis) / cells.number
+        side = shares / widths, cells.errors[axis] / widths
+        _style.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
 
 
 def _draw_pairs(main: Axes, joint: JointDistribution, cells: Cells, bins: Any) -> None:

@@ -9,7 +9,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from .._foundation import checks
 from . import _style
-from ._curves import is_labeled
+from ._parameters import is_labeled
 from ._style import legend_above
 
 if TYPE_CHECKING:

@@ -103,7 +103,6 @@ def axes_or_new(ax: Axes | None, size: tuple[float, float]) -> Axes:
     return ax
 
 
-
 def next_look(ax: Axes, points: np.ndarray) -> dict[str, Any]:
     """How the next curve in `ax` looks, through these points: a colour and line style that no curve in it has yet."""
     taken = {(to_rgba(line.get_color()), line.get_linestyle()) for line in ax.lines}
