@@ -33,6 +33,7 @@ from ._sections import (
     GroundAccelerationConfig,
     RecordedConfig,
     Section,
+    about,
     default_tag,
     is_number,
     key_of,
@@ -98,9 +99,7 @@ class PiecewiseConstantConfig(section_of(piecewise_constant.PiecewiseConstant, "
 class _Phased(DescribedSection):
     """A law whose phase may be random."""
 
-    random_phase: bool = Field(
-        default=True, description="whether each sample draws its phase; not given: true, unless a phase is given"
-    )
+    random_phase: bool = about("whether each sample draws its phase; not given: true, unless a phase is given", True)
 
     @model_validator(mode="before")
     @classmethod
@@ -127,7 +126,7 @@ class _Phased(DescribedSection):
         return RandomPhase(signal) if self.random_phase else signal
 
 
-_ABOUT_PHASE = Field(default=None, description="rad; not given: 0, or drawn")
+_ABOUT_PHASE = about("rad; not given: 0, or drawn", None)
 _PHASED: dict[str, Any] = {"base": _Phased, "phase": (float | None, _ABOUT_PHASE)}
 SourceVoltageConfig = section_of(SourceVoltage, "law", **_PHASED)
 """Section ``[base]`` with the law `SourceVoltage`, which drives a `MotorCart`."""
@@ -137,13 +136,13 @@ class SemiMarkovSwitchingConfig(Section):
     """Section ``[base]`` with the law `SemiMarkovSwitching`, and its sections ``[base.gap]`` and ``[base.speeds]``."""
 
     law: Literal["SemiMarkovSwitching"]
-    speed: float | None = Field(default=None, description="m/s; not given: the section speeds", gt=0)
-    alternating: bool = Field(default=True, description="whether the sign alternates, or is that of each speed")
-    first_sign: Literal["random", "positive", "negative"] = Field(
-        default="random", description="of the velocity, where signs alternate: random, positive or negative"
+    speed: float | None = about("m/s; not given: the section speeds", None, gt=0)
+    alternating: bool = about("whether the sign alternates, or is that of each speed", True)
+    first_sign: Literal["random", "positive", "negative"] = about(
+        "of the velocity, where signs alternate: random, positive or negative", "random"
     )
-    gap: _GapConfig = Field(description="distribution of the time between switches, s")
-    speeds: _SpeedsConfig | None = Field(default=None, description="distribution of the speeds, m/s, in place of speed")
+    gap: _GapConfig = about("distribution of the time between switches, s")
+    speeds: _SpeedsConfig | None = about("distribution of the speeds, m/s, in place of speed", None)
 
     @model_validator(mode="after")
     def _accepted(self) -> "SemiMarkovSwitchingConfig":
@@ -161,8 +160,8 @@ class SemiMarkovSwitchingConfig(Section):
 class _WithSpectrum(DescribedSection):
     """A law with a spectrum."""
 
-    harmonics: int = Field(default=128, description="number of harmonics of a sample", ge=1)
-    spectrum: _SpectrumConfig = Field(description="one-sided power spectral density over angular frequency")
+    harmonics: int = about("number of harmonics of a sample", 128, ge=1)
+    spectrum: _SpectrumConfig = about("one-sided power spectral density over angular frequency")
 
 
 _JUMPS = (
@@ -256,7 +255,7 @@ else:
     """A normal force, N: a number, or a function of time."""
 
 _, MU = key_of(Coulomb, "mu", default=None, description="friction coefficient (Coulomb), or a section friction")
-FRICTION = Field(default=None, description="friction law in place of mu")
+FRICTION = about("friction law in place of mu", None)
 
 
 class WithFriction(BuiltSection):
@@ -334,17 +333,15 @@ class ContactConfig(WithFriction):
 
     friction_section: ClassVar[str] = "[system.contacts.friction]"
 
-    mass: int | None = Field(default=None, ge=0, description="number of the mass, from 0, that rubs on the base")
-    between: Annotated[list[int], AfterValidator(_two)] | None = Field(
-        default=None, description="or numbers of two masses that rub on each other"
+    mass: int | None = about("number of the mass, from 0, that rubs on the base", None, ge=0)
+    between: Annotated[list[int], AfterValidator(_two)] | None = about(
+        "or numbers of two masses that rub on each other", None
     )
-    direction: list[float] | None = Field(default=None, description="or what each velocity adds to the relative one")
-    normal_force: NormalForceConfig = Field(description=_NORMAL_FORCE)
+    direction: list[float] | None = about("or what each velocity adds to the relative one", None)
+    normal_force: NormalForceConfig = about(_NORMAL_FORCE)
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
-    on_base: float | None = Field(
-        default=None, description="share of the base velocity that is subtracted; not given: 1, between masses 0"
-    )
+    on_base: float | None = about("share of the base velocity that is subtracted; not given: 1, between masses 0", None)
 
     @model_validator(mode="after")
     def _one_place(self) -> "ContactConfig":
@@ -402,15 +399,15 @@ class LinearStructureConfig(StructureSection):
     maker: ClassVar[Any] = LinearStructure
 
     model: Literal["LinearStructure"]
-    mass: _Matrix = Field(description="kg (or kg m^2): the diagonal, or rows")
-    stiffness: _Matrix = Field(description="N/m (or N m/rad), likewise")
-    damping: _Matrix | None = Field(default=None, description="N s/m (or N m s/rad), likewise; not given: none")
-    rotates: bool = Field(default=False, description="whether positions are angles, and masses inertias")
-    contact: _Counted = Field(description=_COUNTED)
-    force: list[NumberOrForce] | None = Field(
-        default=None, description='external force on each mass, N: a number or { law = "Harmonic", ... }'
+    mass: _Matrix = about("kg (or kg m^2): the diagonal, or rows")
+    stiffness: _Matrix = about("N/m (or N m/rad), likewise")
+    damping: _Matrix | None = about("N s/m (or N m s/rad), likewise; not given: none", None)
+    rotates: bool = about("whether positions are angles, and masses inertias", False)
+    contact: _Counted = about(_COUNTED)
+    force: list[NumberOrForce] | None = about(
+        'external force on each mass, N: a number or { law = "Harmonic", ... }', None
     )
-    contacts: list[ContactConfig] = Field(min_length=1, description="the contacts, a section for each")
+    contacts: list[ContactConfig] = about("the contacts, a section for each", min_length=1)
 
     @property
     def size(self) -> int:
@@ -449,15 +446,15 @@ class BlockRowConfig(StructureSection, WithFriction):
     maker: ClassVar[Any] = staticmethod(block_row)
 
     model: Literal["block_row"]
-    blocks: int = Field(ge=1, le=MOST_CONTACTS, description="number of blocks, each with a contact")
-    mass: float = Field(gt=0, description="of each, kg")
-    between: float = Field(ge=0, description="stiffness between neighbours, N/m")
-    to_ground: float = Field(ge=0, description="stiffness from each to the ground, N/m")
-    damping: float = Field(default=0.0, ge=0, description="from each to the ground, N s/m")
-    normal_force: NormalForceConfig = Field(description=_NORMAL_FORCE)
+    blocks: int = about("number of blocks, each with a contact", ge=1, le=MOST_CONTACTS)
+    mass: float = about("of each, kg", gt=0)
+    between: float = about("stiffness between neighbours, N/m", ge=0)
+    to_ground: float = about("stiffness from each to the ground, N/m", ge=0)
+    damping: float = about("from each to the ground, N s/m", 0.0, ge=0)
+    normal_force: NormalForceConfig = about(_NORMAL_FORCE)
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
-    contact: _Counted = Field(description=_COUNTED)
+    contact: _Counted = about(_COUNTED)
 
     @property
     def size(self) -> int:
@@ -475,13 +472,13 @@ class StoreysOnBearingConfig(StructureSection, WithFriction):
     maker: ClassVar[Any] = staticmethod(storeys_on_bearing)
 
     model: Literal["storeys_on_bearing"]
-    mass: list[float] = Field(description="of the base mat, then of the storeys, kg")
-    stiffness: list[float] = Field(description="below each storey, N/m")
-    damping: list[float] | None = Field(default=None, description="likewise, N s/m; not given: none")
-    bearing_stiffness: float = Field(default=0.0, ge=0, description="N/m; of a pendulum bearing: weight over radius")
+    mass: list[float] = about("of the base mat, then of the storeys, kg")
+    stiffness: list[float] = about("below each storey, N/m")
+    damping: list[float] | None = about("likewise, N s/m; not given: none", None)
+    bearing_stiffness: float = about("N/m; of a pendulum bearing: weight over radius", 0.0, ge=0)
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
-    gravity: float = Field(default=STANDARD_GRAVITY, gt=0, description="m/s^2")
+    gravity: float = about("m/s^2", STANDARD_GRAVITY, gt=0)
 
     @property
     def size(self) -> int:
@@ -509,7 +506,7 @@ class MassSpringConfig(section_of(MassSpring, "model", _USUAL, base=WithFriction
     driven_by_voltage: ClassVar[bool] = False
     mu: float | None = _MU
     friction: FrictionConfig | None = FRICTION
-    force: ForceConfig | None = Field(default=None, description="external force on the mass")
+    force: ForceConfig | None = about("external force on the mass", None)
 
 
 _, _CART_MU = key_of(MotorCart, "mu", default=USUAL_MU)
