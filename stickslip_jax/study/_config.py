@@ -150,8 +150,13 @@ class StructureRunConfig(StructurePointConfig, RunConfig):
     """Section ``[run]`` of an ensemble of a structure."""
 
 
-STRUCTURES = [model for model, kind in kinds_in(SystemConfig).items() if issubclass(kind, StructureSection)]
-"""The models in section ``[system]`` that are structures."""
+_Runs = Mapping[str, type[PointConfig]]
+"""The section ``[run]`` of each model of a system."""
+
+
+def _runs(mass_spring: type[PointConfig], motor_cart: type[PointConfig], structure: type[PointConfig]) -> _Runs:
+    structures = [model for model, kind in kinds_in(SystemConfig).items() if issubclass(kind, StructureSection)]
+    return {"MassSpring": mass_spring, "MotorCart": motor_cart, **dict.fromkeys(structures, structure)}
 
 
 class OutputConfig(Section):
@@ -161,17 +166,19 @@ class OutputConfig(Section):
     figures: bool = about("whether to draw figures", True)
 
 
+_USUAL: Any = Field(default_factory=dict, validate_default=True)
+
+
 class FileConfig(Section):
     """What the files of a study and of a sweep share: the system, what drives it, and how it is run.
 
-    The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s. `runs`: the section
-    ``[run]`` of each model of a system.
+    The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s.
     """
 
-    runs: ClassVar[Mapping[str, type[PointConfig]]]
+    runs: ClassVar[_Runs]
 
     system: SystemConfig = MassSpringConfig()
-    base: BaseConfig = Field(default_factory=dict, validate_default=True)
+    base: BaseConfig = _USUAL
 
     @field_validator("base", mode="before")
     @classmethod
@@ -230,15 +237,9 @@ class StudyConfig(FileConfig):
     switching.
     """
 
-    runs: ClassVar[Mapping[str, type[PointConfig]]] = {
-        "MassSpring": MassSpringRunConfig,
-        "MotorCart": MotorCartRunConfig,
-        **dict.fromkeys(STRUCTURES, StructureRunConfig),
-    }
+    runs: ClassVar[_Runs] = _runs(MassSpringRunConfig, MotorCartRunConfig, StructureRunConfig)
 
-    run: MassSpringRunConfig | MotorCartRunConfig | StructureRunConfig = Field(
-        default_factory=dict, validate_default=True
-    )
+    run: MassSpringRunConfig | MotorCartRunConfig | StructureRunConfig = _USUAL
     output: OutputConfig = OutputConfig()
 
 
@@ -344,16 +345,10 @@ class SweepSection(Section):
 class SweepConfig(FileConfig):
     """A whole parameter sweep."""
 
-    runs: ClassVar[Mapping[str, type[PointConfig]]] = {
-        "MassSpring": MassSpringPointConfig,
-        "MotorCart": MotorCartPointConfig,
-        **dict.fromkeys(STRUCTURES, StructurePointConfig),
-    }
+    runs: ClassVar[_Runs] = _runs(MassSpringPointConfig, MotorCartPointConfig, StructurePointConfig)
 
-    run: MassSpringPointConfig | MotorCartPointConfig | StructurePointConfig = Field(
-        default_factory=dict, validate_default=True
-    )
-    sweep: SweepSection = Field(default_factory=dict, validate_default=True)
+    run: MassSpringPointConfig | MotorCartPointConfig | StructurePointConfig = _USUAL
+    sweep: SweepSection = _USUAL
 
 
 # A study's file from the objects that a simulation takes: the way back of `build`.

@@ -163,7 +163,6 @@ class SweepOptions:
 
 
 _File = TypeVar("_File", bound=FileConfig)
-_Tables = Mapping[str, Mapping[str, object]]
 _Options = Mapping[tuple[str, str], str]
 """The option of the command by which a value was given, by section and key."""
 _A_SECTION, _SECTIONS = "a section [{}] of keys", "sections [[{}]] of keys, one or more"

@@ -132,7 +132,7 @@ SourceVoltageConfig = section_of(SourceVoltage, "law", **_PHASED)
 """Section ``[base]`` with the law `SourceVoltage`, which drives a `MotorCart`."""
 
 
-class SemiMarkovSwitchingConfig(Section):
+class SemiMarkovSwitchingConfig(DescribedSection):
     """Section ``[base]`` with the law `SemiMarkovSwitching`, and its sections ``[base.gap]`` and ``[base.speeds]``."""
 
     law: Literal["SemiMarkovSwitching"]
@@ -144,15 +144,10 @@ class SemiMarkovSwitchingConfig(Section):
     gap: _GapConfig = about("distribution of the time between switches, s")
     speeds: _SpeedsConfig | None = about("distribution of the speeds, m/s, in place of speed", None)
 
-    @model_validator(mode="after")
-    def _accepted(self) -> "SemiMarkovSwitchingConfig":
-        if (self.speed is None) == (self.speeds is None):
-            raise ValueError("speed must be given, or a section speeds, and not both.")
-        self.build()
-        return self
-
     def build(self) -> piecewise_constant.SemiMarkovSwitching:
         """The law as the simulation takes it. Raises ValueError for distributions of numbers that do not fit."""
+        if (self.speed is None) == (self.speeds is None):
+            raise ValueError("speed must be given, or a section speeds, and not both.")
         speed = value_of(self.speed if self.speeds is None else self.speeds)
         return piecewise_constant.SemiMarkovSwitching(speed=speed, **self.arguments("speed", "speeds"))
 
@@ -376,10 +371,13 @@ class StructureSection(Section):
     maker: ClassVar[Any]
     driven_by_voltage: ClassVar[bool] = False
 
+    if TYPE_CHECKING:  # a number for each of the masses
+        mass: Any
+
     @property
     def size(self) -> int:
         """The number of its masses."""
-        raise NotImplementedError("each kind has its own")
+        return len(self.mass)
 
     def build(self) -> LinearStructure:
         structure = self.maker(**self.arguments("contact"))
@@ -408,10 +406,6 @@ class LinearStructureConfig(StructureSection):
         'external force on each mass, N: a number or { law = "Harmonic", ... }', None
     )
     contacts: list[ContactConfig] = about("the contacts, a section for each", min_length=1)
-
-    @property
-    def size(self) -> int:
-        return len(self.mass)
 
     @property
     def has_inner_states(self) -> bool:
@@ -466,7 +460,7 @@ class BlockRowConfig(StructureSection, WithFriction):
         return self
 
 
-class StoreysOnBearingConfig(StructureSection, WithFriction):
+class StoreysOnBearingConfig(StructureSection, DescribedSection, WithFriction):
     """Section ``[system]`` with the model `storeys_on_bearing`: a building whose base mat slides on the ground."""
 
     maker: ClassVar[Any] = staticmethod(storeys_on_bearing)
@@ -479,15 +473,6 @@ class StoreysOnBearingConfig(StructureSection, WithFriction):
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
     gravity: float = about("m/s^2", STANDARD_GRAVITY, gt=0)
-
-    @property
-    def size(self) -> int:
-        return len(self.mass)
-
-    @model_validator(mode="after")
-    def _accepted(self) -> "StoreysOnBearingConfig":
-        self.build()
-        return self
 
 
 # --- section ``[system]`` of a study's file: the system, its friction law, and the force on it
