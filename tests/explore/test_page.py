@@ -11,8 +11,7 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax.study import read_config
 from stickslip_jax.study._explorer_page import GIVEN, NumberControl, Worker
-from stickslip_jax.study._explorer_pictures import motion_of, realization, statistics_of
-from stickslip_jax.study._explorer_scene import Scene
+from stickslip_jax.study._explorer_scene import Scene, motion_of, realization, statistics_of
 
 T1, SAMPLES, Y0 = 20.0, 300, (0.0, 1.0)
 
