@@ -52,11 +52,9 @@ class PointConfig(Section):
 
     Each system adds its initial state.
 
-    - `maps_first_sticks`: whether a figure shows the duration of the first sticks against their position.
-    - `initial`: the keys of the initial state, in its order.
+    `initial`: the keys of the initial state, in its order.
     """
 
-    maps_first_sticks: ClassVar[bool] = False
     initial: ClassVar[tuple[str, ...]] = ()
 
     t1: float = about("duration of each sample, s", 200.0, gt=0)
@@ -117,7 +115,6 @@ class MassSpringPointConfig(PointConfig):
 class MotorCartPointConfig(PointConfig):
     """The same with the initial state of a `MotorCart`; the defaults are the paper's."""
 
-    maps_first_sticks: ClassVar[bool] = True
     initial: ClassVar[tuple[str, ...]] = ("initial_angle", "initial_angular_velocity", "initial_current")
 
     t1: float = about("duration of each sample, s", 2.0, gt=0)

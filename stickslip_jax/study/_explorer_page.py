@@ -53,26 +53,17 @@ class NumberControl:
     def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
         self.number, self.problem = number, ""
         self._moved, self._is_quiet = moved, False
-        self._slider = _Slider(
+        slider = _Slider(
             label=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
             show_value=False, sizing_mode="stretch_width", margin=(0, 10, 0, 5),
         )  # fmt: skip
-        self._box = _Box(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
+        box = _Box(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
+        self._slider, self._box = watched(slider, self._slid), watched(box, self._written)
         self._problem = pn.pane.HTML("", visible=False, styles={"color": "#b00020"}, css_classes=["problem"])
-        self._slider.param.watch(self._slid, "value")
-        self._box.param.watch(self._written, "value")
         self.view = pn.Column(
             pn.Row(self._slider, self._box, sizing_mode="stretch_width", margin=0),
             self._problem, sizing_mode="stretch_width", margin=0,
         )  # fmt: skip
-
-    def slide(self, value: float) -> None:
-        """Move the slider, as its handle does."""
-        self._slider.value = value
-
-    def write(self, text: str) -> None:
-        """Write into the box, as the keyboard does."""
-        self._box.value = text
 
     def refuse(self, why: str) -> None:
         """Say why the number is not taken."""
@@ -80,17 +71,16 @@ class NumberControl:
         # What was written is in it: as text, whatever it is.
         self._problem.param.update(object=html.escaped(why), visible=bool(why))
 
-    def _slid(self, event: Any) -> None:
-        if self._is_quiet:
-            return
-        # The ends of the range and the step are not round in binary.
-        self._show(float(f"{event.new:.6g}"), slider=False)
+    def _slid(self, value: float) -> None:
+        if not self._is_quiet:
+            # The ends of the range and the step are not round in binary.
+            self._show(float(f"{value:.6g}"), slider=False)
 
-    def _written(self, event: Any) -> None:
+    def _written(self, text: str) -> None:
         if self._is_quiet:
             return
         try:
-            value = scenes.read_number(event.new)
+            value = scenes.read_number(text)
         except ValueError as error:
             self.refuse(str(error))
         else:
@@ -319,10 +309,6 @@ class Explorer(pn.viewable.Viewer):
 
     def __panel__(self) -> Any:
         return self._view
-
-    def choose(self, which: str, name: str) -> None:
-        """Choose from the list of "System", "Friction" or "Base"."""
-        self._lists[which].value = name
 
     # --- what is chosen
 
