@@ -228,25 +228,6 @@ def numbers_of(part: Part) -> tuple[OverTime, ...]:
     return *part.start, *part.end
 
 
-def draw_parts(ax: Axes, mechanism: Mechanism, sticking: np.ndarray) -> list[Move]:
-    """Draw a mechanism into `ax`; returns what moves its parts.
-
-    `sticking`: whether each contact sticks in each frame, (frames, contacts).
-    """
-    ax.set(xlim=mechanism.x_range, ylim=mechanism.y_range)
-    moves = []
-    for number, part in enumerate(mechanism.parts):
-        order = 2 + 0.01 * number  # each part is above those before it
-        if isinstance(part, Belt):
-            moves.append(_belt(ax, part, order))
-            continue
-        places = np.array([np.broadcast_to(np.asarray(value, float), len(sticking)) for value in numbers_of(part)])
-        stuck = np.any(sticking[:, [] if isinstance(part, Spring) else list(part.contacts)], axis=1)
-        draw = _body if isinstance(part, Body) else _disk if isinstance(part, Disk) else _link
-        moves.append(draw(ax, cast(Any, part), places.T, stuck, order))
-    return moves
-
-
 # Each part by its numbers and whether it sticks in each frame, (frames, numbers) and (frames,).
 
 
@@ -527,7 +508,21 @@ def _make_equal(ax: Axes, mechanism: Mechanism) -> None:
 
 
 def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: np.ndarray) -> list[Move]:
-    moves = draw_parts(ax, mechanism, sticking)
+    """Draw a mechanism into `ax`; returns what moves its parts.
+
+    `sticking`: whether each contact sticks in each frame, (frames, contacts).
+    """
+    ax.set(xlim=mechanism.x_range, ylim=mechanism.y_range)
+    moves = []
+    for number, part in enumerate(mechanism.parts):
+        order = 2 + 0.01 * number  # each part is above those before it
+        if isinstance(part, Belt):
+            moves.append(_belt(ax, part, order))
+            continue
+        places = np.array([np.broadcast_to(np.asarray(value, float), len(sticking)) for value in numbers_of(part)])
+        stuck = np.any(sticking[:, [] if isinstance(part, Spring) else list(part.contacts)], axis=1)
+        draw = _body if isinstance(part, Body) else _disk if isinstance(part, Disk) else _link
+        moves.append(draw(ax, cast(Any, part), places.T, stuck, order))
     for side in ("left", "right", "top", *(() if mechanism.x_label else ("bottom",))):
         ax.spines[side].set_visible(False)
     ax.set_yticks([])

@@ -753,21 +753,19 @@ def convergence(
         raise checks.refused("result", "be a Convergence or a HistogramConvergence", result, hint)
     check_level(level)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    ax.set_xscale("log")
     look = {"color": _style.SERIES[0], "lw": _style.SLIP_WIDTH, "marker": "o"}
     if isinstance(result, Convergence):
-        ax.set(xlabel="number of samples", ylabel=_style.quantity_label(result.name, result.unit))
-        known, nothing = np.isfinite(result.values), f"not defined in {result.numbers[-1]:,} samples"
+        ax.set(xlabel="number of samples", ylabel=_style.quantity_label(result.name, result.unit), xscale="log")
+        values, nothing = result.values, f"not defined in {result.numbers[-1]:,} samples"
     else:
-        ax.set_yscale("log")
         xlabel = "number of samples of each of the two histograms"
-        ax.set(xlabel=xlabel, ylabel="distance of the histograms\n(total variation)")
-        known, nothing = np.isfinite(result.distances) & (result.distances > 0), "no distance is known"
-    numbers = result.numbers[known]
-    if not np.any(known):
+        ax.set(xlabel=xlabel, ylabel="distance of the histograms\n(total variation)", xscale="log", yscale="log")
+        values, nothing = np.where(result.distances > 0, result.distances, np.nan), "no distance is known"
+    known = np.isfinite(values)
+    numbers, values = result.numbers[known], values[known]
+    if not len(values):
         _style.note(ax, nothing)
     elif isinstance(result, Convergence):
-        values = result.values[known]
         low, high = (ends[known] for ends in result.band(level))
         label = f"from all {result.final.samples:,} samples: {_style.with_error(result.final)}"
         ax.axhline(result.final.value, label=label, **_style.REFERENCE)
@@ -778,12 +776,11 @@ def convergence(
         margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
         ax.set_ylim(shown.min() - margin, shown.max() + margin)
     else:
-        distances = result.distances[known]
         fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
-        ax.plot(numbers, distances, ms=4, label=f"distance in {result.cells:,} cells with pairs{fitted}", **look)
+        ax.plot(numbers, values, ms=4, label=f"distance in {result.cells:,} cells with pairs{fitted}", **look)
         # The line begins at a distance of 1, the largest that there is.
-        ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
-        line = distances[-1] * np.sqrt(numbers[-1] / ends)
+        ends = np.array([max(numbers[0], numbers[-1] * values[-1] ** 2), numbers[-1]])
+        line = values[-1] * np.sqrt(numbers[-1] / ends)
         ax.plot(ends, line, label="slope -1/2 through the last", **_style.REFERENCE)
     if ax.has_data():
         for axis in (ax.xaxis, ax.yaxis)[: 1 if isinstance(result, Convergence) else 2]:

@@ -174,12 +174,8 @@ def curve(
     ax.set_ylabel(_named("ylabel", ylabel or known or there))
     if xlog and np.any(places <= 0):
         raise checks.refused("x", "hold positive numbers on a logarithmic axis", places)
-    if xlog:
-        ax.set_xscale("log")
-    elif np.all(places == np.round(places)):
+    if not xlog and np.all(places == np.round(places)):
         _style.whole_numbers(ax.xaxis)
-    if ylog:
-        ax.set_yscale("log")
     drawn = [_draw(ax, places, one, uncertainty, ylog, own_ylabel) for one in curves]
     if not any(drawn) and not any(np.size(line.get_xdata(orig=False)) for line in ax.lines):
         _style.note(ax, "no values")
@@ -589,8 +585,7 @@ def parameter_map(
     ax = _style.axes_or_new(ax, (5.6, 4.2))
     edges = _edges(centers[0], xlog), _edges(centers[1], ylog)
     ax.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
-    for axis, set_scale in ((ax.xaxis, ax.set_xscale),) * xlog + ((ax.yaxis, ax.set_yscale),) * ylog:
-        set_scale("log")
+    for axis in (ax.xaxis,) * xlog + (ax.yaxis,) * ylog:
         _style.log_axis(axis)
     array = np.where(array > 0, array, np.nan) if log else array
     unknown = np.isnan(array)

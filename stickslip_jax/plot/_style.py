@@ -135,6 +135,7 @@ def time_axis(ax: Axes, window: Window, t1: float | None = None) -> None:
 
 def log_axis(axis: Axis) -> None:
     """Make an axis logarithmic, with plain numbers at its ticks, as many as its limits leave room for."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_view_interval()
     decades = math.log10(high / low)
     if decades > 5:

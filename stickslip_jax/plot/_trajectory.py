@@ -572,9 +572,8 @@ def phase_portrait(
     window = check_window(window, float(result.t1))
     chosen = _chosen(result, x, y)
     first, second = (result.system.coordinates[number] for number in chosen)
-    choices = (_POSITION,) if first.period or result.system.natural_frequency is None else (_POSITION, _SCALED)
-    if chosen != (0, 1):
-        choices = (_POSITION,)
+    has_circles = chosen == (0, 1) and not first.period and result.system.natural_frequency is not None
+    choices = (_POSITION, _SCALED) if has_circles else (_POSITION,)
     if abscissa not in choices:
         demand = f"be {' or '.join(map(repr, choices))} for a {type(result.system).__name__}"
         raise checks.refused("abscissa", demand, abscissa)
