@@ -619,20 +619,19 @@ def _checked(
     x: object, y: object, values: object, errors: object, logs: tuple[bool, bool]
 ) -> tuple[_Pair, np.ndarray, np.ndarray | None]:
     """The centres of the cells, the values in them, and their errors if there are any. Raises ValueError for others."""
-    for name, given in (("x", x), ("y", y)):
+    for name, given, is_log in (("x", x, logs[0]), ("y", y, logs[1])):
         checks.numeric(name, given, ndim=1)
-        steps = np.diff(np.asarray(given, float))
-        if not len(steps) or np.any(steps <= 0):
+        centers = np.asarray(given, float)
+        if len(centers) < 2 or np.any(np.diff(centers) <= 0):
             raise checks.refused(name, "hold two or more increasing numbers", given)
+        if is_log and centers[0] <= 0:
+            demand = "hold positive numbers on a logarithmic axis"
+            raise ValueError(f"Argument {name} must {demand}, but {centers[0]:g} is the first.")
     across, up = np.asarray(x, float), np.asarray(y, float)
     array = _style.numbers_or_gaps("values", values, 2)
     if array.shape != (len(across), len(up)):
         shape = f"the shape (len(x), len(y)) = ({len(across)}, {len(up)})"
         raise ValueError(f"Argument values must have {shape}, but an array of shape {array.shape} was given.")
-    for name, centers, is_log in (("x", across, logs[0]), ("y", up, logs[1])):
-        if is_log and centers[0] <= 0:
-            demand = "hold positive numbers on a logarithmic axis"
-            raise ValueError(f"Argument {name} must {demand}, but {centers[0]:g} is the first.")
     return (across, up), array, None if errors is None else _style.checked_errors(errors, array)
 
 

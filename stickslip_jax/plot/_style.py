@@ -160,10 +160,8 @@ def axes_in(axes: Axes | SeveralAxes | None) -> tuple[Axes, ...]:
     """The matplotlib Axes that `axes` is or holds, none of them if anything else is among them."""
     if isinstance(axes, Axes):
         return (axes,)
-    if isinstance(axes, np.ndarray) and axes.ndim != 1:
-        return ()
-    found = tuple(axes) if isinstance(axes, (Sequence, np.ndarray)) else ()
-    return found if all(isinstance(one, Axes) for one in found) else ()
+    found = axes.tolist() if isinstance(axes, np.ndarray) else axes
+    return tuple(found) if isinstance(found, Sequence) and all(isinstance(one, Axes) for one in found) else ()
 
 
 def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tuple[float, float]) -> tuple[Axes, ...]:

@@ -18,8 +18,7 @@ from .. import __version__
 from .._foundation import compilation_cache
 from .._foundation.extras import require_explorer
 from .._foundation.files import file_to_write
-from . import _reading
-from ._errors import StudyError
+from . import StudyError, _reading
 from ._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
 
 _STUDY, _SWEEP, _EXECUTORS = StudyOptions(), SweepOptions(), ExecutorOptions()

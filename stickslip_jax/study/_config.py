@@ -22,7 +22,7 @@ from .._statistics.accumulator import MOST_ORDERS
 from .._systems.structure import LinearStructure
 from .._systems.system import System
 from .._uncertainty.families import Uniform
-from ._errors import StudyError
+from . import StudyError
 from ._sections import (
     FIELDS,
     Section,

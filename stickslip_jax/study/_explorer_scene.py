@@ -4,7 +4,7 @@ import dataclasses
 import io
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -514,23 +514,20 @@ def _figure(title: str, x_label: str, y_label: str, height: int = _HEIGHT, **opt
 
 def sheet_of(scene: Scene) -> bytes:
     """A PDF: phase portrait and time history of a realisation, histograms of the sticks of all, a page for each."""
-    stored = io.BytesIO()
-    with PdfPages(stored) as pages:
-        for axes in _pages(scene):
-            page = axes.get_figure(root=True)
-            pages.savefig(page)
-            plt.close(page)
-    return stored.getvalue()
-
-
-def _pages(scene: Scene) -> Iterator[Axes]:
     motion, many = motion_of(scene), statistics_of(scene).ensemble
+    pages: list[Axes] = []
     if not motion.problem:
         window = (0.0, min(scene.t1, LONGEST_HISTORY))
         if motion.one.sticks.contact is None:
-            yield phase_portrait(motion.one, window=window)
-        yield time_history(motion.one, window=window)[0]
+            pages.append(phase_portrait(motion.one, window=window))
+        pages.append(time_history(motion.one, window=window)[0])
     of_all = many.statistics
     has_sticks = len(many.finished_sticks().duration) > 0
-    for one in (of_all.stick_count, *((of_all.duration, of_all.start) if has_sticks else ())):
-        yield histogram(one)
+    pages += map(histogram, (of_all.stick_count, *((of_all.duration, of_all.start) if has_sticks else ())))
+    stored = io.BytesIO()
+    with PdfPages(stored) as file:
+        for axes in pages:
+            page = axes.get_figure(root=True)
+            file.savefig(page)
+            plt.close(page)
+    return stored.getvalue()

@@ -13,8 +13,8 @@ from cyclopts import Parameter, Token
 from pydantic import ValidationError
 
 from .._foundation.checks import one_of
+from . import StudyError
 from ._config import FileConfig, StudyConfig, SweepConfig
-from ._errors import StudyError
 from ._sections import NUMBER, Section, UniformConfig, kinds_in, nearest, shown_value, tables_of, tag_key, tag_of
 
 # Studies and sweeps to start from, by name: what differs from the defaults.

@@ -44,8 +44,8 @@ from .._sweep.dataset import SweepStatus, point_dimensions, shown_statistics, st
 from .._sweep.store import DATA as SWEEP_DATA
 from .._sweep.sweep import Sweep
 from .._systems.system import unphased
+from . import StudyError
 from ._config import FileConfig, PointConfig, StudyConfig, SweepConfig
-from ._errors import StudyError
 from ._reading import ExecutorOptions
 from ._sections import nearest
 

@@ -193,12 +193,7 @@ _WITH_JUMPS = section_of(
     motion=(_any_of(_MOTIONS), "the continuous part"),
     jumps=(_any_of(_JUMPS, usual="PoissonSwitching"), "the part that jumps"),
 )
-if TYPE_CHECKING:
-    BaseConfig = Any
-else:
-    BaseConfig = _any_of(
-        (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(gaussian.KanaiTajimi), SourceVoltageConfig)
-    )
+_BASES = (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(gaussian.KanaiTajimi), SourceVoltageConfig)
 
 
 # --- sections of forces: friction laws, external forces and normal forces
@@ -237,11 +232,13 @@ def _number_or(number: Any, kinds: tuple[Any, ...]) -> Any:
 
 
 if TYPE_CHECKING:
+    BaseConfig = Any
     FrictionConfig = Any
     ForceConfig = Any
     NumberOrForce = Any
     NormalForceConfig = Any
 else:
+    BaseConfig = _any_of(_BASES)
     FrictionConfig = _any_of((*_OF_SPEED, _DIRECTIONAL, _AGEING, *_WITH_INNER_STATE), usual="Coulomb")
     ForceConfig = _any_of(_FORCES)
     NumberOrForce = _number_or(float, _FORCES)
