@@ -25,9 +25,7 @@ _RETURNS = ("cycle", "event")
 _DOTS = (6.0, 0.8), (1.5, 0.4)  # area (square points) and opacity of points: of few, of many
 
 
-def section(
-    results: "xarray.Dataset", x: str | None = None, y: str | None = None, *, ax: Axes | None = None
-) -> Axes:  # fmt: skip
+def section(results: "xarray.Dataset", x: str | None = None, y: str | None = None, *, ax: Axes | None = None) -> Axes:
     """Draw the states of a section, one number of the state against another, a point for each return.
 
     Args:

@@ -51,6 +51,7 @@ FIGURES = (".png", ".pdf", ".svg")
 Switch = Annotated[bool, Parameter(negative="", show_default=False)]
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class StudyOptions:
     """The options of ``stickslip study``; None leaves the choice to the configuration.
@@ -102,6 +103,7 @@ class StudyOptions:
     print_example: Example | None = None
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class ExecutorOptions:
     """Where a sweep is simulated; the numbers are the same everywhere.
@@ -136,6 +138,7 @@ class ExecutorOptions:
                 raise StudyError(f"option --{name} must be at least 1, but {value} was given.")
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class SweepOptions:
     """The options of ``stickslip sweep``.
