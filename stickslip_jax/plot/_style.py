@@ -417,16 +417,20 @@ class _WholeNumbers(ScalarFormatter):
     def __init__(self) -> None:
         super().__init__(useOffset=False)
         self.set_scientific(False)
+        self._ticks = np.zeros(0)
+
+    def set_locs(self, locs: Any) -> None:
+        super().set_locs(locs)
+        self._ticks = np.asarray(locs, float)  # matplotlib's own are deprecated
 
     def __call__(self, x: Any, pos: int | None = None) -> str:
-        ticks = np.asarray(self.locs, float)
-        largest = np.max(np.abs(ticks), initial=0.0)
+        largest = np.max(np.abs(self._ticks), initial=0.0)
         if largest == 0 or _LEAST <= largest < _MOST:
             return super().__call__(x, pos)
         if x == 0:
             return "0"
         power = int(np.floor(np.log10(np.abs(x)) + 1e-9))
-        step = np.min(np.diff(np.unique(ticks)), initial=np.inf)
+        step = np.min(np.diff(np.unique(self._ticks)), initial=np.inf)
         digits = max(0, power - int(np.floor(np.log10(step) + 1e-9))) if np.isfinite(step) else 2
         mantissa = f"{x / 10.0**power:.{digits}f}"
         if "." in mantissa:

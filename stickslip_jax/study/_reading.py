@@ -250,23 +250,20 @@ def _parse(path: Path, command: str) -> dict[str, Any]:
             data = file.read(_LONGEST + 1)
         if len(data) <= _LONGEST:
             return tomllib.loads(data.decode("utf-8"))
+        problem = f"is longer than {_LONGEST // 10**6} MB, and no description of a {command}"
     except FileNotFoundError:
-        raise StudyError(
-            f"{path}: no such file; `stickslip {command} --print-config` prints one to start from."
-        ) from None
+        problem = f"no such file; `stickslip {command} --print-config` prints one to start from"
     except OSError as error:
-        raise StudyError(f"{path}: cannot be read ({error.strerror}).") from None
+        problem = f"cannot be read ({error.strerror})"
     except UnicodeDecodeError:
-        raise StudyError(f"{path}: is not a text file in UTF-8.") from None
+        problem = "is not a text file in UTF-8"
     except tomllib.TOMLDecodeError as error:
-        raise StudyError(f"{path}: is not valid TOML ({error}).") from None
+        problem = f"is not valid TOML ({error})"
     except ValueError:  # of Python's, about whole numbers
-        raise StudyError(
-            f"{path}: has a whole number of more than {sys.get_int_max_str_digits()} digits; correct it."
-        ) from None
+        problem = f"has a whole number of more than {sys.get_int_max_str_digits()} digits; correct it"
     except RecursionError:
-        raise StudyError(f"{path}: has lists or tables within too many others; correct it.") from None
-    raise StudyError(f"{path}: is longer than {_LONGEST // 10**6} MB, and no description of a {command}.")
+        problem = "has lists or tables within too many others; correct it"
+    raise StudyError(f"{path}: {problem}.")
 
 
 def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, source: str, options: _Options) -> _File:
@@ -277,8 +274,7 @@ def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, sour
         problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
         system = table.get("system")
         model = system.get("model") if isinstance(system, dict) else None
-        known = model if isinstance(model, str) and model in kind.runs else None
-        run = kind.runs[known or "MassSpring"]
+        run = kind.runs.get(str(model), kind.runs["MassSpring"])
         raise StudyError(source + _sentence_for(problem, options, kind, run)) from None
 
 
