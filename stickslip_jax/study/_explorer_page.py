@@ -223,9 +223,7 @@ def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> s
     """The Python expression of a value; classes of others are added to `imports`."""
     if isinstance(value, (bool, int, float, str)) or value is None:
         return repr(value)
-    if isinstance(value, np.number):
-        return repr(value.item())
-    if isinstance(value, (np.ndarray, jax.Array)):
+    if isinstance(value, (np.number, np.ndarray, jax.Array)):
         return repr(np.asarray(value).tolist())
     if isinstance(value, tuple):
         return _call("", [_expression(one, imports, indent + 4) for one in value], indent, comma=len(value) == 1)

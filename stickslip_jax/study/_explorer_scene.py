@@ -460,7 +460,11 @@ class Figures:
         for axis, column in (
             (self.portrait.x_range, "x"), (self.portrait.y_range, "y"), (self.history.y_range, "x"),
         ):  # fmt: skip
-            _fit(axis, np.concatenate([curve[column] for curve in motion.curves.values()]))
+            values = np.concatenate([curve[column] for curve in motion.curves.values()])
+            known = values[np.isfinite(values)]
+            if len(known):
+                margin = 0.05 * float(np.ptp(known)) or 0.5
+                axis.update(start=float(known.min()) - margin, end=float(known.max()) + margin)
 
     def show_statistics(self, statistics: Statistics) -> None:
         """Draw other histograms."""
@@ -487,15 +491,6 @@ class SectionFigure:
 def _ranges() -> dict[str, Any]:
     """Of both axes, set with each picture: those that the page would find itself take it longer."""
     return {name: Range1d(start=0, end=1) for name in ("x_range", "y_range")}
-
-
-def _fit(of_axis: Range1d, values: np.ndarray) -> None:
-    """Let a range hold these values and a margin."""
-    known = values[np.isfinite(values)]
-    if len(known):
-        low, high = float(known.min()), float(known.max())
-        margin = 0.05 * (high - low) or 0.5
-        of_axis.update(start=low - margin, end=high + margin)
 
 
 def _figure(title: str, x_label: str, y_label: str, height: int = _HEIGHT, **options: Any) -> Any:
