@@ -152,6 +152,7 @@ _Runs = Mapping[str, type[PointConfig]]
 
 
 def _runs(mass_spring: type[PointConfig], motor_cart: type[PointConfig], structure: type[PointConfig]) -> _Runs:
+    """Those of the two systems with one contact, and that of all models that are structures."""
     structures = [model for model, kind in kinds_in(SystemConfig).items() if issubclass(kind, StructureSection)]
     return {"MassSpring": mass_spring, "MotorCart": motor_cart, **dict.fromkeys(structures, structure)}
 
@@ -164,6 +165,7 @@ class OutputConfig(Section):
 
 
 _USUAL: Any = Field(default_factory=dict, validate_default=True)
+"""A section that may be left out: its keys then have their defaults, which depend on the system."""
 
 
 class FileConfig(Section):

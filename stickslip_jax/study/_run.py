@@ -252,6 +252,7 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
             raise StudyError(in_words_of_the_file(error, _OF_AN_ENSEMBLE)) from error
         statistics = {name: estimate(ensemble) for name, estimate in STATISTICS.items()}
         first = None
+        # Their durations and positions are compared with the bound that is known for a voltage.
         if ensemble.flat_sticks is not None and config.system.driven_by_voltage:
             first = first_stick(ensemble, count_initial_rest=run.count_initial_rest)
         with writing(directory):
