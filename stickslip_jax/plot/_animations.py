@@ -22,16 +22,14 @@ from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 from .._dynamics.simulation import Simulation
-from .._dynamics.sticks import Sticks
 from .._ensemble.parts import progress_bar
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
-from .._foundation.types import Ending
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
 from . import _style
 from ._style import Window, legend_above
-from ._trajectory import check_simulation, check_window, lasts_at, line_times, padded, phases_in
+from ._trajectory import Stuck, check_simulation, check_window, lasts_at, line_times, padded, phases_in, sticks_in
 
 # Films of frames that a function draws into a figure: as GIF by Pillow, as MP4 by ffmpeg.
 
@@ -108,10 +106,6 @@ _USUAL_LENGTH = 10.0  # s, of a film whose speed is not given
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
-Stuck: TypeAlias = tuple[np.ndarray, np.ndarray]
-"""When the sticks of one contact start and end, s, (sticks,) each; those that the horizon cut have no end."""
-
-
 def sticks_of(one: Simulation) -> dict[int, Stuck]:
     """The sticks of each contact of which they are known, by its number.
 
@@ -120,22 +114,16 @@ def sticks_of(one: Simulation) -> dict[int, Stuck]:
     """
     system = one.system
     if system.tracks.contacts is None:
-        return {0: _stuck(one.sticks)}
+        return {0: sticks_in(one)}
     if one.sticks.contact is not None:
-        return {number: _stuck(one.of_contact(number).sticks) for number in range(system.tracks.contacts)}
+        return {number: sticks_in(one.of_contact(number)) for number in range(system.tracks.contacts)}
     if system.tracks.counted is None:
         raise ValueError(
             "Argument result must hold the sticks of all contacts, but one of of_contact or of_all_contacts was given; "
             "animate the simulation that it was taken from."
         )
     counted = range(system.tracks.contacts) if system.tracks.counted < 0 else [system.tracks.counted]
-    return dict.fromkeys(counted, _stuck(one.sticks))
-
-
-def _stuck(sticks: Sticks) -> Stuck:
-    mask = np.asarray(sticks.mask)
-    start, end, ending = (np.asarray(values)[mask] for values in (sticks.start, sticks.end, sticks.ending))
-    return start, np.where(ending == Ending.HORIZON, math.inf, end)
+    return dict.fromkeys(counted, sticks_in(one))
 
 
 def frame_times(window: Window, speed: float | None, fps: float, dtype: np.dtype) -> tuple[np.ndarray, float]:
