@@ -32,7 +32,7 @@ from ._sections import (
     is_number,
     kinds_in,
     nearest,
-    shown_value,
+    refused,
     tag_key,
     tag_of,
     toml_blocks,
@@ -290,12 +290,12 @@ def _values(name: str, given: object) -> np.ndarray:
     if not isinstance(given, list) or not given:
         wanted = "a list, { linspace = ... } or { logspace = ... }"
         wanted = "rows such as [[0.5, 1.0], [1.0, 2.0]]" if several else wanted
-        raise ValueError(f"{name} must be {wanted}, but {shown_value(given)} was given.")
+        raise refused(name, f"be {wanted}", given)
     for one in given:
         row = one if several else [one]
         if not (isinstance(row, list) and len(row) == width and all(map(is_number, row))):
             wanted = f"rows of {width} finite numbers" if several else "finite numbers"
-            raise ValueError(f"{name} must hold {wanted}, but {shown_value(one)} was given.")
+            raise refused(name, f"hold {wanted}", one)
     return np.array(given, float)
 
 
@@ -305,17 +305,12 @@ def _range(name: str, given: dict[str, object]) -> np.ndarray:
     if kind not in _RANGES or more:
         hint = nearest(kind, ("geomspace", *_RANGES)).replace("geom", "log")
         dotted = "" if hint or not re.fullmatch(r"\w+", kind) else f'; for a name with dots write "{name}.{kind}" = ...'
-        raise ValueError(
-            f"{name} must be a list, or a table with {one_of(_RANGES)}, but {shown_value(given)} was given"
-            f"{hint or dotted or '.'}"
-        )
-    but = f"but {shown_value(limits)} was given"
+        raise refused(name, f"be a list, or a table with {one_of(_RANGES)}", given, hint or dotted or ".")
     ends: list[Any] = limits if isinstance(limits, list) and len(limits) == 3 else [None]
-    are_numbers = all(map(is_number, ends))
-    if not are_numbers or not isinstance(ends[2], int) or ends[2] < 1:
-        raise ValueError(f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], {but}.")
+    if not all(map(is_number, ends)) or not isinstance(ends[2], int) or ends[2] < 1:
+        raise refused(f"{kind} of {name}", "be [from, to, number of values], such as [0.5, 2.0, 8]", limits)
     if kind == "logspace" and min(ends[:2]) <= 0:
-        raise ValueError(f"logspace of {name} must go from and to positive numbers, {but}.")
+        raise refused(f"logspace of {name}", "go from and to positive numbers", limits)
     _check_number(ends[2])  # before there are any values
     return _RANGES[kind](*ends)
 

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from .._foundation.checks import one_of
 from . import StudyError
 from ._config import FileConfig, StudyConfig, SweepConfig
-from ._sections import NUMBER, Section, UniformConfig, kinds_in, nearest, shown_value, tables_of, tag_key, tag_of
+from ._sections import NUMBER, Section, UniformConfig, kinds_in, nearest, refused, tables_of, tag_key, tag_of
 
 # Studies and sweeps to start from, by name: what differs from the defaults.
 
@@ -175,12 +175,12 @@ _NOT_A_SECTION = {
 }
 """What must be where something else stands, by what pydantic says of it."""
 _NOT_A_VALUE = {
-    "float_type": "must be a number",
-    "int_type": "must be a whole number",
-    "bool_type": "must be true or false",
-    "string_type": "must be a text in quotation marks",
-    "list_type": "must be a list in brackets",
-    **dict.fromkeys(("string_too_short", "too_short"), "must not be empty"),
+    "float_type": "be a number",
+    "int_type": "be a whole number",
+    "bool_type": "be true or false",
+    "string_type": "be a text in quotation marks",
+    "list_type": "be a list in brackets",
+    **dict.fromkeys(("string_too_short", "too_short"), "not be empty"),
 }
 """Likewise of the values of keys."""
 _LONGEST = 16 * 10**6  # bytes of a file
@@ -284,7 +284,7 @@ def _sentence_for(problem: Any, options: _Options, file: type[FileConfig], run: 
     if kind == "extra_forbidden":
         return _unknown_key(place, file) if place.section else _unknown_section(place.key, given, file)
     if kind in _NOT_A_SECTION and not place.key:
-        return f"{place.name} must be {_NOT_A_SECTION[kind].format(place.section)}, but {shown_value(given)} was given."
+        return str(refused(place.name, f"be {_NOT_A_SECTION[kind].format(place.section)}", given))
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         return _wrong_tag(place, given)
     if kind == "missing":
@@ -297,12 +297,12 @@ def _sentence_for(problem: Any, options: _Options, file: type[FileConfig], run: 
         return f"in [{place.section}], {said}" if place.section else said
     option = options.get((place.section, place.key))
     subject = f"{place.key} in [{place.section}]" if option is None else f"option --{option}"
-    demand = _NOT_A_VALUE.get(kind) or problem["msg"].replace("Input should be", "must be")
+    demand = _NOT_A_VALUE.get(kind) or problem["msg"].replace("Input should be", "be")
     if problem["loc"][-1] == NUMBER:  # what else may stand there
         kinds = kinds_in(place.kind.model_fields[_without_numbers(place.key)].annotation)
         is_start = UniformConfig in kinds.values()
         demand += " or { low = ..., high = ... }" if is_start else f" or a section of the law {one_of(kinds)}"
-    return f"{subject} {demand}, but {shown_value(given)} was given."
+    return str(refused(subject, demand, given))
 
 
 # --- where it is
@@ -377,10 +377,8 @@ def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
     key = tag_key(next(iter(kinds.values()))) or ""
     if key not in table:
         return f"[{place.section}] lacks {key}, which must be {one_of(kinds)}."
-    return (
-        f"{key} in [{place.section}] must be one of {', '.join(kinds)}, but {shown_value(table[key])} was given"
-        f"{nearest(str(table[key]), kinds) or '.'}"
-    )
+    end = nearest(str(table[key]), kinds) or "."
+    return str(refused(f"{key} in [{place.section}]", f"be one of {', '.join(kinds)}", table[key], end))
 
 
 def _unknown_key(place: _Place, file: type[FileConfig]) -> str:

@@ -233,10 +233,11 @@ def toml_value(value: object) -> str:
     return repr(value)
 
 
-def shown_value(value: object) -> str:
-    """A value as messages show it: cut where it is long."""
+def refused(name: str, demand: str, value: object, end: str = ".") -> ValueError:
+    """The exception for the `value` of the key `name`, which is to "be positive", say; a long value is cut."""
     text = toml_value(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    shown = text if len(text) <= 60 else text[:57] + "..."
+    return ValueError(f"{name} must {demand}, but {shown} was given{end}")
 
 
 def _toml_key(key: str) -> str:
@@ -317,17 +318,13 @@ def _existing(file: str, info: Any) -> str:
 def _column(value: object, info: Any) -> int | str:
     if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
         return value
-    raise ValueError(
-        f"{info.field_name} must be the number of a column, counted from 0, or its name in quotation marks, but "
-        f"{shown_value(value)} was given."
-    )
+    demand = "be the number of a column, counted from 0, or its name in quotation marks"
+    raise refused(info.field_name, demand, value)
 
 
 def _delimiter(value: str) -> str:
     if value != _WHITE_SPACE and (len(value) != 1 or value in '"\r\n'):
-        raise ValueError(
-            f'delimiter must be a single character or "{_WHITE_SPACE}", but {shown_value(value)} was given.'
-        )
+        raise refused("delimiter", f'be a single character or "{_WHITE_SPACE}"', value)
     return value
 
 
@@ -351,7 +348,7 @@ class _FromFile(Section):
     def _refuse(self, keys: Iterable[str], reason: str) -> None:
         for key in keys:
             if getattr(self, key) is not None:
-                raise ValueError(f"{key} must be left out, but {shown_value(getattr(self, key))} was given: {reason}.")
+                raise refused(key, "be left out", getattr(self, key), f": {reason}.")
 
     def _read(self, file: str) -> tuple[np.ndarray, np.ndarray]:
         """Times (s) and values of the table. Raises ValueError if they are unsuitable, OSError if it cannot be read."""

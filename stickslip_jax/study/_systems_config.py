@@ -37,8 +37,8 @@ from ._sections import (
     default_tag,
     is_number,
     key_of,
+    refused,
     section_of,
-    shown_value,
     tag_of,
     value_of,
 )
@@ -294,10 +294,8 @@ def _matrix(value: Any, info: Any) -> list[float] | list[list[float]]:
     rows = value if has_rows else [value]
     good = all(isinstance(row, list) and row and all(map(is_number, row)) for row in rows)
     if not good or len({len(row) for row in rows}) > 1:
-        raise ValueError(
-            f"{info.field_name} must be a list of numbers, the diagonal, or a list of rows of as many numbers, but "
-            f"{shown_value(value)} was given."
-        )
+        demand = "be a list of numbers, the diagonal, or a list of rows of as many numbers"
+        raise refused(info.field_name, demand, value)
     floats = [[float(number) for number in row] for row in rows]
     return floats if has_rows else floats[0]
 
@@ -305,12 +303,12 @@ def _matrix(value: Any, info: Any) -> list[float] | list[list[float]]:
 def _counted(value: Any) -> int | str:
     if value == "all" or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
         return value
-    raise ValueError(f'contact must be the number of a contact, from 0, or "all", but {shown_value(value)} was given.')
+    raise refused("contact", 'be the number of a contact, from 0, or "all"', value)
 
 
 def _two(masses: list[int]) -> list[int]:
     if len(masses) != 2:
-        raise ValueError(f"between must hold the numbers of two masses, but {shown_value(masses)} was given.")
+        raise refused("between", "hold the numbers of two masses", masses)
     return masses
 
 
