@@ -68,7 +68,7 @@ def _run_or_fail(tokens: Sequence[str], left: str) -> int:
         # Imported only here, so that help and errors in the arguments appear without loading the simulation, and
         # Ctrl-C is answered again at once after the package is loaded.
         from ._ensemble.encoding import SweepError  # noqa: PLC0415
-        from .study._errors import StudyError  # noqa: PLC0415 - says which extra is missing
+        from .study import StudyError  # noqa: PLC0415 - says which extra is missing
     except ImportError as error:
         return _fail(error, 1)
     from .study._commands import run  # noqa: PLC0415 - needs the extra

@@ -249,18 +249,13 @@ def stick_share_map(
         ValueError: For another belt, and for arguments that `Sweep` refuses.
     """
     checks.chosen("belt", belt, get_args(Belt))
-    laws = {
-        "constant": constant_belt().law,
-        "square": square_wave_belt(1.0).law,
-        "harmonic": harmonic_belt(1.0).law,
-        "random": random_belt(1.0).law,
-    }
-    over = {"mu": np.linspace(*SHARE_FRICTIONS) if mu is None else mu}
+    belts = {"square": square_wave_belt, "harmonic": harmonic_belt, "random": random_belt}
+    over, law = {"mu": np.linspace(*SHARE_FRICTIONS) if mu is None else mu}, constant_belt().law
     if belt != "constant":
-        over["r"] = np.linspace(*SHARE_RATIOS) if ratios is None else ratios
+        over["r"], law = np.linspace(*SHARE_RATIOS) if ratios is None else ratios, belts[belt](1.0).law
     usual = SHARE_SAMPLES if belt == "random" else 1
     return Sweep(
-        belt_oscillator(), laws[belt], over=over, t1=t1, samples=usual if samples is None else samples,
+        belt_oscillator(), law, over=over, t1=t1, samples=usual if samples is None else samples,
         key=_key(seed), y0=(0.0, BELT_SPEED), keep="statistics" if belt == "random" else "totals",
         statistics=["stick_fraction"],
     )  # fmt: skip

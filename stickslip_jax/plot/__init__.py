@@ -19,9 +19,16 @@ Nothing is simulated here. Bad arguments raise ValueError with the name of the a
 
 from .._systems.system import Belt, Body, Disk, Look, Mechanism, Rod, Spring
 from ._animations import Animation, animate
-from ._curves import curve, stick_bounds, stick_fraction_curve
-from ._ensembles import convergence, histogram, joint_histogram, means_by_order, stick_map, stick_raster
-from ._maps import parameter_map, parameter_sweep
+from ._ensembles import (
+    convergence,
+    histogram,
+    joint_histogram,
+    means_by_order,
+    stick_bounds,
+    stick_map,
+    stick_raster,
+)
+from ._parameters import curve, parameter_map, parameter_sweep, stick_fraction_curve
 from ._sections import basins, bifurcation_diagram, orbit_branch, section
 from ._sensitivities import calibration, calibration_moments, sensitivity_curve, tornado
 from ._style import save

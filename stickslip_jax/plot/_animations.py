@@ -22,16 +22,14 @@ from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 from .._dynamics.simulation import Simulation
-from .._dynamics.sticks import Sticks
 from .._ensemble.parts import progress_bar
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
-from .._foundation.types import Ending
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
 from . import _style
 from ._style import Window, legend_above
-from ._trajectory import check_simulation, check_window, lasts_at, line_times, padded, phases_in
+from ._trajectory import Stuck, check_simulation, check_window, lasts_at, line_times, padded, phases_in, sticks_in
 
 # Films of frames that a function draws into a figure: as GIF by Pillow, as MP4 by ffmpeg.
 
@@ -108,10 +106,6 @@ _USUAL_LENGTH = 10.0  # s, of a film whose speed is not given
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
-Stuck: TypeAlias = tuple[np.ndarray, np.ndarray]
-"""When the sticks of one contact start and end, s, (sticks,) each; those that the horizon cut have no end."""
-
-
 def sticks_of(one: Simulation) -> dict[int, Stuck]:
     """The sticks of each contact of which they are known, by its number.
 
@@ -120,22 +114,16 @@ def sticks_of(one: Simulation) -> dict[int, Stuck]:
     """
     system = one.system
     if system.tracks.contacts is None:
-        return {0: _stuck(one.sticks)}
+        return {0: sticks_in(one)}
     if one.sticks.contact is not None:
-        return {number: _stuck(one.of_contact(number).sticks) for number in range(system.tracks.contacts)}
+        return {number: sticks_in(one.of_contact(number)) for number in range(system.tracks.contacts)}
     if system.tracks.counted is None:
         raise ValueError(
             "Argument result must hold the sticks of all contacts, but one of of_contact or of_all_contacts was given; "
             "animate the simulation that it was taken from."
         )
     counted = range(system.tracks.contacts) if system.tracks.counted < 0 else [system.tracks.counted]
-    return dict.fromkeys(counted, _stuck(one.sticks))
-
-
-def _stuck(sticks: Sticks) -> Stuck:
-    mask = np.asarray(sticks.mask)
-    start, end, ending = (np.asarray(values)[mask] for values in (sticks.start, sticks.end, sticks.ending))
-    return start, np.where(ending == Ending.HORIZON, math.inf, end)
+    return dict.fromkeys(counted, sticks_in(one))
 
 
 def frame_times(window: Window, speed: float | None, fps: float, dtype: np.dtype) -> tuple[np.ndarray, float]:
@@ -226,25 +214,6 @@ def numbers_of(part: Part) -> tuple[OverTime, ...]:
     if isinstance(part, Belt):
         return part.y, part.displacement, *part.ends
     return *part.start, *part.end
-
-
-def draw_parts(ax: Axes, mechanism: Mechanism, sticking: np.ndarray) -> list[Move]:
-    """Draw a mechanism into `ax`; returns what moves its parts.
-
-    `sticking`: whether each contact sticks in each frame, (frames, contacts).
-    """
-    ax.set(xlim=mechanism.x_range, ylim=mechanism.y_range)
-    moves = []
-    for number, part in enumerate(mechanism.parts):
-        order = 2 + 0.01 * number  # each part is above those before it
-        if isinstance(part, Belt):
-            moves.append(_belt(ax, part, order))
-            continue
-        places = np.array([np.broadcast_to(np.asarray(value, float), len(sticking)) for value in numbers_of(part)])
-        stuck = np.any(sticking[:, [] if isinstance(part, Spring) else list(part.contacts)], axis=1)
-        draw = _body if isinstance(part, Body) else _disk if isinstance(part, Disk) else _link
-        moves.append(draw(ax, cast(Any, part), places.T, stuck, order))
-    return moves
 
 
 # Each part by its numbers and whether it sticks in each frame, (frames, numbers) and (frames,).
@@ -527,7 +496,21 @@ def _make_equal(ax: Axes, mechanism: Mechanism) -> None:
 
 
 def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: np.ndarray) -> list[Move]:
-    moves = draw_parts(ax, mechanism, sticking)
+    """Draw a mechanism into `ax`; returns what moves its parts.
+
+    `sticking`: whether each contact sticks in each frame, (frames, contacts).
+    """
+    ax.set(xlim=mechanism.x_range, ylim=mechanism.y_range)
+    moves = []
+    for number, part in enumerate(mechanism.parts):
+        order = 2 + 0.01 * number  # each part is above those before it
+        if isinstance(part, Belt):
+            moves.append(_belt(ax, part, order))
+            continue
+        places = np.array([np.broadcast_to(np.asarray(value, float), len(sticking)) for value in numbers_of(part)])
+        stuck = np.any(sticking[:, [] if isinstance(part, Spring) else list(part.contacts)], axis=1)
+        draw = _body if isinstance(part, Body) else _disk if isinstance(part, Disk) else _link
+        moves.append(draw(ax, cast(Any, part), places.T, stuck, order))
     for side in ("left", "right", "top", *(() if mechanism.x_label else ("bottom",))):
         ax.spines[side].set_visible(False)
     ax.set_yticks([])

@@ -2,12 +2,14 @@
 stick after the other, and how estimates converge.
 """
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm, Normalize, to_rgba
 from matplotlib.patches import StepPatch
 
 from .._dynamics.simulation import Simulation
@@ -20,6 +22,7 @@ from .._statistics.estimate import DEFAULT_LEVEL, check_level
 from .._statistics.joint import JointDistribution
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES, FirstSticks
 from .._statistics.totals import Convergence, HistogramConvergence
+from .._systems.motor_cart import MotorCart, stick_duration_bound
 from .._systems.system import System, require_system, unphased
 from . import _style
 from ._style import Bins, JointBins, SeveralAxes, SimulatedSticks, Voltage, Window, legend_above, plain_numbers
@@ -185,6 +188,63 @@ def finish(ax: Axes, sticks: PlacedSticks) -> None:
     ax.set_ylim(bottom=0)
 
 
+# The longest possible stick of a motor against the angle at which it stops.
+
+
+_LONG = 20  # letters: three columns of longer labels are wider than the axes
+
+
+def stick_bounds(
+    system: MotorCart, voltage: Voltage, *, mu: Sequence[float] | np.ndarray | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw the longest possible duration of a stick of a `MotorCart` against its angle, a curve for each `mu`.
+
+    This is Lima and Sampaio (2022), figure 3; see `stick_duration_bound`. A curve is interrupted where the bound is
+    infinite; the legend gives the share of such angles, and says so where no angle allows a stick.
+
+    Args:
+        system: A `MotorCart`.
+        voltage: A `SourceVoltage`, or a `RandomPhase` of one, which has the same bound.
+        mu: Friction coefficients in place of that of `system`, zero or positive.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind.
+    """
+    signal: Any = unphased(voltage)
+    stick_duration_bound(system, signal, 0.0)  # refuses arguments of another kind
+    if mu is None and system.friction is not None:
+        systems = {type(system.friction).__name__: system}
+    else:
+        given = np.atleast_1d(np.asarray(system.mu if mu is None else mu, float))
+        checks.numeric("mu", given, ndim=1)
+        systems = {rf"$\mu$ = {one:g}": dataclasses.replace(system, mu=float(one), friction=None) for one in given}
+    ax = _style.axes_or_new(ax, (5.6, 4.0))
+    period = system.coordinates[0].period
+    assert period is not None
+    angles = np.linspace(0, period, _BOUND_POINTS)
+    for name, one in systems.items():
+        longest = np.asarray(stick_duration_bound(one, signal, angles), float)
+        endless = np.isinf(longest)
+        none = not np.any(longest > 0)
+        label = f"{name}, no limit at {100 * endless.mean():.0f} % of the angles" if endless.any() else name
+        look = _style.next_look(ax, angles)
+        if none:  # a curve that is zero throughout lies on the axis, below the ends of the others
+            label, look = f"{label}: no stick", look | {"lw": 2.5 * _style.SLIP_WIDTH, "zorder": 3, "clip_on": False}
+        ax.plot(angles, np.where(endless, np.nan, longest), label=label, **look)
+    _style.angle_axis(ax, period)
+    ax.set_xlabel(system.coordinates[0].labeled(" of the stick"))
+    ax.set_ylabel(_style.quantity_label("longest possible stick duration", "s"))
+    ax.autoscale(axis="y")  # to all curves that have been drawn, also in axes that share this one's scale
+    ax.set_ylim(bottom=0)
+    longest_label = max(map(len, ax.get_legend_handles_labels()[1]))
+    legend_above(ax, columns=2 if longest_label > _LONG else 3)
+    return ax
+
+
 # The distribution of one quantity.
 
 
@@ -236,46 +296,45 @@ def histogram(
         # A bin of whole numbers is centred on its number.
         edges, heights, errors = drawn.edges - 0.5 * is_whole, drawn.density, drawn.error
         color, mean = _style.STICK if "stick" in name else _style.SERIES[0], result.mean if number else None
-        text = _style.counted(number, "value") if number else "no values"
-        more = "; bars: standard error" if np.any(np.isfinite(errors)) else ""
-        text = f"{text} in {_style.counted(result.samples, 'sample')}{more}"
+        values = _style.counted(number, "value") if number else "no values"
+        bars = "; bars: standard error" if np.any(np.isfinite(errors)) else ""
+        text = f"{values} in {_style.counted(result.samples, 'sample')}{bars}"
     else:
         duration, _, text = complete_sticks(result, also=", or a Distribution such as ensemble.statistics.duration")
         number, name, unit, color = len(duration), "stick duration", "s", _style.STICK
-        span = (0.0, duration.max(initial=0) or 1.0)
-        edges = edges_of_bins("bins", DEFAULT_BINS if bins is None else bins, span, "s")
+        longest = duration.max(initial=0) or 1.0
+        edges = edges_of_bins("bins", DEFAULT_BINS if bins is None else bins, (0.0, longest), "s")
         counts, _ = np.histogram(duration, edges)
         heights, errors = counts / (max(number, 1) * np.diff(edges)), np.full(len(counts), np.nan)
         text = outside(text, number - int(counts.sum()))
     checks.text("label", label, or_none=True)
+    text = text if label is None else f"{label}: {text}"
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     earlier, ylabel = _outlines(ax), "probability" if is_whole else _style.density_label(unit)
     for axis, named in ((ax.xaxis, _style.quantity_label(name, unit)), (ax.yaxis, ylabel)):
         before = axis.get_label_text() if earlier else ""
         if named not in before:  # each name once
             axis.set_label_text(f"{before}, {named}" if before else named)
-    text = text if label is None else f"{label}: {text}"
-    if not number and not earlier:
-        _style.note(ax, text)
-        return ax
     if number:
         if is_whole:
             _style.whole_numbers(ax.xaxis)
-        color = _style.free_color(color, [outline.get_edgecolor() for outline in earlier])
+        used = {to_rgba(outline.get_edgecolor(), 1.0) for outline in earlier}
+        color = next((one for one in (color, *_style.SERIES) if to_rgba(one) not in used), color)
         _style.draw_histogram(ax, edges, heights, errors, color, label=text)
         if mean is not None:
             named, color = f"mean {_style.with_error(mean)}", color if earlier or label else _style.MASS
-            if np.isfinite(mean.standard_error):
-                ends = (mean.value - mean.standard_error, mean.value + mean.standard_error)
-                ax.axvspan(*ends, color=color, alpha=0.25, lw=0)
+            if np.isfinite(error := mean.standard_error):
+                ax.axvspan(mean.value - error, mean.value + error, color=color, alpha=0.25, lw=0)
                 named += " (shaded: ±)"
             ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=named)
         edges = np.concatenate([outline.get_data()[1] for outline in _outlines(ax)])
         ax.set_xlim(edges.min(), edges.max())
         ax.autoscale(axis="y")
         ax.set_ylim(bottom=0)
-    else:
+    elif earlier:
         ax.plot([], [], ls="none", label=text)
+    else:
+        _style.note(ax, text)
     legend_above(ax, columns=1)
     return ax
 
@@ -291,19 +350,19 @@ def _outlines(ax: Axes) -> list[StepPatch]:
 class Cells(NamedTuple):
     """A joint histogram.
 
-    - `edges`: of the bins along x (m + 1,) and y (n + 1,). `density`: masked where no pair fell, (m, n).
-      Of pairs, atoms are not in it.
-    - `sides`: the histograms of x and of y: density and its standard error, NaN if not known, (bins,) each.
-    - `units`: of x and y. `label`: how many pairs there are, or a note that there are none. `empty`: whether there are
-      none.
+    - `edges`: of the bins along x (m + 1,) and y (n + 1,). `counts`: of the pairs in them, and `density`, masked where
+      no pair fell, (m, n). Of pairs, atoms are not in it.
+    - `errors`: of the shares of pairs in the bins along x and along y, NaN if not known, (m,) and (n,).
+    - `units`: of x and y. `number`: of all pairs. `label`: how many there are, or a note that there are none.
     """
 
     edges: tuple[np.ndarray, np.ndarray]
+    counts: np.ndarray
     density: np.ma.MaskedArray
-    sides: list[tuple[np.ndarray, np.ndarray]]
+    errors: list[np.ndarray]
     units: tuple[str, str]
+    number: int
     label: str
-    empty: bool
 
 
 def cells_of_pairs(joint: JointDistribution, bins: JointBins) -> Cells:
@@ -317,16 +376,12 @@ def cells_of_pairs(joint: JointDistribution, bins: JointBins) -> Cells:
         hint = "bins of your own go with the sticks: joint_histogram(ensemble, bins=(edges, edges))"
         raise checks.refused("bins", demand, bins, hint)
     drawn = joint.histogram(checks.whole_number("bins", bins))
-    edges, sides = (drawn.x_edges, drawn.y_edges), []
-    for axis, own in enumerate((joint.x, joint.y)):
-        width = np.diff(edges[axis])
-        share = drawn.counts.sum(axis=1 - axis) / max(drawn.number, 1)
-        errors = own.errors_of_shares(bin_of(own.values, edges[axis]), len(width))
-        sides.append((share / width, errors / width))
+    edges, own = (drawn.x_edges, drawn.y_edges), (joint.x, joint.y)
+    errors = [one.errors_of_shares(bin_of(one.values, at), len(at) - 1) for one, at in zip(own, edges, strict=True)]
     atoms = joint.share_of_atoms(int(bins))
     density = np.ma.masked_where((drawn.counts == 0) | (atoms == 1), drawn.density * (1 - atoms))
     label = _style.counted(drawn.number, "pair") if drawn.number else "no pairs"
-    return Cells(edges, density, sides, joint.units, label, drawn.number == 0)
+    return Cells(edges, drawn.counts, density, errors, joint.units, drawn.number, label)
 
 
 def cells_of_sticks(sticks: PlacedSticks, bins: JointBins) -> Cells:
@@ -349,13 +404,10 @@ def cells_of_sticks(sticks: PlacedSticks, bins: JointBins) -> Cells:
         edges_of_bins("bins[1]", pair[1], (0.0, sticks.duration.max(initial=0) or 1.0), units[1]),
     )
     counts, *_ = np.histogram2d(sticks.position, sticks.duration, edges)
-    widths = (np.diff(edges[0]), np.diff(edges[1]))
-    density = np.ma.masked_equal(counts, 0) / (max(number, 1) * np.outer(*widths))
-    sides = [
-        (counts.sum(axis=1 - axis) / max(number, 1) / width, np.full(len(width), np.nan))
-        for axis, width in enumerate(widths)
-    ]
-    return Cells(edges, density, sides, units, outside(sticks.label, number - int(counts.sum())), number == 0)
+    density = np.ma.masked_equal(counts, 0) / (max(number, 1) * np.outer(*map(np.diff, edges)))
+    errors = [np.full(bins, np.nan) for bins in counts.shape]
+    label = outside(sticks.label, number - int(counts.sum()))
+    return Cells(edges, counts, density, errors, units, number, label)
 
 
 # The joint distribution of two quantities, and of each by itself.
@@ -437,7 +489,7 @@ def joint_histogram(
         _draw_pairs(main, result, cells, bins if conditional_mean else 0)
     elif sticks is not None:
         finish(main, sticks)
-    if others and not cells.empty:
+    if others and cells.number:
         above, right = others
         above.set(xlim=main.get_xlim(), ylim=(0, None))
         right.set(ylim=main.get_ylim(), xlim=(0, None))
@@ -450,15 +502,18 @@ def joint_histogram(
 def _draw_density(panels: tuple[Axes, ...], cells: Cells, log: bool) -> None:
     """The density of all cells that hold a pair, the scale of its colours, and the histograms beside it."""
     main, *others = panels
-    if not cells.empty:
-        norm, label = LogNorm() if log else Normalize(vmin=0), _style.density_label(*cells.units)
-        _style.draw_cells(main, cells.edges, cells.density, norm, label, list(panels))
-        main.plot([], [], ls="none", label=cells.label)
-    for axis, (ax, side) in enumerate(zip(others, cells.sides, strict=False)):
+    for axis, ax in enumerate(others):
         label = _style.density_label(cells.units[axis]).replace(" density", "\ndensity")
         ax.set(**{"ylabel" if axis == 0 else "xlabel": label})
-        if not cells.empty:
-            _style.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
+    if not cells.number:
+        return
+    norm, label = LogNorm() if log else Normalize(vmin=0), _style.density_label(*cells.units)
+    _style.draw_cells(main, cells.edges, cells.density, norm, label, list(panels))
+    main.plot([], [], ls="none", label=cells.label)
+    for axis, ax in enumerate(others):
+        widths, shares = np.diff(cells.edges[axis]), cells.counts.sum(axis=1 - axis) / cells.number
+        side = shares / widths, cells.errors[axis] / widths
+        _style.draw_histogram(ax, cells.edges[axis], *side, _style.STICK, upright=axis == 0)
 
 
 def _draw_pairs(main: Axes, joint: JointDistribution, cells: Cells, bins: Any) -> None:
@@ -468,17 +523,17 @@ def _draw_pairs(main: Axes, joint: JointDistribution, cells: Cells, bins: Any) -
     """
     xlabel, ylabel = map(_style.quantity_label, joint.labels, joint.units)
     main.set(xlabel=xlabel, ylabel=ylabel)
-    if cells.empty:
-        _style.note(main, cells.label)
-    else:
+    if cells.number:
         main.set(xlim=cells.edges[0][[0, -1]], ylim=cells.edges[1][[0, -1]])
+    else:
+        _style.note(main, cells.label)
     atoms = joint.atoms
     if number := len(atoms.share):
         share = f"{100 * atoms.share.sum():.1f} % of the pairs"
         label = f"{number:,} points that {share} lie on" if number > 1 else f"a point that {share} lie on"
         look = {"facecolors": "none", "edgecolors": _style.STICK, "lw": 1.2, "clip_on": False, "zorder": 3}
         main.scatter(atoms.x, atoms.y, s=np.maximum(12, _LARGEST * atoms.share), label=label, **look)
-    if bins and not cells.empty:
+    if bins and cells.number:
         means = joint.conditional_mean(min(bins, _MEANS))
         known = means.counts > 0
         centers, errors = (means.edges[1:] + means.edges[:-1]) / 2, np.nan_to_num(means.error)
@@ -698,21 +753,19 @@ def convergence(
         raise checks.refused("result", "be a Convergence or a HistogramConvergence", result, hint)
     check_level(level)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    ax.set_xscale("log")
     look = {"color": _style.SERIES[0], "lw": _style.SLIP_WIDTH, "marker": "o"}
     if isinstance(result, Convergence):
-        ax.set(xlabel="number of samples", ylabel=_style.quantity_label(result.name, result.unit))
-        known, nothing = np.isfinite(result.values), f"not defined in {result.numbers[-1]:,} samples"
+        ax.set(xlabel="number of samples", ylabel=_style.quantity_label(result.name, result.unit), xscale="log")
+        values, nothing = result.values, f"not defined in {result.numbers[-1]:,} samples"
     else:
-        ax.set_yscale("log")
         xlabel = "number of samples of each of the two histograms"
-        ax.set(xlabel=xlabel, ylabel="distance of the histograms\n(total variation)")
-        known, nothing = np.isfinite(result.distances) & (result.distances > 0), "no distance is known"
-    numbers = result.numbers[known]
-    if not np.any(known):
+        ax.set(xlabel=xlabel, ylabel="distance of the histograms\n(total variation)", xscale="log", yscale="log")
+        values, nothing = np.where(result.distances > 0, result.distances, np.nan), "no distance is known"
+    known = np.isfinite(values)
+    numbers, values = result.numbers[known], values[known]
+    if not len(values):
         _style.note(ax, nothing)
     elif isinstance(result, Convergence):
-        values = result.values[known]
         low, high = (ends[known] for ends in result.band(level))
         label = f"from all {result.final.samples:,} samples: {_style.with_error(result.final)}"
         ax.axhline(result.final.value, label=label, **_style.REFERENCE)
@@ -723,12 +776,11 @@ def convergence(
         margin = 0.05 * np.ptp(shown) or 0.05 * abs(shown[0]) or 0.05
         ax.set_ylim(shown.min() - margin, shown.max() + margin)
     else:
-        distances = result.distances[known]
         fitted = f", slope {result.slope:.2f}" if np.isfinite(result.slope) else ""
-        ax.plot(numbers, distances, ms=4, label=f"distance in {result.cells:,} cells with pairs{fitted}", **look)
+        ax.plot(numbers, values, ms=4, label=f"distance in {result.cells:,} cells with pairs{fitted}", **look)
         # The line begins at a distance of 1, the largest that there is.
-        ends = np.array([max(numbers[0], numbers[-1] * distances[-1] ** 2), numbers[-1]])
-        line = distances[-1] * np.sqrt(numbers[-1] / ends)
+        ends = np.array([max(numbers[0], numbers[-1] * values[-1] ** 2), numbers[-1]])
+        line = values[-1] * np.sqrt(numbers[-1] / ends)
         ax.plot(ends, line, label="slope -1/2 through the last", **_style.REFERENCE)
     if ax.has_data():
         for axis in (ax.xaxis, ax.yaxis)[: 1 if isinstance(result, Convergence) else 2]:

@@ -9,7 +9,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 
 from .._foundation import checks
 from . import _style
-from ._curves import is_labeled
+from ._parameters import is_labeled
 from ._style import legend_above
 
 if TYPE_CHECKING:
@@ -25,9 +25,7 @@ _RETURNS = ("cycle", "event")
 _DOTS = (6.0, 0.8), (1.5, 0.4)  # area (square points) and opacity of points: of few, of many
 
 
-def section(
-    results: "xarray.Dataset", x: str | None = None, y: str | None = None, *, ax: Axes | None = None
-) -> Axes:  # fmt: skip
+def section(results: "xarray.Dataset", x: str | None = None, y: str | None = None, *, ax: Axes | None = None) -> Axes:
     """Draw the states of a section, one number of the state against another, a point for each return.
 
     Args:

@@ -47,7 +47,4 @@ def _image(size: tuple[float, float], panels: int, draw: Callable[[list[Axes]], 
         FigureCanvasSVG(figure).print_svg(written, metadata={"Date": None})
     # As an image, because styles and names inside an SVG that stands in a page hold for all of the page.
     data = base64.b64encode(written.getvalue().encode()).decode()
-    return f'<img alt="{_ALT}" src="data:image/svg+xml;base64,{data}">'
-
-
-_ALT = "figure of the result"
+    return f'<img alt="figure of the result" src="data:image/svg+xml;base64,{data}">'

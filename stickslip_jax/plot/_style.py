@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from textwrap import fill
@@ -12,7 +12,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
+from matplotlib.axis import Axis, XAxis, YAxis
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
@@ -20,7 +20,6 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
-from matplotlib.typing import ColorType
 
 from .._dynamics.simulation import Simulation
 from .._ensemble.result import Ensemble
@@ -104,12 +103,6 @@ def axes_or_new(ax: Axes | None, size: tuple[float, float]) -> Axes:
     return ax
 
 
-def free_color(preferred: str, used: Iterable[ColorType]) -> str:
-    """`preferred`, or where that is `used` the first of `SERIES` that is not; the first of all where all are used."""
-    taken = {to_rgba(color, 1.0) for color in used}
-    return next((color for color in (preferred, *SERIES) if to_rgba(color) not in taken), preferred)
-
-
 def next_look(ax: Axes, points: np.ndarray) -> dict[str, Any]:
     """How the next curve in `ax` looks, through these points: a colour and line style that no curve in it has yet."""
     taken = {(to_rgba(line.get_color()), line.get_linestyle()) for line in ax.lines}
@@ -140,8 +133,9 @@ def time_axis(ax: Axes, window: Window, t1: float | None = None) -> None:
         ax.set_xlabel(f"time $t$ (s){part}")
 
 
-def log_axis(axis: Axis) -> None:
+def log_axis(axis: XAxis | YAxis) -> None:
     """Make an axis logarithmic, with plain numbers at its ticks, as many as its limits leave room for."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_view_interval()
     decades = math.log10(high / low)
     if decades > 5:
@@ -166,10 +160,8 @@ def axes_in(axes: Axes | SeveralAxes | None) -> tuple[Axes, ...]:
     """The matplotlib Axes that `axes` is or holds, none of them if anything else is among them."""
     if isinstance(axes, Axes):
         return (axes,)
-    if isinstance(axes, np.ndarray) and axes.ndim != 1:
-        return ()
-    found = tuple(axes) if isinstance(axes, (Sequence, np.ndarray)) else ()
-    return found if all(isinstance(one, Axes) for one in found) else ()
+    found = axes.tolist() if isinstance(axes, np.ndarray) else axes
+    return tuple(found) if isinstance(found, Sequence) and all(isinstance(one, Axes) for one in found) else ()
 
 
 def axes_below_or_new(axes: SeveralAxes | None, names: tuple[str, ...], size: tuple[float, float]) -> tuple[Axes, ...]:
@@ -429,7 +421,7 @@ class _WholeNumbers(ScalarFormatter):
 
     def set_locs(self, locs: Any) -> None:
         super().set_locs(locs)
-        self._ticks = np.asarray(locs, float)
+        self._ticks = np.asarray(locs, float)  # matplotlib's own are deprecated
 
     def __call__(self, x: Any, pos: int | None = None) -> str:
         largest = np.max(np.abs(self._ticks), initial=0.0)

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from .._excitation.motion import SourceVoltage
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
-from .._foundation.types import Status
+from .._foundation.types import Ending, Status
 from . import _style
 from ._style import SeveralAxes, Window, legend_above
 
@@ -96,15 +96,20 @@ def has_steady_base(one: Simulation) -> bool:
     return one.system.look.second_is_base_velocity and isinstance(one.base, PiecewiseConstantLaw)
 
 
-def sticks_in(one: Simulation, window: Window) -> tuple[np.ndarray, np.ndarray]:
-    """When the sticks start and end that last at some time inside the window, s."""
+Stuck: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""When sticks start and end, s, (sticks,) each; those that the horizon cut have no end."""
+
+
+def sticks_in(one: Simulation, window: Window = (-math.inf, math.inf)) -> Stuck:
+    """The sticks that last at some time inside the window, s."""
     mask = np.asarray(one.sticks.mask)
-    start, end = (np.asarray(times)[mask] for times in (one.sticks.start, one.sticks.end))
+    start, end, ending = (np.asarray(of)[mask] for of in (one.sticks.start, one.sticks.end, one.sticks.ending))
+    end = np.where(ending == Ending.HORIZON, math.inf, end)
     shown = (end > window[0]) & (start < window[1])
     return start[shown], end[shown]
 
 
-def lasts_at(sticks: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> np.ndarray:
+def lasts_at(sticks: Stuck, times: np.ndarray) -> np.ndarray:
     """Whether a stick lasts at these times (s), from its start until just before its end; `sticks`: starts and ends."""
     started, ended = (np.searchsorted(events, times, side="right") for events in sticks)
     return started > ended
@@ -112,7 +117,7 @@ def lasts_at(sticks: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> np.nda
 
 def phases_of(one: Simulation, window: Window) -> list[Phase]:
     """The phases of the trajectory inside the window (s), in order of time."""
-    starts, ends = sticks_in(one, (-math.inf, math.inf))
+    starts, ends = sticks_in(one)
     knots, round_off = _knots(one, window, np.concatenate([starts, ends]))
     middles = (knots[:-1] + knots[1:]) / 2
     sticks = lasts_at((starts, ends), middles)
@@ -274,7 +279,7 @@ def contact_rows(ax: Axes, one: Simulation, window: Window) -> None:
         start, end = sticks_in(part, window)
         found += len(start)
         label = {0: "stick", contacts: "all closed contacts stick"}.get(row)
-        corners = _style.sticks_in_rows(np.full(len(start), float(row)), start, end)
+        corners = _style.sticks_in_rows(np.full(len(start), float(row)), start, np.minimum(end, window[1]))
         color = _style.MASS if row == contacts else _style.STICK
         _style.draw_polygons(ax, corners, facecolor=color, label=label)
     if not found:
@@ -571,9 +576,8 @@ def phase_portrait(
     window = check_window(window, float(result.t1))
     chosen = _chosen(result, x, y)
     first, second = (result.system.coordinates[number] for number in chosen)
-    choices = (_POSITION,) if first.period or result.system.natural_frequency is None else (_POSITION, _SCALED)
-    if chosen != (0, 1):
-        choices = (_POSITION,)
+    has_circles = chosen == (0, 1) and not first.period and result.system.natural_frequency is not None
+    choices = (_POSITION, _SCALED) if has_circles else (_POSITION,)
     if abscissa not in choices:
         demand = f"be {' or '.join(map(repr, choices))} for a {type(result.system).__name__}"
         raise checks.refused("abscissa", demand, abscissa)

@@ -16,7 +16,13 @@ from .._foundation.extras import require as _require
 # Before any module of this folder is there: who asks again is told again.
 _require("Studies and the command need", "study", "pydantic", "cyclopts", "xarray", "h5netcdf", "h5py", "filelock")
 
-from ._errors import StudyError as StudyError  # noqa: E402
+
+class StudyError(ValueError):
+    """A mistake in a TOML file or an option of the command, or a folder that cannot hold the result of a study.
+
+    The message is one sentence, which says what to do.
+    """
+
 
 # Loaded when asked for, so that help and messages about a file do not wait for what only a simulation needs.
 _HOMES = {"StoredStudy": "_run", "StudyConfig": "_config", "read_config": "_reading", "run_study": "_run"}

@@ -9,17 +9,15 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
 
 import jax
-from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from .. import __version__
 from .._foundation import compilation_cache
 from .._foundation.extras import require_explorer
 from .._foundation.files import file_to_write
-from . import _reading
-from ._errors import StudyError
+from . import StudyError, _reading
 from ._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
 
 _STUDY, _SWEEP, _EXECUTORS = StudyOptions(), SweepOptions(), ExecutorOptions()
@@ -70,7 +68,7 @@ def _warnings_as_sentences() -> Iterator[None]:
         yield
 
 
-def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Parameter(name="*")] = _STUDY) -> None:
+def study(config: Path | None = None, /, *, options: StudyOptions = _STUDY) -> None:
     """Simulate one ensemble, print its statistics, and store events, statistics and figures.
 
     The options replace what the configuration says. An existing result is never overwritten without --force.
@@ -103,11 +101,7 @@ def study(config: Path | None = None, /, *, options: Annotated[StudyOptions, Par
 
 @_warnings_as_sentences()
 def sweep(
-    config: Path | None = None,
-    /,
-    *,
-    options: Annotated[SweepOptions, Parameter(name="*")] = _SWEEP,
-    executors: Annotated[ExecutorOptions, Parameter(name="*")] = _EXECUTORS,
+    config: Path | None = None, /, *, options: SweepOptions = _SWEEP, executors: ExecutorOptions = _EXECUTORS
 ) -> None:
     """Run a parameter sweep: the same ensemble at many values of its parameters.
 
@@ -135,9 +129,7 @@ def sweep(
 
 
 @_warnings_as_sentences()
-def resume(
-    folder: Path, /, *, executors: Annotated[ExecutorOptions, Parameter(name="*")] = _EXECUTORS
-) -> None:  # fmt: skip
+def resume(folder: Path, /, *, executors: ExecutorOptions = _EXECUTORS) -> None:
     """Go on with a parameter sweep that was stopped.
 
     Parameters
@@ -214,9 +206,7 @@ def show(folder: Path, /, *, out: Path | None = None, statistics: str | None = N
     print(f"The figure is in {out}.")
 
 
-def explore(
-    config: Path | None = None, /, *, samples: int = 2000, port: int = 0, browser: bool = True
-) -> None:  # fmt: skip
+def explore(config: Path | None = None, /, *, samples: int = 2000, port: int = 0, browser: bool = True) -> None:
     """Show a system with sliders for its numbers in the browser of this machine; Ctrl-C ends it.
 
     Parameters

@@ -22,16 +22,17 @@ from .._statistics.accumulator import MOST_ORDERS
 from .._systems.structure import LinearStructure
 from .._systems.system import System
 from .._uncertainty.families import Uniform
-from ._errors import StudyError
+from . import StudyError
 from ._sections import (
     FIELDS,
     Section,
     Start,
     UniformConfig,
+    about,
     is_number,
     kinds_in,
     nearest,
-    shown_value,
+    refused,
     tag_key,
     tag_of,
     toml_blocks,
@@ -51,32 +52,24 @@ class PointConfig(Section):
 
     Each system adds its initial state.
 
-    - `maps_first_sticks`: whether a figure shows the duration of the first sticks against their position.
-    - `initial`: the keys of the initial state, in its order.
+    `initial`: the keys of the initial state, in its order.
     """
 
-    maps_first_sticks: ClassVar[bool] = False
     initial: ClassVar[tuple[str, ...]] = ()
 
-    t1: float = Field(default=200.0, gt=0, description="duration of each sample, s")
-    samples: int = Field(default=10_000, ge=1, le=2**31, description="number of samples")
-    seed: int = Field(default=0, ge=0, lt=2**32, description="of the random numbers")
-    orders: int = Field(
-        default=10, ge=1, le=MOST_ORDERS, description="statistics of the 1st, 2nd, ... up to this stick"
+    t1: float = about("duration of each sample, s", 200.0, gt=0)
+    samples: int = about("number of samples", 10_000, ge=1, le=2**31)
+    seed: int = about("of the random numbers", 0, ge=0, lt=2**32)
+    orders: int = about("statistics of the 1st, 2nd, ... up to this stick", 10, ge=1, le=MOST_ORDERS)
+    count_initial_rest: bool = about("whether a stick that begins at t = 0 counts as the first", False)
+    dtype: Literal["float64", "float32"] = about("float64 or float32", "float64")
+    step: float | None = about("time step, s; not given: as the time scales demand", None, gt=0)
+    max_steps: int | None = about("time steps allowed to one sample; not given: more than enough", None, ge=1)
+    width: float | None = about(
+        "of regularised friction, m/s (with step: in fixed steps); not given: exact", None, gt=0
     )
-    count_initial_rest: bool = Field(
-        default=False, description="whether a stick that begins at t = 0 counts as the first"
-    )
-    dtype: Literal["float64", "float32"] = Field(default="float64", description="float64 or float32")
-    step: float | None = Field(default=None, gt=0, description="time step, s; not given: as the time scales demand")
-    max_steps: int | None = Field(
-        default=None, ge=1, description="time steps allowed to one sample; not given: more than enough"
-    )
-    width: float | None = Field(
-        default=None, gt=0, description="of regularised friction, m/s (with step: in fixed steps); not given: exact"
-    )
-    shape: Literal["linear", "tanh", "rational", "arctan"] = Field(
-        default="linear", description="of regularised friction: linear, tanh, rational or arctan"
+    shape: Literal["linear", "tanh", "rational", "arctan"] = about(
+        "of regularised friction: linear, tanh, rational or arctan", "linear"
     )
 
     def method(self, has_inner_states: bool = False) -> Exact | Regularized:
@@ -97,14 +90,11 @@ class PointConfig(Section):
 class RunConfig(PointConfig):
     """Section ``[run]`` of one ensemble: how much is simulated, and how."""
 
-    keep: Literal["sticks", "statistics", "totals"] = Field(
-        default="sticks",
-        description="sticks: store every stick; statistics: sums (for very many samples); totals: the fewest sums",
+    keep: Literal["sticks", "statistics", "totals"] = about(
+        "sticks: store every stick; statistics: sums (for very many samples); totals: the fewest sums", "sticks"
     )
-    threads: int | None = Field(default=None, ge=1, description="worker threads; not given: all cores")
-    chunk: int | None = Field(
-        default=None, ge=1, le=2**31, description="samples simulated per call; not given: chosen for speed"
-    )
+    threads: int | None = about("worker threads; not given: all cores", None, ge=1)
+    chunk: int | None = about("samples simulated per call; not given: chosen for speed", None, ge=1, le=2**31)
 
 
 _Solver = Literal["Tsit5", "Dopri5", "Dopri8"]
@@ -115,35 +105,31 @@ class MassSpringPointConfig(PointConfig):
 
     initial: ClassVar[tuple[str, ...]] = ("initial_position", "initial_velocity")
 
-    initial_position: Start = Field(default=0.0, description=f"m, {_OR_RANDOM}")
-    initial_velocity: Start = Field(default=1.0, description="m/s, likewise")
-    solver: _Solver | None = Field(
-        default=None,
-        description="Tsit5, Dopri5 or Dopri8, for slips; not given: closed forms, with a width Kvaerno3",
+    initial_position: Start = about(f"m, {_OR_RANDOM}", 0.0)
+    initial_velocity: Start = about("m/s, likewise", 1.0)
+    solver: _Solver | None = about(
+        "Tsit5, Dopri5 or Dopri8, for slips; not given: closed forms, with a width Kvaerno3", None
     )
 
 
 class MotorCartPointConfig(PointConfig):
     """The same with the initial state of a `MotorCart`; the defaults are the paper's."""
 
-    maps_first_sticks: ClassVar[bool] = True
     initial: ClassVar[tuple[str, ...]] = ("initial_angle", "initial_angular_velocity", "initial_current")
 
-    t1: float = Field(default=2.0, gt=0, description="duration of each sample, s")
-    initial_angle: Start = Field(default=UniformConfig(low=0.0, high=2 * math.pi), description=f"rad, {_OR_RANDOM}")
-    initial_angular_velocity: Start = Field(default=0.0, description="rad/s, likewise")
-    initial_current: Start = Field(default=0.0, description="A, likewise")
+    t1: float = about("duration of each sample, s", 2.0, gt=0)
+    initial_angle: Start = about(f"rad, {_OR_RANDOM}", UniformConfig(low=0.0, high=2 * math.pi))
+    initial_angular_velocity: Start = about("rad/s, likewise", 0.0)
+    initial_current: Start = about("A, likewise", 0.0)
 
 
 class StructurePointConfig(PointConfig):
     """The same with the initial state of a structure."""
 
-    initial_state: list[Start] | None = Field(
-        default=None, description=f"positions (m), then velocities (m/s), each a number {_OR_RANDOM}; not given: zeros"
+    initial_state: list[Start] | None = about(
+        f"positions (m), then velocities (m/s), each a number {_OR_RANDOM}; not given: zeros", None
     )
-    solver: _Solver | None = Field(
-        default=None, description="Tsit5, Dopri5 or Dopri8; not given: power series, or Dopri8"
-    )
+    solver: _Solver | None = about("Tsit5, Dopri5 or Dopri8; not given: power series, or Dopri8", None)
 
     def y0(self) -> tuple[float | Uniform, ...] | None:
         return None if self.initial_state is None else tuple(map(value_of, self.initial_state))
@@ -161,28 +147,37 @@ class StructureRunConfig(StructurePointConfig, RunConfig):
     """Section ``[run]`` of an ensemble of a structure."""
 
 
-STRUCTURES = [model for model, kind in kinds_in(SystemConfig).items() if issubclass(kind, StructureSection)]
-"""The models in section ``[system]`` that are structures."""
+_Runs = Mapping[str, type[PointConfig]]
+"""The section ``[run]`` of each model of a system."""
+
+
+def _runs(mass_spring: type[PointConfig], motor_cart: type[PointConfig], structure: type[PointConfig]) -> _Runs:
+    """Those of the two systems with one contact, and that of all models that are structures."""
+    structures = [model for model, kind in kinds_in(SystemConfig).items() if issubclass(kind, StructureSection)]
+    return {"MassSpring": mass_spring, "MotorCart": motor_cart, **dict.fromkeys(structures, structure)}
 
 
 class OutputConfig(Section):
     """Section ``[output]``: where the result goes."""
 
-    directory: str = Field(default="results/study", min_length=1, description="folder, made if missing")
-    figures: bool = Field(default=True, description="whether to draw figures")
+    directory: str = about("folder, made if missing", "results/study", min_length=1)
+    figures: bool = about("whether to draw figures", True)
+
+
+_USUAL: Any = Field(default_factory=dict, validate_default=True)
+"""A section that may be left out: its keys then have their defaults, which depend on the system."""
 
 
 class FileConfig(Section):
     """What the files of a study and of a sweep share: the system, what drives it, and how it is run.
 
-    The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s. `runs`: the section
-    ``[run]`` of each model of a system.
+    The defaults depend on the system: a `MotorCart` is driven by a `SourceVoltage`, for 2 s.
     """
 
-    runs: ClassVar[Mapping[str, type[PointConfig]]]
+    runs: ClassVar[_Runs]
 
     system: SystemConfig = MassSpringConfig()
-    base: BaseConfig = Field(default_factory=dict, validate_default=True)
+    base: BaseConfig = _USUAL
 
     @field_validator("base", mode="before")
     @classmethod
@@ -241,15 +236,9 @@ class StudyConfig(FileConfig):
     switching.
     """
 
-    runs: ClassVar[Mapping[str, type[PointConfig]]] = {
-        "MassSpring": MassSpringRunConfig,
-        "MotorCart": MotorCartRunConfig,
-        **dict.fromkeys(STRUCTURES, StructureRunConfig),
-    }
+    runs: ClassVar[_Runs] = _runs(MassSpringRunConfig, MotorCartRunConfig, StructureRunConfig)
 
-    run: MassSpringRunConfig | MotorCartRunConfig | StructureRunConfig = Field(
-        default_factory=dict, validate_default=True
-    )
+    run: MassSpringRunConfig | MotorCartRunConfig | StructureRunConfig = _USUAL
     output: OutputConfig = OutputConfig()
 
 
@@ -301,12 +290,12 @@ def _values(name: str, given: object) -> np.ndarray:
     if not isinstance(given, list) or not given:
         wanted = "a list, { linspace = ... } or { logspace = ... }"
         wanted = "rows such as [[0.5, 1.0], [1.0, 2.0]]" if several else wanted
-        raise ValueError(f"{name} must be {wanted}, but {shown_value(given)} was given.")
+        raise refused(name, f"be {wanted}", given)
     for one in given:
         row = one if several else [one]
         if not (isinstance(row, list) and len(row) == width and all(map(is_number, row))):
             wanted = f"rows of {width} finite numbers" if several else "finite numbers"
-            raise ValueError(f"{name} must hold {wanted}, but {shown_value(one)} was given.")
+            raise refused(name, f"hold {wanted}", one)
     return np.array(given, float)
 
 
@@ -316,17 +305,12 @@ def _range(name: str, given: dict[str, object]) -> np.ndarray:
     if kind not in _RANGES or more:
         hint = nearest(kind, ("geomspace", *_RANGES)).replace("geom", "log")
         dotted = "" if hint or not re.fullmatch(r"\w+", kind) else f'; for a name with dots write "{name}.{kind}" = ...'
-        raise ValueError(
-            f"{name} must be a list, or a table with {one_of(_RANGES)}, but {shown_value(given)} was given"
-            f"{hint or dotted or '.'}"
-        )
-    but = f"but {shown_value(limits)} was given"
+        raise refused(name, f"be a list, or a table with {one_of(_RANGES)}", given, hint or dotted or ".")
     ends: list[Any] = limits if isinstance(limits, list) and len(limits) == 3 else [None]
-    are_numbers = all(map(is_number, ends))
-    if not are_numbers or not isinstance(ends[2], int) or ends[2] < 1:
-        raise ValueError(f"{kind} of {name} must be [from, to, number of values], such as [0.5, 2.0, 8], {but}.")
+    if not all(map(is_number, ends)) or not isinstance(ends[2], int) or ends[2] < 1:
+        raise refused(f"{kind} of {name}", "be [from, to, number of values], such as [0.5, 2.0, 8]", limits)
     if kind == "logspace" and min(ends[:2]) <= 0:
-        raise ValueError(f"logspace of {name} must go from and to positive numbers, {but}.")
+        raise refused(f"logspace of {name}", "go from and to positive numbers", limits)
     _check_number(ends[2])  # before there are any values
     return _RANGES[kind](*ends)
 
@@ -334,41 +318,31 @@ def _range(name: str, given: dict[str, object]) -> np.ndarray:
 class SweepSection(Section):
     """Section ``[sweep]``: what is estimated at each point; the points are in ``[sweep.over]``."""
 
-    keep: Literal["statistics", "totals"] = Field(
-        default="statistics", description="statistics; totals: fewer of them, about three times as fast"
+    keep: Literal["statistics", "totals"] = about(
+        "statistics; totals: fewer of them, about three times as fast", "statistics"
     )
-    statistics: list[str] | None = Field(
-        default=None, min_length=1, description='names, such as ["mean_stick_duration"]; not given: all'
+    statistics: list[str] | None = about('names, such as ["mean_stick_duration"]; not given: all', None, min_length=1)
+    sensitivities: dict[str, list[str]] | None = about(
+        'derivatives: { mean_stick_duration = ["mu", "rate"] }; not given: none', None
     )
-    sensitivities: dict[str, list[str]] | None = Field(
-        default=None, description='derivatives: { mean_stick_duration = ["mu", "rate"] }; not given: none'
+    independent: bool = about(
+        "false: the same random numbers at all points, so that differences have small errors", False
     )
-    independent: bool = Field(
-        default=False, description="false: the same random numbers at all points, so that differences have small errors"
+    standard_error: dict[str, float] | None = about(
+        "at which a point ends before all samples: { mean_stick_duration = 0.01 }", None
     )
-    standard_error: dict[str, float] | None = Field(
-        default=None, description="at which a point ends before all samples: { mean_stick_duration = 0.01 }"
-    )
-    realizations: int = Field(default=0, ge=0, description="number of samples whose sticks are in the result")
-    batch: int | None = Field(
-        default=None, ge=1, le=2**31, description="samples stored together; not given: chosen from the size"
-    )
-    over: OverConfig = Field(description="the parameters and their values")
+    realizations: int = about("number of samples whose sticks are in the result", 0, ge=0)
+    batch: int | None = about("samples stored together; not given: chosen from the size", None, ge=1, le=2**31)
+    over: OverConfig = about("the parameters and their values")
 
 
 class SweepConfig(FileConfig):
     """A whole parameter sweep."""
 
-    runs: ClassVar[Mapping[str, type[PointConfig]]] = {
-        "MassSpring": MassSpringPointConfig,
-        "MotorCart": MotorCartPointConfig,
-        **dict.fromkeys(STRUCTURES, StructurePointConfig),
-    }
+    runs: ClassVar[_Runs] = _runs(MassSpringPointConfig, MotorCartPointConfig, StructurePointConfig)
 
-    run: MassSpringPointConfig | MotorCartPointConfig | StructurePointConfig = Field(
-        default_factory=dict, validate_default=True
-    )
-    sweep: SweepSection = Field(default_factory=dict, validate_default=True)
+    run: MassSpringPointConfig | MotorCartPointConfig | StructurePointConfig = _USUAL
+    sweep: SweepSection = _USUAL
 
 
 # A study's file from the objects that a simulation takes: the way back of `build`.

@@ -22,21 +22,9 @@ from bokeh.document import Document, without_document_lock
 
 from .._foundation import html
 from .._sensitivity.estimate import Sensitivity
-from . import _explorer_pictures as pictures
+from . import _explorer_scene as scenes
 from ._config import StudyConfig, config_of
-from ._explorer_scene import (
-    FRICTIONS,
-    SYSTEMS,
-    MovableNumber,
-    Scene,
-    bases_for,
-    friction_called,
-    has_friction_to_choose,
-    numbers_of,
-    read_number,
-    scene_of,
-    with_friction,
-)
+from ._explorer_scene import MovableNumber, Scene
 
 # The controls of the explorer: what is simulated, and a slider with a box for each of its numbers.
 
@@ -65,26 +53,17 @@ class NumberControl:
     def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
         self.number, self.problem = number, ""
         self._moved, self._is_quiet = moved, False
-        self._slider = _Slider(
+        slider = _Slider(
             label=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
             show_value=False, sizing_mode="stretch_width", margin=(0, 10, 0, 5),
         )  # fmt: skip
-        self._box = _Box(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
+        box = _Box(label="value", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5))
+        self._slider, self._box = watched(slider, self._slid), watched(box, self._written)
         self._problem = pn.pane.HTML("", visible=False, styles={"color": "#b00020"}, css_classes=["problem"])
-        self._slider.param.watch(self._slid, "value")
-        self._box.param.watch(self._written, "value")
         self.view = pn.Column(
             pn.Row(self._slider, self._box, sizing_mode="stretch_width", margin=0),
             self._problem, sizing_mode="stretch_width", margin=0,
         )  # fmt: skip
-
-    def slide(self, value: float) -> None:
-        """Move the slider, as its handle does."""
-        self._slider.value = value
-
-    def write(self, text: str) -> None:
-        """Write into the box, as the keyboard does."""
-        self._box.value = text
 
     def refuse(self, why: str) -> None:
         """Say why the number is not taken."""
@@ -92,17 +71,16 @@ class NumberControl:
         # What was written is in it: as text, whatever it is.
         self._problem.param.update(object=html.escaped(why), visible=bool(why))
 
-    def _slid(self, event: Any) -> None:
-        if self._is_quiet:
-            return
-        # The ends of the range and the step are not round in binary.
-        self._show(float(f"{event.new:.6g}"), slider=False)
+    def _slid(self, value: float) -> None:
+        if not self._is_quiet:
+            # The ends of the range and the step are not round in binary.
+            self._show(float(f"{value:.6g}"), slider=False)
 
-    def _written(self, event: Any) -> None:
+    def _written(self, text: str) -> None:
         if self._is_quiet:
             return
         try:
-            value = read_number(event.new)
+            value = scenes.read_number(text)
         except ValueError as error:
             self.refuse(str(error))
         else:
@@ -245,9 +223,7 @@ def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> s
     """The Python expression of a value; classes of others are added to `imports`."""
     if isinstance(value, (bool, int, float, str)) or value is None:
         return repr(value)
-    if isinstance(value, np.number):
-        return repr(value.item())
-    if isinstance(value, (np.ndarray, jax.Array)):
+    if isinstance(value, (np.number, np.ndarray, jax.Array)):
         return repr(np.asarray(value).tolist())
     if isinstance(value, tuple):
         return _call("", [_expression(one, imports, indent + 4) for one in value], indent, comma=len(value) == 1)
@@ -305,7 +281,7 @@ class Explorer(pn.viewable.Viewer):
     def __init__(self, scene: Scene, **params: Any):
         super().__init__(**params)
         self.scene, self._start, self._given = scene, scene, scene
-        self._moving = numbers_of(scene)[0]
+        self._moving = scenes.numbers_of(scene)[0]
         document = pn.state.curdoc
         drawing, derivatives = _THREADS
         self._pictures, self._slopes = Worker(document, drawing), Worker(document, derivatives)
@@ -332,32 +308,28 @@ class Explorer(pn.viewable.Viewer):
     def __panel__(self) -> Any:
         return self._view
 
-    def choose(self, which: str, name: str) -> None:
-        """Choose from the list of "System", "Friction" or "Base"."""
-        self._lists[which].value = name
-
     # --- what is chosen
 
     def _choices(self) -> list[Any]:
         scene = self.scene
         self._lists = {
-            "System": choice("System", SYSTEMS, self._choose_system),
-            "Friction": choice("Friction", FRICTIONS, self._choose_friction),
-            "Base": choice("Base", bases_for(scene), self._choose_base),
+            "System": choice("System", scenes.SYSTEMS, self._choose_system),
+            "Friction": choice("Friction", scenes.FRICTIONS, self._choose_friction),
+            "Base": choice("Base", scenes.bases_for(scene), self._choose_base),
         }
-        self._lists["Friction"].visible = has_friction_to_choose(scene.system)
+        self._lists["Friction"].visible = scenes.has_friction_to_choose(scene.system)
         size = pn.widgets.IntInput(label="Realisations", value=scene.samples, start=2, end=MOST_SAMPLES, width=130)
         seed = pn.widgets.IntInput(label="Seed", value=scene.seed, start=0, end=2**32 - 1, width=130)
         counts = watched(size, partial(self._count, "samples")), watched(seed, partial(self._count, "seed"))
         return [*self._lists.values(), pn.Row(*counts)]
 
     def _choose_system(self, name: str) -> None:
-        new = self._given if name == GIVEN else scene_of(StudyConfig.model_validate(dict(SYSTEMS[name])))
+        new = self._given if name == GIVEN else scenes.scene_of(StudyConfig.model_validate(dict(scenes.SYSTEMS[name])))
         self.scene = self._start = new._replace(samples=self.scene.samples, seed=self.scene.seed)
         self._is_switching = True
         try:
-            self._lists["Friction"].param.update(value=GIVEN, visible=has_friction_to_choose(new.system))
-            self._lists["Base"].param.update(options=[GIVEN, *bases_for(self.scene)], value=GIVEN)
+            self._lists["Friction"].param.update(value=GIVEN, visible=scenes.has_friction_to_choose(new.system))
+            self._lists["Base"].param.update(options=[GIVEN, *scenes.bases_for(self.scene)], value=GIVEN)
         finally:
             self._is_switching = False
         self._renew()
@@ -366,14 +338,14 @@ class Explorer(pn.viewable.Viewer):
         if self._is_switching:
             return
         now = self.scene.system
-        new = self._start.system if name == GIVEN else with_friction(now, friction_called(name, now))
+        new = self._start.system if name == GIVEN else scenes.with_friction(now, scenes.friction_called(name, now))
         self.scene = self.scene._replace(system=new)
         self._renew()
 
     def _choose_base(self, name: str) -> None:
         if self._is_switching:
             return
-        law = self._start.law if name == GIVEN else bases_for(self.scene)[name]
+        law = self._start.law if name == GIVEN else scenes.bases_for(self.scene)[name]
         self.scene = self.scene._replace(law=law)
         self._renew()
 
@@ -395,19 +367,19 @@ class Explorer(pn.viewable.Viewer):
 
     def _renew(self) -> None:
         """Make controls and figures for another system or base."""
-        numbers = numbers_of(self.scene)
+        numbers = scenes.numbers_of(self.scene)
         self.controls = [NumberControl(number, self._moved) for number in numbers]
         self._numbers.objects = [one.view for one in self.controls]
         self._moving = next((one for one in numbers if one.path[-1] in ("mu", "mu_static")), numbers[0])
-        self._figures = pictures.Figures(self.scene)
+        self._figures = scenes.Figures(self.scene)
         panes = [pn.pane.Bokeh(one, sizing_mode="stretch_width", margin=0) for one in self._figures.all]
         motion = pn.Column(
             pn.FlexBox(self.statistics, self.slope), pn.Column(*panes, styles=_GRID, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )  # fmt: skip
         tabs: list[Any] = [("Motion and statistics", motion)]
-        self._section = pictures.SectionFigure(self.scene)
-        if pictures.is_deterministic(self.scene):
+        self._section = scenes.SectionFigure(self.scene)
+        if scenes.is_deterministic(self.scene):
             section = pn.Column(
                 self._section_note, pn.pane.Bokeh(self._section.plot, sizing_mode="stretch_width"),
                 sizing_mode="stretch_width",
@@ -420,8 +392,8 @@ class Explorer(pn.viewable.Viewer):
     def _compute(self) -> None:
         """Simulate anew; the derivative and the diagram come after the pictures, for which they leave the processor."""
         scene, moving, figures = self.scene, self._moving, self._figures
-        motion = partial(pictures.motion_of, scene), partial(self._show_motion, scene, figures)
-        statistics = partial(pictures.statistics_of, scene), partial(self._show_statistics, scene, moving, figures)
+        motion = partial(scenes.motion_of, scene), partial(self._show_motion, scene, figures)
+        statistics = partial(scenes.statistics_of, scene), partial(self._show_statistics, scene, moving, figures)
         self._pictures.do([motion, statistics], self._fail)
 
     def _differentiate(self, scene: Scene, moving: MovableNumber) -> None:
@@ -429,10 +401,10 @@ class Explorer(pn.viewable.Viewer):
             self.slope.object = ""
             return
         self.slope.object = html.escaped(f"Computing the derivative by {moving.name} ...")
-        slope = partial(pictures.slope_of, scene, moving.name), partial(self._show_slope, scene)
+        slope = partial(scenes.slope_of, scene, moving.name), partial(self._show_slope, scene)
         self._slopes.do([slope], partial(self._no_slope, scene, moving))
 
-    def _show_motion(self, scene: Scene, figures: pictures.Figures, motion: pictures.Motion) -> None:
+    def _show_motion(self, scene: Scene, figures: scenes.Figures, motion: scenes.Motion) -> None:
         figures.show_motion(scene, motion)
         self._alert.param.update(object=html.escaped(motion.problem), visible=bool(motion.problem))
         try:
@@ -441,7 +413,7 @@ class Explorer(pn.viewable.Viewer):
             self._code.value = f"# {error}"
 
     def _show_statistics(
-        self, scene: Scene, moving: MovableNumber, figures: pictures.Figures, statistics: pictures.Statistics
+        self, scene: Scene, moving: MovableNumber, figures: scenes.Figures, statistics: scenes.Statistics
     ) -> None:
         figures.show_statistics(statistics)
         rows = []
@@ -476,13 +448,13 @@ class Explorer(pn.viewable.Viewer):
         self._alert.param.update(object=html.escaped(f"The pictures are those of before: {error}"), visible=True)
 
     def _draw_section(self) -> None:
-        if self._tabs.active != 1 or not pictures.is_deterministic(self.scene):
+        if self._tabs.active != 1 or not scenes.is_deterministic(self.scene):
             return
         self._section_note.object = html.escaped(f"Computing over {self._moving.label} ...")
-        section = partial(pictures.section_of, self.scene, self._moving), partial(self._show_section, self._moving)
+        section = partial(scenes.section_of, self.scene, self._moving), partial(self._show_section, self._moving)
         self._sections.do([section], lambda error: self._section_note.param.update(object=html.escaped(str(error))))
 
-    def _show_section(self, over: MovableNumber, points: pictures.Data) -> None:
+    def _show_section(self, over: MovableNumber, points: scenes.Data) -> None:
         self._section.show(over, points)
         self._section_note.object = html.escaped("From one start at each value, after 100 periods.")
 
@@ -502,7 +474,7 @@ class Explorer(pn.viewable.Viewer):
 
     def figures_file(self) -> io.BytesIO:
         """The pictures as a PDF."""
-        return io.BytesIO(pictures.sheet_of(self.scene))
+        return io.BytesIO(scenes.sheet_of(self.scene))
 
 
 # The explorer as a page that this machine serves to its own browser, and to nobody else.

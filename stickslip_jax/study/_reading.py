@@ -13,9 +13,9 @@ from cyclopts import Parameter, Token
 from pydantic import ValidationError
 
 from .._foundation.checks import one_of
+from . import StudyError
 from ._config import FileConfig, StudyConfig, SweepConfig
-from ._errors import StudyError
-from ._sections import NUMBER, Section, UniformConfig, kinds_in, nearest, shown_value, tables_of, tag_key, tag_of
+from ._sections import NUMBER, Section, UniformConfig, kinds_in, nearest, refused, tables_of, tag_key, tag_of
 
 # Studies and sweeps to start from, by name: what differs from the defaults.
 
@@ -51,6 +51,7 @@ FIGURES = (".png", ".pdf", ".svg")
 Switch = Annotated[bool, Parameter(negative="", show_default=False)]
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class StudyOptions:
     """The options of ``stickslip study``; None leaves the choice to the configuration.
@@ -102,6 +103,7 @@ class StudyOptions:
     print_example: Example | None = None
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class ExecutorOptions:
     """Where a sweep is simulated; the numbers are the same everywhere.
@@ -136,6 +138,7 @@ class ExecutorOptions:
                 raise StudyError(f"option --{name} must be at least 1, but {value} was given.")
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class SweepOptions:
     """The options of ``stickslip sweep``.
@@ -163,7 +166,6 @@ class SweepOptions:
 
 
 _File = TypeVar("_File", bound=FileConfig)
-_Tables = Mapping[str, Mapping[str, object]]
 _Options = Mapping[tuple[str, str], str]
 """The option of the command by which a value was given, by section and key."""
 _A_SECTION, _SECTIONS = "a section [{}] of keys", "sections [[{}]] of keys, one or more"
@@ -173,12 +175,12 @@ _NOT_A_SECTION = {
 }
 """What must be where something else stands, by what pydantic says of it."""
 _NOT_A_VALUE = {
-    "float_type": "must be a number",
-    "int_type": "must be a whole number",
-    "bool_type": "must be true or false",
-    "string_type": "must be a text in quotation marks",
-    "list_type": "must be a list in brackets",
-    **dict.fromkeys(("string_too_short", "too_short"), "must not be empty"),
+    "float_type": "be a number",
+    "int_type": "be a whole number",
+    "bool_type": "be true or false",
+    "string_type": "be a text in quotation marks",
+    "list_type": "be a list in brackets",
+    **dict.fromkeys(("string_too_short", "too_short"), "not be empty"),
 }
 """Likewise of the values of keys."""
 _LONGEST = 16 * 10**6  # bytes of a file
@@ -248,23 +250,20 @@ def _parse(path: Path, command: str) -> dict[str, Any]:
             data = file.read(_LONGEST + 1)
         if len(data) <= _LONGEST:
             return tomllib.loads(data.decode("utf-8"))
+        problem = f"is longer than {_LONGEST // 10**6} MB, and no description of a {command}"
     except FileNotFoundError:
-        raise StudyError(
-            f"{path}: no such file; `stickslip {command} --print-config` prints one to start from."
-        ) from None
+        problem = f"no such file; `stickslip {command} --print-config` prints one to start from"
     except OSError as error:
-        raise StudyError(f"{path}: cannot be read ({error.strerror}).") from None
+        problem = f"cannot be read ({error.strerror})"
     except UnicodeDecodeError:
-        raise StudyError(f"{path}: is not a text file in UTF-8.") from None
+        problem = "is not a text file in UTF-8"
     except tomllib.TOMLDecodeError as error:
-        raise StudyError(f"{path}: is not valid TOML ({error}).") from None
+        problem = f"is not valid TOML ({error})"
     except ValueError:  # of Python's, about whole numbers
-        raise StudyError(
-            f"{path}: has a whole number of more than {sys.get_int_max_str_digits()} digits; correct it."
-        ) from None
+        problem = f"has a whole number of more than {sys.get_int_max_str_digits()} digits; correct it"
     except RecursionError:
-        raise StudyError(f"{path}: has lists or tables within too many others; correct it.") from None
-    raise StudyError(f"{path}: is longer than {_LONGEST // 10**6} MB, and no description of a {command}.")
+        problem = "has lists or tables within too many others; correct it"
+    raise StudyError(f"{path}: {problem}.")
 
 
 def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, source: str, options: _Options) -> _File:
@@ -275,8 +274,7 @@ def _validated(kind: type[_File], table: dict[str, Any], path: Path | None, sour
         problem = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
         system = table.get("system")
         model = system.get("model") if isinstance(system, dict) else None
-        known = model if isinstance(model, str) and model in kind.runs else None
-        run = kind.runs[known or "MassSpring"]
+        run = kind.runs.get(str(model), kind.runs["MassSpring"])
         raise StudyError(source + _sentence_for(problem, options, kind, run)) from None
 
 
@@ -286,7 +284,7 @@ def _sentence_for(problem: Any, options: _Options, file: type[FileConfig], run: 
     if kind == "extra_forbidden":
         return _unknown_key(place, file) if place.section else _unknown_section(place.key, given, file)
     if kind in _NOT_A_SECTION and not place.key:
-        return f"{place.name} must be {_NOT_A_SECTION[kind].format(place.section)}, but {shown_value(given)} was given."
+        return str(refused(place.name, f"be {_NOT_A_SECTION[kind].format(place.section)}", given))
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         return _wrong_tag(place, given)
     if kind == "missing":
@@ -299,12 +297,12 @@ def _sentence_for(problem: Any, options: _Options, file: type[FileConfig], run: 
         return f"in [{place.section}], {said}" if place.section else said
     option = options.get((place.section, place.key))
     subject = f"{place.key} in [{place.section}]" if option is None else f"option --{option}"
-    demand = _NOT_A_VALUE.get(kind) or problem["msg"].replace("Input should be", "must be")
+    demand = _NOT_A_VALUE.get(kind) or problem["msg"].replace("Input should be", "be")
     if problem["loc"][-1] == NUMBER:  # what else may stand there
         kinds = kinds_in(place.kind.model_fields[_without_numbers(place.key)].annotation)
         is_start = UniformConfig in kinds.values()
         demand += " or { low = ..., high = ... }" if is_start else f" or a section of the law {one_of(kinds)}"
-    return f"{subject} {demand}, but {shown_value(given)} was given."
+    return str(refused(subject, demand, given))
 
 
 # --- where it is
@@ -379,10 +377,8 @@ def _wrong_tag(place: _Place, table: Mapping[str, object]) -> str:
     key = tag_key(next(iter(kinds.values()))) or ""
     if key not in table:
         return f"[{place.section}] lacks {key}, which must be {one_of(kinds)}."
-    return (
-        f"{key} in [{place.section}] must be one of {', '.join(kinds)}, but {shown_value(table[key])} was given"
-        f"{nearest(str(table[key]), kinds) or '.'}"
-    )
+    end = nearest(str(table[key]), kinds) or "."
+    return str(refused(f"{key} in [{place.section}]", f"be one of {', '.join(kinds)}", table[key], end))
 
 
 def _unknown_key(place: _Place, file: type[FileConfig]) -> str:

@@ -44,8 +44,8 @@ from .._sweep.dataset import SweepStatus, point_dimensions, shown_statistics, st
 from .._sweep.store import DATA as SWEEP_DATA
 from .._sweep.sweep import Sweep
 from .._systems.system import unphased
+from . import StudyError
 from ._config import FileConfig, PointConfig, StudyConfig, SweepConfig
-from ._errors import StudyError
 from ._reading import ExecutorOptions
 from ._sections import nearest
 
@@ -245,10 +245,15 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
     directory = Path(config.output.directory).expanduser()
     with result_folder(directory, force=force) as folder, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "stickslip_jax runs in float32")  # as the configuration asks
-        ensemble = simulate_study(config, progress)
+        arguments = arguments_of(config, run) | {"keep": run.keep, "threads": run.threads, "chunk": run.chunk}
+        try:
+            ensemble = simulate_ensemble(**arguments, progress=progress)
+        except ValueError as error:
+            raise StudyError(in_words_of_the_file(error, _OF_AN_ENSEMBLE)) from error
         statistics = {name: estimate(ensemble) for name, estimate in STATISTICS.items()}
         first = None
-        if ensemble.flat_sticks is not None and run.maps_first_sticks:
+        # Their durations and positions are compared with the bound that is known for a voltage.
+        if ensemble.flat_sticks is not None and config.system.driven_by_voltage:
             first = first_stick(ensemble, count_initial_rest=run.count_initial_rest)
         with writing(directory):
             write_netcdf(folder / DATA, config, ensemble, statistics, first)
@@ -259,19 +264,6 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
                 draw_figures(config, ensemble, first, folder)
         files = tuple(name for name in RESULT_FILES if (folder / name).exists())
     return StoredStudy(config, ensemble, statistics, first, directory, files)
-
-
-def simulate_study(config: StudyConfig, progress: bool | None = None) -> Ensemble:
-    """Simulate the ensemble that `config` describes.
-
-    Raises StudyError for records that are unsuitable or cannot be read, and for arguments that `simulate_ensemble`
-    refuses, before anything is simulated.
-    """
-    run, arguments = config.run, arguments_of(config, config.run)
-    try:
-        return simulate_ensemble(**arguments, keep=run.keep, threads=run.threads, chunk=run.chunk, progress=progress)
-    except ValueError as error:
-        raise StudyError(in_words_of_the_file(error, _OF_AN_ENSEMBLE)) from error
 
 
 def arguments_of(config: FileConfig, run: PointConfig) -> dict[str, Any]:
@@ -611,8 +603,7 @@ def sweep_table(dataset: xr.Dataset, names: Sequence[str]) -> str:
     classes = [json.loads(dataset.attrs[name]) for name in ("system", "law")]
     titles = [one["fields"]["name"] if one["class"] == "Unknown" else one["class"] for one in classes]
     every = f", {counts[0]:,} samples each" if is_even else ""
-    counted = {one: f"samples_{one.name.lower()}" for one in Status}
-    ending = {one: int(dataset[name].sum()) if name in dataset else 0 for one, name in counted.items()}
+    ending = {one: int(np.sum(dataset.get(f"samples_{one.name.lower()}", 0))) for one in Status}
     spent = float(np.nansum(dataset["run_seconds"]))
     return "\n".join(
         [

@@ -54,6 +54,11 @@ class Section(BaseModel):
         return {FIELDS.get(key, key): value_of(value) for key, value in given.items() if value is not None}
 
 
+def about(meaning: str, default: Any = ..., **bounds: Any) -> Any:
+    """A key of a section, with its `meaning` for comments; without a `default` it must be given."""
+    return Field(default, description=meaning, **bounds)
+
+
 FIELDS = {"slip": "law"}
 """The fields that are called otherwise than their keys, by key."""
 
@@ -111,7 +116,7 @@ def section_of(
     known, name = described(described_class), described_class.__name__
     changed = {key: {"default": value} for key, value in (defaults or {}).items()}
     usual = {key: key_of(described_class, key, signal_unit=signal_unit, **changed.get(key, {})) for key in known}
-    own = {key: (kind, Field(description=of) if isinstance(of, str) else of) for key, (kind, of) in keys.items()}
+    own = {name: (kind, about(of) if isinstance(of, str) else of) for name, (kind, of) in keys.items()}
     further: dict[str, Any] = {tag: (Literal[name], name)} if tag else {}
     further |= {key: value for key, value in own.items() if key not in known}
     all_keys: dict[str, Any] = {**further, **usual, **own}
@@ -228,10 +233,11 @@ def toml_value(value: object) -> str:
     return repr(value)
 
 
-def shown_value(value: object) -> str:
-    """A value as messages show it: cut where it is long."""
+def refused(name: str, demand: str, value: object, end: str = ".") -> ValueError:
+    """The exception for the `value` of the key `name`, which is to "be positive", say; a long value is cut."""
     text = toml_value(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    shown = text if len(text) <= 60 else text[:57] + "..."
+    return ValueError(f"{name} must {demand}, but {shown} was given{end}")
 
 
 def _toml_key(key: str) -> str:
@@ -312,17 +318,13 @@ def _existing(file: str, info: Any) -> str:
 def _column(value: object, info: Any) -> int | str:
     if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
         return value
-    raise ValueError(
-        f"{info.field_name} must be the number of a column, counted from 0, or its name in quotation marks, but "
-        f"{shown_value(value)} was given."
-    )
+    demand = "be the number of a column, counted from 0, or its name in quotation marks"
+    raise refused(info.field_name, demand, value)
 
 
 def _delimiter(value: str) -> str:
     if value != _WHITE_SPACE and (len(value) != 1 or value in '"\r\n'):
-        raise ValueError(
-            f'delimiter must be a single character or "{_WHITE_SPACE}", but {shown_value(value)} was given.'
-        )
+        raise refused("delimiter", f'be a single character or "{_WHITE_SPACE}"', value)
     return value
 
 
@@ -335,22 +337,18 @@ _TABLE_ONLY = ("time_column", "value_column", "delimiter", "shift")
 class _FromFile(Section):
     """Keys that say how to read a file; None leaves the choice to the reader."""
 
-    time_column: _Column | None = Field(
-        default=None, description="the times' column: its number, counted from 0, or name; not given: 0"
+    time_column: _Column | None = about("the times' column: its number, counted from 0, or name; not given: 0", None)
+    value_column: _Column | None = about("the values' column, likewise; not given: 1", None)
+    delimiter: Annotated[str, AfterValidator(_delimiter)] | None = about(
+        f'character between columns, or "{_WHITE_SPACE}"; not given: a comma', None
     )
-    value_column: _Column | None = Field(default=None, description="the values' column, likewise; not given: 1")
-    delimiter: Annotated[str, AfterValidator(_delimiter)] | None = Field(
-        default=None, description=f'character between columns, or "{_WHITE_SPACE}"; not given: a comma'
-    )
-    shift: bool | None = Field(
-        default=None, description="whether to subtract the first time from all; not given: false"
-    )
-    scale: float | None = Field(default=None, description="what the values in the file are multiplied by; not given: 1")
+    shift: bool | None = about("whether to subtract the first time from all; not given: false", None)
+    scale: float | None = about("what the values in the file are multiplied by; not given: 1", None)
 
     def _refuse(self, keys: Iterable[str], reason: str) -> None:
         for key in keys:
             if getattr(self, key) is not None:
-                raise ValueError(f"{key} must be left out, but {shown_value(getattr(self, key))} was given: {reason}.")
+                raise refused(key, "be left out", getattr(self, key), f": {reason}.")
 
     def _read(self, file: str) -> tuple[np.ndarray, np.ndarray]:
         """Times (s) and values of the table. Raises ValueError if they are unsuitable, OSError if it cannot be read."""
@@ -364,9 +362,9 @@ class RecordedConfig(_FromFile):
     """A recorded signal: ``file``, or ``times`` and ``values``."""
 
     law: Literal["Recorded"]
-    file: _File | None = Field(default=None, description="table (CSV) with a row for each time; or times and values")
-    times: list[float] | None = Field(default=None, description="s, increasing; the first is 0")
-    values: list[float] | None = Field(default=None, description="m/s for a base velocity, N for a force")
+    file: _File | None = about("table (CSV) with a row for each time; or times and values", None)
+    times: list[float] | None = about("s, increasing; the first is 0", None)
+    values: list[float] | None = about("m/s for a base velocity, N for a force", None)
 
     @model_validator(mode="after")
     def _one_source(self) -> "RecordedConfig":
@@ -390,9 +388,9 @@ class GroundAccelerationConfig(_FromFile):
     """Section ``[base]`` with a recorded ground acceleration: an AT2 file, or a table (CSV)."""
 
     law: Literal["GroundAcceleration"]
-    file: _File = Field(description="AT2 file of the PEER NGA database, or table (CSV) of times in s and m/s^2")
-    scale: float | None = Field(
-        default=None, description=f"factor of the accelerations ({STANDARD_GRAVITY} for a table in g); not given: 1"
+    file: _File = about("AT2 file of the PEER NGA database, or table (CSV) of times in s and m/s^2")
+    scale: float | None = about(
+        f"factor of the accelerations ({STANDARD_GRAVITY} for a table in g); not given: 1", None
     )
 
     @model_validator(mode="after")

@@ -33,11 +33,12 @@ from ._sections import (
     GroundAccelerationConfig,
     RecordedConfig,
     Section,
+    about,
     default_tag,
     is_number,
     key_of,
+    refused,
     section_of,
-    shown_value,
     tag_of,
     value_of,
 )
@@ -98,9 +99,7 @@ class PiecewiseConstantConfig(section_of(piecewise_constant.PiecewiseConstant, "
 class _Phased(DescribedSection):
     """A law whose phase may be random."""
 
-    random_phase: bool = Field(
-        default=True, description="whether each sample draws its phase; not given: true, unless a phase is given"
-    )
+    random_phase: bool = about("whether each sample draws its phase; not given: true, unless a phase is given", True)
 
     @model_validator(mode="before")
     @classmethod
@@ -127,33 +126,28 @@ class _Phased(DescribedSection):
         return RandomPhase(signal) if self.random_phase else signal
 
 
-_ABOUT_PHASE = Field(default=None, description="rad; not given: 0, or drawn")
+_ABOUT_PHASE = about("rad; not given: 0, or drawn", None)
 _PHASED: dict[str, Any] = {"base": _Phased, "phase": (float | None, _ABOUT_PHASE)}
 SourceVoltageConfig = section_of(SourceVoltage, "law", **_PHASED)
 """Section ``[base]`` with the law `SourceVoltage`, which drives a `MotorCart`."""
 
 
-class SemiMarkovSwitchingConfig(Section):
+class SemiMarkovSwitchingConfig(DescribedSection):
     """Section ``[base]`` with the law `SemiMarkovSwitching`, and its sections ``[base.gap]`` and ``[base.speeds]``."""
 
     law: Literal["SemiMarkovSwitching"]
-    speed: float | None = Field(default=None, description="m/s; not given: the section speeds", gt=0)
-    alternating: bool = Field(default=True, description="whether the sign alternates, or is that of each speed")
-    first_sign: Literal["random", "positive", "negative"] = Field(
-        default="random", description="of the velocity, where signs alternate: random, positive or negative"
+    speed: float | None = about("m/s; not given: the section speeds", None, gt=0)
+    alternating: bool = about("whether the sign alternates, or is that of each speed", True)
+    first_sign: Literal["random", "positive", "negative"] = about(
+        "of the velocity, where signs alternate: random, positive or negative", "random"
     )
-    gap: _GapConfig = Field(description="distribution of the time between switches, s")
-    speeds: _SpeedsConfig | None = Field(default=None, description="distribution of the speeds, m/s, in place of speed")
-
-    @model_validator(mode="after")
-    def _accepted(self) -> "SemiMarkovSwitchingConfig":
-        if (self.speed is None) == (self.speeds is None):
-            raise ValueError("speed must be given, or a section speeds, and not both.")
-        self.build()
-        return self
+    gap: _GapConfig = about("distribution of the time between switches, s")
+    speeds: _SpeedsConfig | None = about("distribution of the speeds, m/s, in place of speed", None)
 
     def build(self) -> piecewise_constant.SemiMarkovSwitching:
         """The law as the simulation takes it. Raises ValueError for distributions of numbers that do not fit."""
+        if (self.speed is None) == (self.speeds is None):
+            raise ValueError("speed must be given, or a section speeds, and not both.")
         speed = value_of(self.speed if self.speeds is None else self.speeds)
         return piecewise_constant.SemiMarkovSwitching(speed=speed, **self.arguments("speed", "speeds"))
 
@@ -161,8 +155,8 @@ class SemiMarkovSwitchingConfig(Section):
 class _WithSpectrum(DescribedSection):
     """A law with a spectrum."""
 
-    harmonics: int = Field(default=128, description="number of harmonics of a sample", ge=1)
-    spectrum: _SpectrumConfig = Field(description="one-sided power spectral density over angular frequency")
+    harmonics: int = about("number of harmonics of a sample", 128, ge=1)
+    spectrum: _SpectrumConfig = about("one-sided power spectral density over angular frequency")
 
 
 _JUMPS = (
@@ -199,12 +193,7 @@ _WITH_JUMPS = section_of(
     motion=(_any_of(_MOTIONS), "the continuous part"),
     jumps=(_any_of(_JUMPS, usual="PoissonSwitching"), "the part that jumps"),
 )
-if TYPE_CHECKING:
-    BaseConfig = Any
-else:
-    BaseConfig = _any_of(
-        (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(gaussian.KanaiTajimi), SourceVoltageConfig)
-    )
+_BASES = (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(gaussian.KanaiTajimi), SourceVoltageConfig)
 
 
 # --- sections of forces: friction laws, external forces and normal forces
@@ -243,11 +232,13 @@ def _number_or(number: Any, kinds: tuple[Any, ...]) -> Any:
 
 
 if TYPE_CHECKING:
+    BaseConfig = Any
     FrictionConfig = Any
     ForceConfig = Any
     NumberOrForce = Any
     NormalForceConfig = Any
 else:
+    BaseConfig = _any_of(_BASES)
     FrictionConfig = _any_of((*_OF_SPEED, _DIRECTIONAL, _AGEING, *_WITH_INNER_STATE), usual="Coulomb")
     ForceConfig = _any_of(_FORCES)
     NumberOrForce = _number_or(float, _FORCES)
@@ -256,7 +247,7 @@ else:
     """A normal force, N: a number, or a function of time."""
 
 _, MU = key_of(Coulomb, "mu", default=None, description="friction coefficient (Coulomb), or a section friction")
-FRICTION = Field(default=None, description="friction law in place of mu")
+FRICTION = about("friction law in place of mu", None)
 
 
 class WithFriction(BuiltSection):
@@ -303,10 +294,8 @@ def _matrix(value: Any, info: Any) -> list[float] | list[list[float]]:
     rows = value if has_rows else [value]
     good = all(isinstance(row, list) and row and all(map(is_number, row)) for row in rows)
     if not good or len({len(row) for row in rows}) > 1:
-        raise ValueError(
-            f"{info.field_name} must be a list of numbers, the diagonal, or a list of rows of as many numbers, but "
-            f"{shown_value(value)} was given."
-        )
+        demand = "be a list of numbers, the diagonal, or a list of rows of as many numbers"
+        raise refused(info.field_name, demand, value)
     floats = [[float(number) for number in row] for row in rows]
     return floats if has_rows else floats[0]
 
@@ -314,12 +303,12 @@ def _matrix(value: Any, info: Any) -> list[float] | list[list[float]]:
 def _counted(value: Any) -> int | str:
     if value == "all" or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
         return value
-    raise ValueError(f'contact must be the number of a contact, from 0, or "all", but {shown_value(value)} was given.')
+    raise refused("contact", 'be the number of a contact, from 0, or "all"', value)
 
 
 def _two(masses: list[int]) -> list[int]:
     if len(masses) != 2:
-        raise ValueError(f"between must hold the numbers of two masses, but {shown_value(masses)} was given.")
+        raise refused("between", "hold the numbers of two masses", masses)
     return masses
 
 
@@ -334,17 +323,15 @@ class ContactConfig(WithFriction):
 
     friction_section: ClassVar[str] = "[system.contacts.friction]"
 
-    mass: int | None = Field(default=None, ge=0, description="number of the mass, from 0, that rubs on the base")
-    between: Annotated[list[int], AfterValidator(_two)] | None = Field(
-        default=None, description="or numbers of two masses that rub on each other"
+    mass: int | None = about("number of the mass, from 0, that rubs on the base", None, ge=0)
+    between: Annotated[list[int], AfterValidator(_two)] | None = about(
+        "or numbers of two masses that rub on each other", None
     )
-    direction: list[float] | None = Field(default=None, description="or what each velocity adds to the relative one")
-    normal_force: NormalForceConfig = Field(description=_NORMAL_FORCE)
+    direction: list[float] | None = about("or what each velocity adds to the relative one", None)
+    normal_force: NormalForceConfig = about(_NORMAL_FORCE)
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
-    on_base: float | None = Field(
-        default=None, description="share of the base velocity that is subtracted; not given: 1, between masses 0"
-    )
+    on_base: float | None = about("share of the base velocity that is subtracted; not given: 1, between masses 0", None)
 
     @model_validator(mode="after")
     def _one_place(self) -> "ContactConfig":
@@ -379,10 +366,13 @@ class StructureSection(Section):
     maker: ClassVar[Any]
     driven_by_voltage: ClassVar[bool] = False
 
+    if TYPE_CHECKING:  # a number for each of the masses
+        mass: Any
+
     @property
     def size(self) -> int:
         """The number of its masses."""
-        raise NotImplementedError("each kind has its own")
+        return len(self.mass)
 
     def build(self) -> LinearStructure:
         structure = self.maker(**self.arguments("contact"))
@@ -402,19 +392,15 @@ class LinearStructureConfig(StructureSection):
     maker: ClassVar[Any] = LinearStructure
 
     model: Literal["LinearStructure"]
-    mass: _Matrix = Field(description="kg (or kg m^2): the diagonal, or rows")
-    stiffness: _Matrix = Field(description="N/m (or N m/rad), likewise")
-    damping: _Matrix | None = Field(default=None, description="N s/m (or N m s/rad), likewise; not given: none")
-    rotates: bool = Field(default=False, description="whether positions are angles, and masses inertias")
-    contact: _Counted = Field(description=_COUNTED)
-    force: list[NumberOrForce] | None = Field(
-        default=None, description='external force on each mass, N: a number or { law = "Harmonic", ... }'
+    mass: _Matrix = about("kg (or kg m^2): the diagonal, or rows")
+    stiffness: _Matrix = about("N/m (or N m/rad), likewise")
+    damping: _Matrix | None = about("N s/m (or N m s/rad), likewise; not given: none", None)
+    rotates: bool = about("whether positions are angles, and masses inertias", False)
+    contact: _Counted = about(_COUNTED)
+    force: list[NumberOrForce] | None = about(
+        'external force on each mass, N: a number or { law = "Harmonic", ... }', None
     )
-    contacts: list[ContactConfig] = Field(min_length=1, description="the contacts, a section for each")
-
-    @property
-    def size(self) -> int:
-        return len(self.mass)
+    contacts: list[ContactConfig] = about("the contacts, a section for each", min_length=1)
 
     @property
     def has_inner_states(self) -> bool:
@@ -449,15 +435,15 @@ class BlockRowConfig(StructureSection, WithFriction):
     maker: ClassVar[Any] = staticmethod(block_row)
 
     model: Literal["block_row"]
-    blocks: int = Field(ge=1, le=MOST_CONTACTS, description="number of blocks, each with a contact")
-    mass: float = Field(gt=0, description="of each, kg")
-    between: float = Field(ge=0, description="stiffness between neighbours, N/m")
-    to_ground: float = Field(ge=0, description="stiffness from each to the ground, N/m")
-    damping: float = Field(default=0.0, ge=0, description="from each to the ground, N s/m")
-    normal_force: NormalForceConfig = Field(description=_NORMAL_FORCE)
+    blocks: int = about("number of blocks, each with a contact", ge=1, le=MOST_CONTACTS)
+    mass: float = about("of each, kg", gt=0)
+    between: float = about("stiffness between neighbours, N/m", ge=0)
+    to_ground: float = about("stiffness from each to the ground, N/m", ge=0)
+    damping: float = about("from each to the ground, N s/m", 0.0, ge=0)
+    normal_force: NormalForceConfig = about(_NORMAL_FORCE)
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
-    contact: _Counted = Field(description=_COUNTED)
+    contact: _Counted = about(_COUNTED)
 
     @property
     def size(self) -> int:
@@ -469,28 +455,19 @@ class BlockRowConfig(StructureSection, WithFriction):
         return self
 
 
-class StoreysOnBearingConfig(StructureSection, WithFriction):
+class StoreysOnBearingConfig(StructureSection, DescribedSection, WithFriction):
     """Section ``[system]`` with the model `storeys_on_bearing`: a building whose base mat slides on the ground."""
 
     maker: ClassVar[Any] = staticmethod(storeys_on_bearing)
 
     model: Literal["storeys_on_bearing"]
-    mass: list[float] = Field(description="of the base mat, then of the storeys, kg")
-    stiffness: list[float] = Field(description="below each storey, N/m")
-    damping: list[float] | None = Field(default=None, description="likewise, N s/m; not given: none")
-    bearing_stiffness: float = Field(default=0.0, ge=0, description="N/m; of a pendulum bearing: weight over radius")
+    mass: list[float] = about("of the base mat, then of the storeys, kg")
+    stiffness: list[float] = about("below each storey, N/m")
+    damping: list[float] | None = about("likewise, N s/m; not given: none", None)
+    bearing_stiffness: float = about("N/m; of a pendulum bearing: weight over radius", 0.0, ge=0)
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
-    gravity: float = Field(default=STANDARD_GRAVITY, gt=0, description="m/s^2")
-
-    @property
-    def size(self) -> int:
-        return len(self.mass)
-
-    @model_validator(mode="after")
-    def _accepted(self) -> "StoreysOnBearingConfig":
-        self.build()
-        return self
+    gravity: float = about("m/s^2", STANDARD_GRAVITY, gt=0)
 
 
 # --- section ``[system]`` of a study's file: the system, its friction law, and the force on it
@@ -509,7 +486,7 @@ class MassSpringConfig(section_of(MassSpring, "model", _USUAL, base=WithFriction
     driven_by_voltage: ClassVar[bool] = False
     mu: float | None = _MU
     friction: FrictionConfig | None = FRICTION
-    force: ForceConfig | None = Field(default=None, description="external force on the mass")
+    force: ForceConfig | None = about("external force on the mass", None)
 
 
 _, _CART_MU = key_of(MotorCart, "mu", default=USUAL_MU)

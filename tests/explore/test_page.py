@@ -11,8 +11,7 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax.study import read_config
 from stickslip_jax.study._explorer_page import GIVEN, NumberControl, Worker
-from stickslip_jax.study._explorer_pictures import motion_of, realization, statistics_of
-from stickslip_jax.study._explorer_scene import Scene
+from stickslip_jax.study._explorer_scene import Scene, motion_of, realization, statistics_of
 
 T1, SAMPLES, Y0 = 20.0, 300, (0.0, 1.0)
 
@@ -33,14 +32,29 @@ def control(explorer, name) -> NumberControl:
     return found[0]
 
 
+def slide(moved: NumberControl, value):
+    """Move the slider, as its handle does."""
+    moved._slider.value = value
+
+
+def write(moved: NumberControl, text):
+    """Write into the box, as the keyboard does."""
+    moved._box.value = text
+
+
+def choose(explorer, which, name):
+    """Choose from the list of "System", "Friction" or "Base"."""
+    explorer._lists[which].value = name
+
+
 def said(pane):
     return html.unescape(re.sub("<[^>]*>", " ", pane.object))
 
 
 def test_numbers_are_those_of_the_package():
     explorer = shown()
-    control(explorer, "system.friction.mu").write("0.65")
-    control(explorer, "law.rate").slide(1.25)
+    write(control(explorer, "system.friction.mu"), "0.65")
+    slide(control(explorer, "law.rate"), 1.25)
     options = {"t1": T1, "samples": SAMPLES, "key": jax.random.key(0), "y0": Y0}
     new = system(0.65), ss.PoissonSwitching(0.9, 1.25)
     many = ss.simulate_ensemble(*new, **options, progress=False)
@@ -97,7 +111,7 @@ def test_pictures_are_those_of_the_sticks():
 def test_axes_hold_what_is_drawn():
     explorer = shown()
     for mu in ("0.3", "3"):
-        control(explorer, "system.friction.mu").write(mu)
+        write(control(explorer, "system.friction.mu"), mu)
         figures = explorer._figures
         for name in ("slip", "stick"):
             data = figures.curves[name].data
@@ -122,7 +136,7 @@ def test_base_with_random_numbers():
 def test_derivative_and_diagram_are_both_shown():
     explorer = shown(law=ss.SquareWave(0.9, 3.0), samples=20)
     explorer._tabs.active = 1
-    control(explorer, "system.friction.mu").write("0.65")
+    write(control(explorer, "system.friction.mu"), "0.65")
     assert "once a period" in explorer._section.plot.yaxis.axis_label
     assert "Computing" not in said(explorer.slope)
 
@@ -132,14 +146,14 @@ def test_moving_numbers_compiles_nothing():
     explorer = shown()
     moves = [("system.friction.mu", 0.5, 1.1), ("law.rate", 0.6, 1.6), ("law.speed", 0.5, 1.4), ("y0[1]", 0.2, -0.4)]
     for name, first, _ in moves:
-        control(explorer, name).slide(first)
+        slide(control(explorer, name), first)
     compiled = []
     jax.monitoring.register_event_duration_secs_listener(
         lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None
     )
     try:
         for name, _, second in moves:
-            control(explorer, name).slide(second)
+            slide(control(explorer, name), second)
     finally:
         jax.monitoring.clear_event_listeners()
     assert compiled == []
@@ -150,17 +164,17 @@ def test_bad_input_says_why_and_moves_nothing(text):
     explorer = shown()
     before = explorer.scene, said(explorer.statistics)
     one = control(explorer, "system.mass")
-    one.write(text)
+    write(one, text)
     assert (explorer.scene, said(explorer.statistics)) == before
     assert one.problem.startswith(("Argument system.mass must be positive (in kg), but", f"{text!r} is not a number"))
-    one.write("1.5")
+    write(one, "1.5")
     assert one.problem == ""
     assert explorer.scene.system.mass == 1.5
 
 
 def test_number_beyond_the_slider():
     explorer = shown()
-    control(explorer, "law.speed").write("12.5")
+    write(control(explorer, "law.speed"), "12.5")
     assert control(explorer, "law.speed").number.high == 12.5
     assert explorer.scene.law.speed == 12.5
 
@@ -168,23 +182,23 @@ def test_number_beyond_the_slider():
 @pytest.mark.slow
 def test_other_system_friction_and_base():
     explorer = shown(samples=20)
-    explorer.choose("System", "two blocks")
+    choose(explorer, "System", "two blocks")
     assert "friction coefficient, contact 1" in [one.number.label for one in explorer.controls]
     assert explorer.scene.samples == 20
-    explorer.choose("System", GIVEN)
+    choose(explorer, "System", GIVEN)
     assert explorer.scene.system.friction.mu == 0.8
-    explorer.choose("Friction", "Stribeck")
+    choose(explorer, "Friction", "Stribeck")
     assert isinstance(explorer.scene.system.friction, ss.Stribeck)
-    explorer.choose("Base", "SquareWave")
+    choose(explorer, "Base", "SquareWave")
     assert isinstance(explorer.scene.law, ss.SquareWave)
     assert explorer.tabs == ["Motion and statistics", "Bifurcation"]
-    explorer.choose("Base", GIVEN)
+    choose(explorer, "Base", GIVEN)
     assert explorer.tabs == ["Motion and statistics"]
 
 
 def test_study_file_and_figures():
     explorer = shown(samples=20)
-    control(explorer, "law.speed").write("0.75")
+    write(control(explorer, "law.speed"), "0.75")
     config = explorer.study_file().getvalue().decode()
     assert "speed = 0.75" in config
     assert "samples = 20" in config
