@@ -14,7 +14,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array
 
 from .._excitation.excitation import Excitation
-from .._excitation.motion import Harmonic, Signal, SumOfHarmonics, Tones, added_up, angle
+from .._excitation.motion import Harmonic, Signal, SumOfHarmonics, added_up, angle
 from .._excitation.recorded import ForceSteps, Recorded
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
@@ -62,23 +62,10 @@ from .system import (
     shortest_period,
 )
 
-# Steady responses to harmonic forces, and their absence at the natural frequency of an undamped system.
+# The steady response to a harmonic force, which an undamped system does not have at its natural frequency.
 
 
 _RESONANCE = 1e-7  # relative distance of the frequencies below which the closed form loses all its digits
-
-
-def steady_response(tones: Tones, mass: Scalar, stiffness: Scalar, damping: Scalar, t: FloatScalar) -> State:
-    """Position (m) and velocity (m/s) of the steady vibration under harmonic forces of amplitude, frequency, phase."""
-
-    def answer(amplitude, w, phase):
-        elastic, viscous = stiffness - mass * w * w, damping * w
-        gain = amplitude / (elastic * elastic + viscous * viscous)
-        sine, cosine = sincos(angle(w, t, phase))
-        return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
-
-    position, velocity = added_up(answer, tones)
-    return position, velocity
 
 
 def check_no_resonance(force: Any, omega: Scalar) -> None:
@@ -265,8 +252,14 @@ class OscillatorModel(EnergyModel[Forcing]):
         m, k, c = self._constants()
         if not self._is_harmonic:
             return jnp.zeros_like(tau), jnp.zeros_like(tau)
-        force = cast(Harmonic | SumOfHarmonics, self.system.force)
-        position, velocity = steady_response(force.tones, m, k, 0 if c is None else c, forcing.t + tau)
+
+        def answer(amplitude: FloatArray, w: FloatArray, phase: FloatArray) -> FloatPair:
+            elastic, viscous = k - m * w * w, _times(c, w)
+            gain = amplitude / (elastic * elastic + viscous * viscous)
+            sine, cosine = sincos(angle(w, forcing.t + tau, phase))
+            return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
+
+        position, velocity = added_up(answer, cast(Harmonic | SumOfHarmonics, self.system.force).tones)
         return position, velocity
 
 

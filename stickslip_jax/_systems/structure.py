@@ -239,7 +239,10 @@ class StructureModel(ContactsModel):
     smooth: Signal | None
     structure: Any  # a LinearStructure, which makes this model
     matrices: Matrices
-    fastest: FloatScalar
+
+    @property
+    def fastest(self) -> FloatScalar:
+        return self.matrices.fastest
 
     @property
     def contacts(self) -> int:
@@ -561,9 +564,7 @@ class LinearStructure(WithContacts):
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel | AgeingContacts":
         kind = ArcsModel if solver is None and self._has_arcs(smooth) else StructureModel
-        solver = diffrax.Dopri8() if solver is None else solver
-        matrices = self.matrices
-        model = kind(solver=solver, smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest)
+        model = kind(diffrax.Dopri8() if solver is None else solver, smooth, self, self.matrices)
         times = [contact.friction.growth_time for contact in self.contacts if contact.friction.grows]
         return with_ages(model, 2 * self.size, bool(times), least(*times))
 
@@ -571,11 +572,7 @@ class LinearStructure(WithContacts):
         laws = self.memory.laws
         if not laws:
             return None
-        matrices = self.matrices
-        model = StructureModel(
-            solver=diffrax.Dopri8(), smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest
-        )
-        return InnerStates(model, 2 * self.size, laws)
+        return InnerStates(StructureModel(diffrax.Dopri8(), smooth, self, self.matrices), 2 * self.size, laws)
 
     def _has_arcs(self, smooth: Signal | RandomSignal | None) -> bool:
         """Whether every mode is linear with constant coefficients, under forces of which power series are known."""

@@ -51,8 +51,6 @@ from .system import (
 )
 from .users_models import GeneralContactsModel, GeneralModel, UsersBase, depends_on_time, differs_between, records_in
 
-_SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
-
 
 class SwitchedSystem(WithContacts):
     """A system of your own: ordinary differential equations with a dry-friction contact. Subclass it and write:
@@ -272,12 +270,8 @@ class SwitchedSystem(WithContacts):
         self, smooth: Signal | None, solver: ExplicitSolver | None
     ) -> "GeneralModel | GeneralContactsModel":
         """The `switched_model` of sticks that never grow stronger."""
-        solver = diffrax.Dopri8() if solver is None else solver
-        if self.contacts is not None:
-            shortest = self.shortest_time
-            fastest = jnp.asarray(_SLOWEST if shortest is None else 2 * np.pi / shortest, float)
-            return GeneralContactsModel(solver=solver, system=self, smooth=smooth, fastest=fastest)
-        return GeneralModel(self, smooth, solver)
+        kind = GeneralModel if self.contacts is None else GeneralContactsModel
+        return kind(system=self, smooth=smooth, solver=diffrax.Dopri8() if solver is None else solver)
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
         if not self.inner_laws:

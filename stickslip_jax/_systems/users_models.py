@@ -363,11 +363,16 @@ class GeneralModel(_OfUser, OneContactModel[Forcing]):
 # With several contacts.
 
 
+_SLOWEST = 1e-150  # rad/s, where the system gives no time scale
+
+
 class GeneralContactsModel(_OfUser, ContactsModel):
     """A `SwitchedSystem` with several contacts, whose relative velocities and friction are arrays (contacts,)."""
 
-    solver: ExplicitSolver
-    fastest: FloatScalar
+    @property
+    def fastest(self) -> FloatScalar:
+        shortest = self.system.shortest_time
+        return jnp.asarray(_SLOWEST if shortest is None else 2 * np.pi / shortest, float)
 
     @property
     def contacts(self) -> int:
