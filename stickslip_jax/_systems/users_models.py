@@ -21,7 +21,7 @@ from .._excitation.motion import Signal
 from .._excitation.recorded import ForceSteps, Recorded
 from .._foundation.types import BoolArray, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Scalar, State
 from .._numerics.derivatives import without_derivatives
-from .._numerics.matrices import is_positive_definite, linear_solve
+from .._numerics.matrices import is_positive_definite, linear_solve, sum_of
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .contacts import ContactsModel, Instant, Limits, Uncoupled
 from .friction import Coulomb, FrictionLaw
@@ -183,7 +183,7 @@ class _OfUser(SwitchedModel[Forcing]):
         t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
         idle, by_friction = model._affine(forcing, t, base, y)
         by_state = jax.jacfwd(partial(model._rates, forcing, t, base))(y, jnp.zeros_like(friction))
-        by_contacts = tuple(jnp.sum(jnp.abs(each) * friction) for each in by_friction)
+        by_contacts = tuple(sum_of(jnp.abs(each) * friction) for each in by_friction)
         return gross_changes(h, y, idle, by_state, by_contacts)
 
     def _rates(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State, friction: FloatArray) -> State:
