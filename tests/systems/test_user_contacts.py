@@ -127,13 +127,11 @@ def test_three_blocks_on_the_floor(one):
     assert one.of_contact(1).totals.sticks == 1
 
 
-def test_a_static_ratio_of_fields_under_smoothed_friction():
-    """It is a number that JAX traces there."""
-    system, method = Blocks(static=0.2), ss.Regularized(1e-3, threshold=2e-3, minimum_duration=0.05)
-    smoothed, exact = (
-        ss.simulate(system, ss.Constant(0.5), t1=2.0, y0=START, method=chosen) for chosen in (method, ss.Exact())
-    )
-    assert np.max(np.abs(np.array(smoothed.final_state) - np.array(exact.final_state))) < 0.02
+def test_a_static_ratio_of_fields_under_smoothed_friction(one):
+    """It is a number that JAX traces there. What sticks creeps by at most a width, 1e-3 m/s, for 12 s."""
+    method = ss.Regularized(1e-3, step=0.02, threshold=2e-3, minimum_duration=0.05)
+    smoothed = ss.simulate(one.system, one.base, t1=one.t1, y0=START, method=method)
+    np.testing.assert_allclose(smoothed.final_state, one.final_state, rtol=0, atol=0.02)
 
 
 @pytest.mark.slow
