@@ -428,8 +428,7 @@ class InMode(NamedTuple):
 class ContactsModel(SwitchedModel[Forcing]):
     """A system with several contacts: its rates without friction, and what friction in each contact adds.
 
-    Slips and sticks are integrated by `solver`, whose error estimate shortens its steps. `fastest`: the highest angular
-    frequency or decay rate of the system, rad/s.
+    Slips and sticks are integrated by `solver`, whose error estimate shortens its steps.
 
     Where normal forces vary, the sign of each of them follows the modes of the contacts, as if it were the mode of one
     more contact that never sticks: +1 closed, -1 open. Its guard is the normal force, with this sign, and its round-off
@@ -438,7 +437,11 @@ class ContactsModel(SwitchedModel[Forcing]):
     """
 
     solver: ExplicitSolver
-    fastest: eqx.AbstractVar[FloatScalar]
+
+    @property
+    @abc.abstractmethod
+    def fastest(self) -> FloatScalar:
+        """The highest angular frequency or decay rate of the system, rad/s."""
 
     @abc.abstractmethod
     def instant(self, forcing: Forcing, tau: FloatScalar, y: State) -> Instant:

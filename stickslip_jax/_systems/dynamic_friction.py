@@ -151,7 +151,7 @@ def _spring(
 
 
 class _Bristles(DynamicFriction):
-    """Bristles whose deflection is z (m)."""
+    """Bristles whose deflection z (m) follows the motion, up to that of a steady slip of any speed."""
 
     mu: eqx.AbstractVar[Number]
     stiffness: eqx.AbstractVar[Number]
@@ -159,18 +159,6 @@ class _Bristles(DynamicFriction):
     @property
     def inner_state(self) -> str:
         return "deflection in m"
-
-    @property
-    def elastic_slip(self) -> Scalar:
-        return 2 * self.static / self.stiffness
-
-    @property
-    def state_scale(self) -> Scalar:
-        return self.mu / self.stiffness
-
-
-class _BristlesOfAnySpeed(_Bristles):
-    """Bristles whose deflection follows the motion, up to that of a steady slip of any speed."""
 
     def behind_spring(self, series_stiffness: Number, backlash: Number, normal_force: Number) -> BehindSpring:
         softness, play = _spring(self, series_stiffness, backlash, normal_force)
@@ -180,6 +168,14 @@ class _BristlesOfAnySpeed(_Bristles):
     def static(self) -> Scalar:
         return self.mu
 
+    @property
+    def elastic_slip(self) -> Scalar:
+        return 2 * self.mu / self.stiffness
+
+    @property
+    def state_scale(self) -> Scalar:
+        return self.mu / self.stiffness
+
     def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         return self.stiffness * z
 
@@ -187,7 +183,7 @@ class _BristlesOfAnySpeed(_Bristles):
         return self.mu * jnp.sign(velocity)
 
 
-class Dahl(_BristlesOfAnySpeed):
+class Dahl(_Bristles):
     """Dahl's friction: a spring that yields gradually. ``z' = v |1 - s|^exponent sign(1 - s)``, ``s = stiffness z
     sign(v) / mu``; friction coefficient ``stiffness z``.
 
@@ -215,7 +211,7 @@ class Dahl(_BristlesOfAnySpeed):
         return velocity * left * jnp.maximum(jnp.abs(left), least) ** (self.exponent - 1)
 
 
-class BoucWen(_BristlesOfAnySpeed):
+class BoucWen(_Bristles):
     """The hysteresis of Bouc and Wen: ``z' = v (1 - |z / z_0|^exponent (1 - sharing + sharing sign(v z)))``.
 
     With ``z_0 = mu / stiffness``; friction coefficient ``stiffness z``. The larger the exponent, the more suddenly it
@@ -247,7 +243,7 @@ class BoucWen(_BristlesOfAnySpeed):
         return velocity * (1 - power * (1 - self.sharing + self.sharing * jnp.sign(velocity * z)))
 
 
-class LuGre(_Bristles):
+class LuGre(DynamicFriction):
     """The LuGre model: bristles with a damping, whose steady friction falls with the speed (Stribeck).
 
     ``z' = v - stiffness |v| z / g(v)``, ``g(v) = mu + (mu_static - mu) exp(-(v / stribeck_speed)^2)``; friction
@@ -283,8 +279,20 @@ class LuGre(_Bristles):
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-((speed / self.stribeck_speed) ** 2))
 
     @property
+    def inner_state(self) -> str:
+        return "deflection in m"
+
+    @property
+    def state_scale(self) -> Scalar:
+        return self.mu / self.stiffness
+
+    @property
     def static(self) -> Scalar:
         return self.mu_static
+
+    @property
+    def elastic_slip(self) -> Scalar:
+        return 2 * self.mu_static / self.stiffness
 
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         return velocity - self.stiffness * jnp.abs(velocity) * z / self.limit(velocity)
