@@ -23,8 +23,15 @@ from .common.lanes import Engine, Engines, engines_of, widest
 from .common.method import Arguments, Exact, Regularized, longest_step, with_memory
 from .common.path import Run
 from .interval.engine import IntervalEngine, follow_intervals
-from .regularized.engine import AdaptiveBatch, follow_regularized, solve_batch
-from .regularized.solve import FixedEngine, fixed_steps, resolved, table_sizes
+from .regularized.engine import (
+    AdaptiveBatch,
+    FixedEngine,
+    fixed_steps,
+    follow_regularized,
+    resolved,
+    solve_batch,
+    table_sizes,
+)
 from .switched.engine import SwitchedEngine, follow_steps, steps_for
 
 # Compiled functions that simulate a chunk of an ensemble: what a worker thread calls.

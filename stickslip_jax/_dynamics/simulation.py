@@ -23,9 +23,22 @@ from .._systems.switched_model import F, OneContactModel, Powers, Terms, require
 from .._systems.system import Coordinate, System, one_contact_model
 from .common.method import Exact, Regularized
 from .common.path import MotionPath
-from .regularized.balances import Switch
-from .stick_tables import Columns, slip_variables, stick_columns, stick_variables, table_of, write_table
-from .sticks import NUMBERS, FlatSticks, Slips, Sticks, Totals, of_contact, slips_between
+from .regularized.field import Switch
+from .sticks import (
+    NUMBERS,
+    Columns,
+    FlatSticks,
+    Slips,
+    Sticks,
+    Totals,
+    of_contact,
+    slip_variables,
+    slips_between,
+    stick_columns,
+    stick_variables,
+    table_of,
+    write_table,
+)
 from .switched.engine import StepBeginnings, StepPath, follow_steps, state_in_step
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.stick_tables import FlatSlips, slips_among
-from .._dynamics.sticks import FlatSticks
+from .._dynamics.sticks import FlatSlips, FlatSticks, slips_among
 from .._excitation.excitation import law_of
 from .._foundation.types import Number, Status
 from .._numerics.sums import Moments

@@ -15,8 +15,7 @@ import numpy as np
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.simulation import method_attributes
-from .._dynamics.stick_tables import slip_variables, stick_variables
-from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks
+from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks, slip_variables, stick_variables
 from .._foundation import checks
 from .._foundation.extras import flags, labeled_dataset, require, variable
 from .._foundation.files import file_for_user

@@ -13,8 +13,7 @@ import numpy as np
 
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.simulation import Simulation
-from .._dynamics.stick_tables import stick_columns, time_columns, write_table
-from .._dynamics.sticks import Slips, Sticks, in_slots
+from .._dynamics.sticks import Slips, Sticks, in_slots, stick_columns, time_columns, write_table
 from .._excitation.excitation import is_random
 from .._foundation import checks, html
 from .._foundation.files import file_to_write

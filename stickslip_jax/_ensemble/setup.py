@@ -19,8 +19,7 @@ from .._compiler import Layout, packed
 from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
 from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines, solve_chunk
-from .._dynamics.regularized.engine import AdaptiveBatch
-from .._dynamics.regularized.solve import ADAPTIVE_STEPS, MORE, FixedEngine, numbers_as_arrays
+from .._dynamics.regularized.engine import ADAPTIVE_STEPS, MORE, AdaptiveBatch, FixedEngine, numbers_as_arrays
 from .._dynamics.simulate import Output, simulate
 from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import ALL, StickCollector, StickStream

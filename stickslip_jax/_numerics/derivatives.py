@@ -17,7 +17,7 @@ from jax.interpreters import ad, batching, mlir
 
 from .._compiler import flattened, native_loop, of_moving, sharing
 from .._foundation import checks
-from .._foundation.types import DType, PyTreeDef
+from .._foundation.types import DType, FloatArray, PyTreeDef
 
 # Functions with a derivative of their own that holds to every order, in every mode, inside loops too.
 #
@@ -186,6 +186,32 @@ ad.primitive_transposes[_tangent] = _transposed
 batching.primitive_batchers[_call], batching.primitive_batchers[_tangent] = _batch, _batch_tangent
 mlir.register_lowering(_call, mlir.lower_fun(_run, multiple_results=True))
 mlir.register_lowering(_tangent, mlir.lower_fun(_run_tangent, multiple_results=True))
+
+
+# Roots of equations, with derivatives by the implicit function theorem.
+
+
+def root_of(residual: Callable[..., FloatArray], changed: Callable[..., FloatArray]) -> OwnDerivative:
+    """A function of numbers and of the root of ``residual(*numbers, root) = 0`` that returns (root,), with its
+    derivatives of every order.
+
+    `changed`: the change of the root, from the numbers, the root and the change of the residual at this root.
+    """
+    found = OwnDerivative(lambda *args: args[-1:])
+
+    @found.def_jvp
+    def _(primals: Any, tangents: Any) -> Any:
+        *given, root = primals
+        (root,) = found(*given, lax.stop_gradient(root))
+        _, change = eqx.filter_jvp(lambda *given: residual(*given, root), tuple(given), tuple(tangents[:-1]))
+        return (root,), (changed(*given, root, change),)
+
+    return found
+
+
+def with_slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The value of a function and its slope."""
+    return jax.jvp(function, (at,), (jnp.ones_like(at),))
 
 
 # Derivatives by a few numbers, computed in forward mode along with a long loop, for reverse mode too.

@@ -11,8 +11,7 @@ from jaxtyping import PyTree
 
 from .._compiler import sharing
 from .._dynamics.common.path import StepsShared, following_segments
-from .._dynamics.interval.arcs import Scales, carry_across, excess_of, touch
-from .._dynamics.interval.crossing import MassState, cross_interval, start_motion
+from .._dynamics.interval.arcs import MassState, Scales, carry_across, cross_interval, excess_of, start_motion, touch
 from .._dynamics.interval.engine import IntervalEngine
 from .._dynamics.sticks import StickRecord, Totals
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
@@ -316,7 +315,7 @@ class BoundarySums(NamedTuple):
 
 # Signed distances for any system, one step of the switched engine at a time.
 #
-# While a mode lasts its guard is positive (`_dynamics/switched/stepping.py`). Where it falls and rises again, its
+# While a mode lasts its guard is positive (`_dynamics/switched/engine.py`). Where it falls and rises again, its
 # minimum tells how far the arc is from an event; where it falls through zero, the flow continued beyond the event has
 # that minimum too, with the other sign. So the minimum is smooth through 0 and known on both sides.
 #

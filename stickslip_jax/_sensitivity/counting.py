@@ -11,12 +11,10 @@ from jaxtyping import Array, PyTree
 
 from .._dynamics.common.lanes import Engine, Motion, Shared
 from .._dynamics.common.path import SegmentLaws, StepsShared
-from .._dynamics.interval.arcs import Scales
-from .._dynamics.interval.crossing import start_motion, status_of
+from .._dynamics.interval.arcs import Scales, start_motion, status_of
 from .._dynamics.interval.engine import IntervalEngine, is_over
 from .._dynamics.sticks import StickRecord, start_totals
-from .._dynamics.switched.engine import SwitchedEngine
-from .._dynamics.switched.stepping import Lane, advance
+from .._dynamics.switched.engine import Lane, SwitchedEngine, advance
 from .._excitation.motion import Signal
 from .._foundation.types import AnyArray, BoolArray, FloatArray, IntArray, Scalar
 from .._systems.system import one_contact_model

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from .._dynamics.stick_tables import FlatSlips, slips_after, slips_among
-from .._dynamics.sticks import FlatSticks, StickStream
+from .._dynamics.sticks import FlatSlips, FlatSticks, StickStream, slips_after, slips_among
 from .._foundation import checks
 from .._foundation.types import Ending
 from .._numerics.sums import DyadicCounts, PowerSums

@@ -36,7 +36,7 @@ from .._numerics.derivatives import without_derivatives
 from .._numerics.matrices import linear_solve, times
 from .._numerics.steps import relative_error, runge_kutta_step
 from .friction import FrictionLaw, require_law
-from .switched_model import NOISE_ULPS, Decision, F, Guard, Question, SwitchedModel, with_change
+from .switched_model import NOISE_ULPS, Decision, Forcing, Guard, Question, SwitchedModel, later, with_change
 
 # Normal forces of contacts: numbers, or functions of time.
 
@@ -65,56 +65,54 @@ def recorded_in(normal_forces: tuple[NormalForce, ...]) -> tuple[Recorded | Forc
     return tuple(one for one in normal_forces if isinstance(one, _PIECES))
 
 
-def values_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: FloatArray) -> FloatArray:
-    """Forces (forces,) at the time `t` (s), N, of which None is zero.
+Recordings: TypeAlias = tuple[tuple[FloatScalar, FloatScalar], ...]
+"""Values and slopes, at a time, of those forces of several that are `recorded_in` them."""
 
-    `recorded`: the values there of those that are `recorded_in` them.
-    """
-    values, number = [], 0
+
+def values_at(
+    forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: Recordings, tau: FloatScalar | float = 0.0
+) -> FloatArray:
+    """Forces (forces,) at the time ``t + tau`` (s), N, of which None is zero; `recorded`: at `t`."""
+    values, pieces = [], iter(recorded)
     for one in forces:
         if isinstance(one, Signal):
-            values.append(one.value(t))
+            values.append(one.value(t + tau))
         elif isinstance(one, _PIECES):
-            values.append(recorded[number])
-            number += 1
+            values.append(later(next(pieces), tau))
         else:
-            values.append(jnp.asarray(0.0 if one is None else one, t.dtype))
+            values.append(0.0 if one is None else one)
     return jnp.stack([jnp.asarray(value, t.dtype) for value in values])
 
 
-def rates_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, slopes: FloatArray) -> FloatArray:
-    """The time derivatives (forces,) of `forces` at the time `t`; `slopes`: of those that are `recorded_in` them."""
-    pieces = iter(range(len(forces)))
+def rates_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: Recordings) -> FloatArray:
+    """The time derivatives (forces,) of `forces` at the time `t`."""
+    pieces = iter(recorded)
     rates = [
-        one.rate(t) if isinstance(one, Signal) else slopes[next(pieces)] if isinstance(one, _PIECES) else 0.0
+        one.rate(t) if isinstance(one, Signal) else next(pieces)[1] if isinstance(one, _PIECES) else 0.0
         for one in forces
     ]
     return jnp.stack([jnp.asarray(rate, t.dtype) for rate in rates])
 
 
 def power_series_of(
-    forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: FloatArray, slopes: FloatArray, terms: int
+    forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: Recordings, terms: int
 ) -> list[FloatArray | None]:
     """The coefficients (forces,) of the power series of `forces` in the time since `t`; None where all are zero.
 
-    Signals must be harmonic. `recorded`, `slopes`: of those that are `recorded_in` them, at `t`.
+    Signals must be harmonic.
     """
-    signals = {i: cast(Harmonic | SumOfHarmonics, one) for i, one in enumerate(forces) if isinstance(one, Signal)}
-    harmonic = {i: one.power_series(t, terms) for i, one in signals.items()}
-    pieces = {i: number for number, i in enumerate(i for i, one in enumerate(forces) if isinstance(one, _PIECES))}
-
-    def coefficient(i: int, k: int) -> FloatScalar:
-        if i in harmonic:
-            return harmonic[i][k]
-        return slopes[pieces[i]] if k == 1 and i in pieces else jnp.zeros_like(t)
-
     if not forces:
         return [None] * terms
-    first: list[FloatArray | None] = [values_at(forces, t, recorded)]
-    for k in range(1, terms):
-        some = harmonic or (k == 1 and pieces)
-        first.append(jnp.stack([coefficient(i, k) for i in range(len(forces))]) if some else None)
-    return first
+    harmonic = [cast(Harmonic | SumOfHarmonics, one) for one in forces if isinstance(one, Signal)]
+    waves, pieces = iter([one.power_series(t, terms) for one in harmonic]), iter(recorded)
+    none = jnp.zeros_like(t)
+    each = [
+        next(waves) if isinstance(one, Signal) else (none, next(pieces)[1]) if isinstance(one, _PIECES) else (none,)
+        for one in forces
+    ]
+    highest = max(map(len, each))
+    series = [jnp.stack([own[k] if k < len(own) else none for own in each]) for k in range(1, highest)]
+    return [values_at(forces, t, recorded), *series, *[None] * (terms - highest)]
 
 
 def size_of(normal_force: NormalForce, t: FloatScalar) -> FloatScalar:
@@ -427,11 +425,10 @@ class InMode(NamedTuple):
     normal: FloatArray | None
 
 
-class ContactsModel(SwitchedModel[F]):
+class ContactsModel(SwitchedModel[Forcing]):
     """A system with several contacts: its rates without friction, and what friction in each contact adds.
 
-    Slips and sticks are integrated by `solver`, whose error estimate shortens its steps. `fastest`: the highest angular
-    frequency or decay rate of the system, rad/s.
+    Slips and sticks are integrated by `solver`, whose error estimate shortens its steps.
 
     Where normal forces vary, the sign of each of them follows the modes of the contacts, as if it were the mode of one
     more contact that never sticks: +1 closed, -1 open. Its guard is the normal force, with this sign, and its round-off
@@ -440,18 +437,22 @@ class ContactsModel(SwitchedModel[F]):
     """
 
     solver: ExplicitSolver
-    fastest: eqx.AbstractVar[FloatScalar]
+
+    @property
+    @abc.abstractmethod
+    def fastest(self) -> FloatScalar:
+        """The highest angular frequency or decay rate of the system, rad/s."""
 
     @abc.abstractmethod
-    def instant(self, forcing: F, tau: FloatScalar, y: State) -> Instant:
+    def instant(self, forcing: Forcing, tau: FloatScalar, y: State) -> Instant:
         """The contacts, without friction."""
 
     @abc.abstractmethod
-    def effect(self, forcing: F, tau: FloatScalar, y: State, force: FloatArray) -> State:
+    def effect(self, forcing: Forcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
         """What friction forces (contacts,) against the relative velocities add to the rates of the state."""
 
     @abc.abstractmethod
-    def limits(self, forcing: F, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
+    def limits(self, forcing: Forcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
         """The forces that friction can exert at these relative velocities, (contacts,).
 
         Those of slips are continued smoothly to beyond the end of a slip: the last Runge-Kutta step may have stages
@@ -459,27 +460,24 @@ class ContactsModel(SwitchedModel[F]):
         """
 
     @abc.abstractmethod
-    def velocity_scale(self, forcing: F, y: State) -> FloatArray:
+    def velocity_scale(self, forcing: Forcing, y: State) -> FloatArray:
         """The size of the terms that cancel in the relative velocities, (contacts,)."""
 
     @abc.abstractmethod
-    def gross_changes(self, forcing: F, y: State, h: FloatScalar, friction: FloatArray) -> State:
+    def gross_changes(self, forcing: Forcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
         """The changes of the state in the time `h` by each term of its rates alone, for `relative_error`.
 
         `friction`: the largest friction forces, (contacts,).
         """
 
-    @property
-    def time_scales_are_known(self) -> bool:
-        """Whether all time scales are known, whatever the state: a step that suits them is short enough everywhere."""
-        return False
-
-    def jacobian(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
+    def jacobian(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
         """The derivative of the rates without friction by the state, (numbers, numbers)."""
         flat, state = ravel_pytree(y)
         return jax.jacfwd(lambda values: ravel_pytree(self.instant(forcing, tau, state(values)).rates)[0])(flat)
 
-    def implicit_changes(self, forcing: F, tau: FloatScalar, y: State, weight: FloatScalar, sides: State) -> State:
+    def implicit_changes(
+        self, forcing: Forcing, tau: FloatScalar, y: State, weight: FloatScalar, sides: State
+    ) -> State:
         """The changes x of the state with ``x - weight J x = side`` for each of the `sides`, arrays (..., sides).
 
         J: the `jacobian`.
@@ -490,24 +488,19 @@ class ContactsModel(SwitchedModel[F]):
         ends = np.cumsum([side.size // number for side in sides])[:-1]
         return tuple(part.reshape(side.shape) for part, side in zip(jnp.split(found, ends), sides, strict=True))
 
-    @property
-    def varying(self) -> tuple[int, ...]:
-        """The contacts whose normal forces vary."""
-        return ()
+    @abc.abstractmethod
+    def normal_forces_at(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
+        """The normal forces of all contacts, N; where they are not known, the forces that slips have."""
 
-    def varying_normal_forces(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
-        """The normal forces that vary, N; asked only where some do."""
-        raise NotImplementedError("of models in which none does")
+    def varying_normal_forces(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
+        """The normal forces that vary, N."""
+        return self.normal_forces_at(forcing, tau, y)[np.array(self.varying)]
 
-    def normal_forces_at(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
-        """The normal forces of all contacts, N; asked only where friction laws have inner states."""
-        raise NotImplementedError("of models of friction laws with inner states")
-
-    def normal_scale(self, forcing: F, y: State) -> FloatArray:
+    @abc.abstractmethod
+    def normal_scale(self, forcing: Forcing, y: State) -> FloatArray:
         """The sizes of the terms that add up to `varying_normal_forces`; asked only where some do."""
-        raise NotImplementedError("of models in which none does")
 
-    def _touch(self, forcing: F, y: State) -> FloatArray:
+    def _touch(self, forcing: Forcing, y: State) -> FloatArray:
         """The round-off of the normal forces that vary, and 0 for the others, N, (contacts,)."""
         size = self.normal_scale(forcing, y)
         none, numbers = jnp.zeros(self.contacts or 0, size.dtype), jnp.finfo(size.dtype)
@@ -536,7 +529,7 @@ class ContactsModel(SwitchedModel[F]):
         sticks = (self._own(sign) == 0) & ~is_open
         return jnp.append(sticks, jnp.all(sticks | is_open) & jnp.any(sticks))
 
-    def _limits(self, forcing: F, tau: FloatScalar, y: State, velocity: FloatArray, sign: FloatArray) -> Limits:
+    def _limits(self, forcing: Forcing, tau: FloatScalar, y: State, velocity: FloatArray, sign: FloatArray) -> Limits:
         """The `limits`, zero in open contacts."""
         return self._closed(self.limits(forcing, tau, y, velocity), sign)
 
@@ -546,29 +539,24 @@ class ContactsModel(SwitchedModel[F]):
         is_open = self._is_open(sign)
         return Limits(*(jnp.where(is_open, 0, force) for force in limits))
 
-    def friction_forces(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> FloatArray:
-        """The friction forces against the relative velocities in the mode `sign`, (contacts,)."""
-        now, own = self.instant(forcing, tau, y), self._own(sign)
-        return solved(now.gain, now.drift, self._limits(forcing, tau, y, now.velocity, sign).slip(own), own == 0)
-
-    def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
+    def rates(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> State:
         now, own = self.instant(forcing, tau, y), self._own(sign)
         slip = self._limits(forcing, tau, y, now.velocity, sign).slip(own)
         added = self.effect(forcing, tau, y, solved(now.gain, now.drift, slip, own == 0))
         return tuple(a + b for a, b in zip(now.rates, added, strict=True))
 
     def flow_and_error(
-        self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
+        self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray
     ) -> tuple[State, FloatScalar | None]:
         reached, error = runge_kutta_step(Partial(type(self).rates, self, forcing, sign=sign), y, h, solver=self.solver)
         gross = self._gross_changes(forcing, y, h)
         # Of structures, the errors of all masses.
         return self._held(forcing, h, reached, self._own(sign) == 0), jnp.max(relative_error(error, y, reached, gross))
 
-    def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
+    def relative_velocity(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
         return self.instant(forcing, tau, y).velocity
 
-    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
+    def guard(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
         now, change = self.in_mode(forcing, tau, y, sign)
         own = self._own(sign)
 
@@ -589,7 +577,7 @@ class ContactsModel(SwitchedModel[F]):
         stays = self._with_normal(jnp.zeros(len(own), bool), (now.normal == 0) & (change.normal == 0))
         return jnp.where(stays, 1, guard), rate
 
-    def in_mode(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
+    def in_mode(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
         """What the guards of the mode `sign` are made of, and its time derivative."""
 
         def at(tau, y):
@@ -602,25 +590,25 @@ class ContactsModel(SwitchedModel[F]):
 
         return jax.jvp(at, (tau, y), (jnp.ones_like(tau), self.rates(forcing, tau, y, sign)))
 
-    def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
+    def guard_scale(self, forcing: Forcing, y: State, sign: FloatArray) -> FloatArray:
         none, own = jnp.zeros((), y[0].dtype), self._own(sign)
         now = self.instant(forcing, none, y)
         friction = self.limits(forcing, none, y, now.velocity).largest
         rate = jnp.abs(now.drift) + jnp.abs(acceleration(now.gain, 0 * now.drift, friction))
-        size = with_change(self.velocity_scale(forcing, y), rate, self.fastest, self.time(forcing))
+        size = with_change(self.velocity_scale(forcing, y), rate, self.fastest, forcing.t)
         scale = jnp.where(own == 0, 2.0, size)
         return self._with_normal(scale, self.normal_scale(forcing, y)) if self.varying else scale
 
-    def at_rest(self, forcing: F, y: State, times: float = 1.0) -> BoolArray:
+    def at_rest(self, forcing: Forcing, y: State, times: float = 1.0) -> BoolArray:
         velocity = self.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y)
         noise = self.noise(forcing, y, self._with_normal(jnp.ones_like(velocity), 1))
         return self._with_normal(jnp.abs(velocity) <= times * self._own(noise), 0)
 
-    def slip_sign(self, forcing: F, y: State) -> FloatArray:
+    def slip_sign(self, forcing: Forcing, y: State) -> FloatArray:
         slips = super().slip_sign(forcing, y)
         return self._with_normal(slips, self._normal_sign(forcing, y)) if self.varying else slips
 
-    def _normal_sign(self, forcing: F, y: State) -> FloatArray:
+    def _normal_sign(self, forcing: Forcing, y: State) -> FloatArray:
         """The sign of each varying normal force right after `tau` 0; -1 where it stays zero."""
         none = jnp.zeros((), y[0].dtype)
 
@@ -633,14 +621,14 @@ class ContactsModel(SwitchedModel[F]):
 
         (value, rate), (_, bend) = jax.jvp(with_rate, (none, y), moving(none, y))
         eps = jnp.finfo(y[0].dtype).eps
-        noise = eps * (NOISE_ULPS * self.normal_scale(forcing, y) + _CLOCK_ULPS * self.time(forcing) * jnp.abs(rate))
+        noise = eps * (NOISE_ULPS * self.normal_scale(forcing, y) + _CLOCK_ULPS * forcing.t * jnp.abs(rate))
         # Within this of its least value, a force with the curvature `bend` has at most the rate sqrt(4 noise bend).
         touches = rate * rate <= 4 * noise * jnp.abs(bend)
         decides = jnp.where(jnp.abs(value) > noise, value, jnp.where(touches, bend, rate))
         return jnp.where(decides > 0, 1, -1).astype(y[0].dtype)
 
     def after(
-        self, forcing: F, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
+        self, forcing: Forcing, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
     ) -> tuple[FloatArray, BoolArray, BoolArray]:
         if not self.varying:
             return sign, landed, jnp.zeros_like(landed)
@@ -652,10 +640,10 @@ class ContactsModel(SwitchedModel[F]):
         contacts = self._own(landed) & ~changed
         return self._with_normal(own, now), self._with_normal(contacts, False), self._with_normal(changed, False)
 
-    def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
+    def at_base_velocity(self, forcing: Forcing, y: State, resting: BoolArray) -> State:
         return self._held(forcing, jnp.zeros((), y[0].dtype), y, self._own(resting))
 
-    def decided(self, forcing: F, y: State, question: Question) -> Decision:
+    def decided(self, forcing: Forcing, y: State, question: Question) -> Decision:
         none = jnp.zeros((), y[0].dtype)
         y, modes = self.at_base_velocity(forcing, y, question.asked), question.sign
         question = Question(*map(self._own, question))
@@ -665,14 +653,14 @@ class ContactsModel(SwitchedModel[F]):
         rate, eps = self._own(rate), jnp.finfo(y[0].dtype).eps
         moment, later = none, y
         if self.varying:  # a contact that closes has no normal force yet: what it can hold is seen a moment later
-            moment = _MOMENT_ULPS * eps * (self.time(forcing) + jnp.minimum(1 / self.fastest, 1))
+            moment = _MOMENT_ULPS * eps * (forcing.t + jnp.minimum(1 / self.fastest, 1))
             later = tuple(value + moment * change for value, change in zip(y, now.rates, strict=True))
         limits = self._limits(forcing, moment, later, jnp.where(question.asked, 0, now.velocity), modes)
         if self.varying:  # nor does one whose normal force only touches zero let go of a stick that needs no friction
             touches = question.goes_on & ~self._is_open(modes) & (limits.largest == 0)
             limits = Limits(*(jnp.where(touches, self._touch(forcing, y), force) for force in limits))
-        slack = eps * (NOISE_ULPS + _CLOCK_ULPS * self.time(forcing) * jnp.abs(rate))
-        found = settled(now.gain, now.drift, limits, question, _finite(slack))
+        slack = eps * (NOISE_ULPS + _CLOCK_ULPS * forcing.t * jnp.abs(rate))
+        found = settled(now.gain, now.drift, limits, question, jnp.where(jnp.isfinite(slack), slack, 0))
         guard = jnp.where(jnp.abs(found.share) < jnp.inf, 1 - found.share**2, -1)
         direction = jnp.where(found.sign != 0, found.sign, jnp.where(found.share > 0, 1, -1)).astype(guard.dtype)
         return Decision(
@@ -682,11 +670,7 @@ class ContactsModel(SwitchedModel[F]):
             self._with_normal(rate, 0),
         )
 
-    @abc.abstractmethod
-    def time(self, forcing: F) -> FloatScalar:
-        """The time at `tau` 0, s."""
-
-    def _held(self, forcing: F, tau: FloatScalar, y: State, resting: BoolArray) -> State:
+    def _held(self, forcing: Forcing, tau: FloatScalar, y: State, resting: BoolArray) -> State:
         """`y`, moved in the directions in which friction acts until what is `resting` has no relative velocity."""
         for _ in range(_NEWTON_STEPS):
             now = self.instant(forcing, tau, y)
@@ -694,7 +678,7 @@ class ContactsModel(SwitchedModel[F]):
             y = tuple(a + b for a, b in zip(y, self.effect(forcing, tau, y, impulse), strict=True))
         return y
 
-    def _gross_changes(self, forcing: F, y: State, h: FloatScalar) -> State:
+    def _gross_changes(self, forcing: Forcing, y: State, h: FloatScalar) -> State:
         """The sum of the changes of each number of the state in the time `h` by each term of its rate alone."""
         model, forcing, y, h = without_derivatives((self, forcing, y, h))
         none = jnp.zeros_like(h)
@@ -710,8 +694,3 @@ def _bounded_guard(limit: FloatArray, force: FloatArray) -> FloatArray:
     total = limit * limit + force * force
     some = total > 0
     return jnp.where(some, (limit * limit - force * force) / jnp.where(some, total, 1), 1)
-
-
-def _finite(values: FloatArray) -> FloatArray:
-    """`values`, 0 where they are not finite."""
-    return jnp.where(jnp.isfinite(values), values, 0)

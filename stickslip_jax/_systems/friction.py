@@ -442,9 +442,7 @@ class FrictionCurve(FrictionLaw):
 
     def check_parts(self) -> None:
         if not callable(self.curve) or isinstance(self.curve, type):
-            raise ValueError(
-                f"Argument curve must be a function of the relative speed, but {checks.show(self.curve)} was given."
-            )
+            raise checks.refused("curve", "be a function of the relative speed", self.curve)
 
     def has_varying_parts(self) -> bool:
         return varies_within(self.curve)

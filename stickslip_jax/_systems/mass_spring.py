@@ -3,7 +3,7 @@
 import math
 from contextlib import suppress
 from functools import partial
-from typing import Annotated, Any, ClassVar, NamedTuple, cast
+from typing import Annotated, Any, ClassVar, cast
 
 import equinox as eqx
 import jax
@@ -14,9 +14,8 @@ from jax.tree_util import Partial
 from jaxtyping import Array
 
 from .._excitation.excitation import Excitation
-from .._excitation.motion import Harmonic, Signal, SumOfHarmonics, Tones, added_up, angle
+from .._excitation.motion import Harmonic, Signal, SumOfHarmonics, added_up, angle
 from .._excitation.recorded import ForceSteps, Recorded
-from .._excitation.segments import added
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import Quantity, is_distribution, keeps
@@ -39,7 +38,7 @@ from .friction import AtAge, FrictionLaw, require_law, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
 from .structure import LinearStructure, StructureModel
-from .switched_model import Base, EnergyModel, FloatPair, Powers, Segments, Terms, base_motion, with_change
+from .switched_model import Base, EnergyModel, FloatPair, Forcing, Powers, Terms, later, with_change
 from .system import (
     AGE,
     DECAYED,
@@ -62,23 +61,10 @@ from .system import (
     shortest_period,
 )
 
-# Steady responses to harmonic forces, and their absence at the natural frequency of an undamped system.
+# The steady response to a harmonic force, which an undamped system does not have at its natural frequency.
 
 
 _RESONANCE = 1e-7  # relative distance of the frequencies below which the closed form loses all its digits
-
-
-def steady_response(tones: Tones, mass: Scalar, stiffness: Scalar, damping: Scalar, t: FloatScalar) -> State:
-    """Position (m) and velocity (m/s) of the steady vibration under harmonic forces of amplitude, frequency, phase."""
-
-    def answer(amplitude, w, phase):
-        elastic, viscous = stiffness - mass * w * w, damping * w
-        gain = amplitude / (elastic * elastic + viscous * viscous)
-        sine, cosine = sincos(angle(w, t, phase))
-        return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
-
-    position, velocity = added_up(answer, tones)
-    return position, velocity
 
 
 def check_no_resonance(force: Any, omega: Scalar) -> None:
@@ -109,17 +95,7 @@ def _shown(value: Number) -> str:
 # and friction laws each step is one Runge-Kutta step.
 
 
-class OscillatorForcing(NamedTuple):
-    """The piecewise-linear parts of base velocity (m/s) and load (N) from time `t` on: values and slopes."""
-
-    t: FloatScalar
-    base: FloatScalar
-    base_slope: FloatScalar
-    load: FloatScalar
-    load_slope: FloatScalar
-
-
-class OscillatorModel(EnergyModel[OscillatorForcing]):
+class OscillatorModel(EnergyModel[Forcing]):
     """A `MassSpring` on a base with the velocity ``smooth(t)`` plus piecewise-linear parts. State: x (m), x' (m/s)."""
 
     system: Any  # a MassSpring, which makes this model
@@ -127,24 +103,16 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
     steps_may_be_long: ClassVar[bool] = True
     has_kinks: ClassVar[bool] = False
 
-    def forcing(self, t: FloatScalar, segments: Segments) -> OscillatorForcing:
-        base, base_slope = added(t, segments.base)
-        ground, ground_slope = added(t, segments.ground)
-        force, force_slope = added(t, segments.force)
-        mass = self.system.mass
-        return OscillatorForcing(t, base, base_slope, force - mass * ground, force_slope - mass * ground_slope)
-
-    def slip(
-        self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar
-    ) -> tuple[State, FloatScalar | None]:
+    def slip(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatScalar) -> tuple[State, FloatScalar | None]:
         m, k, c = self._constants()
         coefficient = sign * self.friction.continued_coefficient(jnp.zeros_like(h), sign)
         # Beside the steady response to harmonic forces: a motion under a force that grows steadily.
         (x0, p0), (x1, p1) = (self._steady(forcing, tau) for tau in (jnp.zeros_like(h), h))
         force = cast(Harmonic | SumOfHarmonics | None, self.system.force if self._is_harmonic else None)
-        load = forcing.load + (0 if force is None else force.mean)
+        load, load_slope = self._load(forcing)
+        load = load + (0 if force is None else force.mean)
         first = (load - coefficient * self.system.normal_force - k * (y[0] - x0)) / m
-        slope, speed = forcing.load_slope / m, y[1] - p0
+        slope, speed = load_slope / m, y[1] - p0
         by = responses(0 if c is None else c / (2 * m), jnp.asarray(k / m, h.dtype), h)
         x = y[0] + (x1 - x0) + speed * by.impulse + first * by.step + slope * by.ramp
         return (x, p1 + speed * by.rate + first * by.impulse + slope * by.step), None
@@ -152,19 +120,19 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
     def at_age(self, age: FloatArray) -> "OscillatorModel":
         return eqx.tree_at(lambda model: model.system.friction, self, AtAge(self.friction, age))
 
-    def stick(self, forcing: OscillatorForcing, y: State, h: FloatScalar) -> tuple[State, None]:
-        travel = h * (forcing.base + 0.5 * h * forcing.base_slope)
+    def stick(self, forcing: Forcing, y: State, h: FloatScalar) -> tuple[State, None]:
+        travel = h * later(forcing.base, 0.5 * h)
         if self.smooth is not None:
             travel = travel + self.smooth.integral(forcing.t, h)
         return (y[0] + travel, self.base_motion(forcing, h)[0]), None
 
-    def rates(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+    def rates(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         velocity, acceleration = self.base_motion(forcing, tau)
         coefficient = sign * self.friction.continued_coefficient(sign * (y[1] - velocity), sign)
         speed, slip = self.rates_under(forcing, tau, y, coefficient)
         return speed, jnp.where(sign == 0, acceleration, slip)
 
-    def guard(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
+    def guard(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
         m, k, c = self._constants()
         velocity, acceleration = self.base_motion(forcing, tau)
         beyond, holds = self._beyond_and_limit(forcing, tau, y)
@@ -173,7 +141,7 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
         t = forcing.t + tau
         jerk = 0 if self.smooth is None else self.smooth.curvature(t)
         force = self.system.force
-        force_rate = forcing.load_slope + (force.rate(t) if isinstance(force, Signal) else 0)
+        force_rate = self._load(forcing)[1] + (force.rate(t) if isinstance(force, Signal) else 0)
         share_rate = (m * jerk + _times(c, acceleration) + k * velocity - force_rate) * per_held
         slip_rate = self.rates(forcing, tau, y, sign)[1] - acceleration
         sticking = sign == 0
@@ -181,22 +149,22 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
         guard = jnp.where(sticking, held, sign * (y[1] - velocity))
         return guard, jnp.where(sticking, -2 * share * share_rate, sign * slip_rate)
 
-    def guard_scale(self, forcing: OscillatorForcing, y: State, sign: FloatScalar) -> FloatScalar:
+    def guard_scale(self, forcing: Forcing, y: State, sign: FloatScalar) -> FloatScalar:
         m, k, _ = self._constants()
         velocity = self.base_motion(forcing, jnp.zeros_like(y[0]))[0]
         omega, deceleration = lax.stop_gradient((jnp.sqrt(k / m), self.friction.static * self.system.normal_force / m))
         slip = jnp.abs(y[1]) + jnp.abs(velocity) + omega * jnp.abs(y[0])
         return jnp.where(sign == 0, 2.0, with_change(slip, deceleration, omega, forcing.t))
 
-    def on_base(self, forcing: OscillatorForcing, y: State) -> State:
+    def on_base(self, forcing: Forcing, y: State) -> State:
         return y[0], self.base_motion(forcing, jnp.zeros_like(y[0]))[0]
 
-    def can_stick(self, forcing: OscillatorForcing, y: State) -> BoolScalar:
+    def can_stick(self, forcing: Forcing, y: State) -> BoolScalar:
         beyond, holds = self._beyond_and_limit(forcing, jnp.zeros_like(y[0]), y)
         # Without friction nothing sticks, not even where no force is needed.
         return (jnp.abs(beyond) <= holds) & (holds > 0)
 
-    def release_sign(self, forcing: OscillatorForcing, y: State) -> FloatScalar:
+    def release_sign(self, forcing: Forcing, y: State) -> FloatScalar:
         # The base pulls harder than friction can hold: the mass lags behind.
         return jnp.where(self._beyond_and_limit(forcing, jnp.zeros_like(y[0]), y)[0] > 0, -1, 1).astype(y[0].dtype)
 
@@ -209,17 +177,15 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
     def friction(self) -> FrictionLaw:
         return self.system.friction
 
-    def rates_under(self, forcing: OscillatorForcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
+    def rates_under(self, forcing: Forcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
         m, k, c = self._constants()
         friction = coefficient * self.system.normal_force
         return y[1], (self.load_at(forcing, tau) - _times(c, y[1]) - k * y[0] - friction) / m
 
-    def relative_velocity(self, forcing: OscillatorForcing, tau: FloatScalar, y: State) -> FloatScalar:
+    def relative_velocity(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatScalar:
         return y[1] - self.base_motion(forcing, tau)[0]
 
-    def relative_acceleration(
-        self, forcing: OscillatorForcing, tau: FloatScalar, y: State, rates: State
-    ) -> FloatScalar:
+    def relative_acceleration(self, forcing: Forcing, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
         return rates[1] - self.base_motion(forcing, tau)[1]
 
     def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
@@ -229,7 +195,7 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
         system, (x, p) = self.system, y
         return {"kinetic": 0.5 * system.mass * p * p, "elastic": 0.5 * system.stiffness * x * x}
 
-    def powers(self, forcing: OscillatorForcing, y: State, force: FloatScalar) -> Powers:
+    def powers(self, forcing: Forcing, y: State, force: FloatScalar) -> Powers:
         # The base moves with velocity v against the force -force that the mass exerts on it (Lima and Sampaio 2015, the
         # energy analysis of section 2): it supplies force v, of which force x' reaches the mass.
         (_, p), none, (_, _, c) = y, jnp.zeros_like(forcing.t), self._constants()
@@ -245,15 +211,21 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
     def _constants(self):
         return self.system.mass, self.system.stiffness, self.system.damping
 
-    def base_motion(self, forcing: OscillatorForcing, tau: FloatScalar) -> Base:
+    def base_motion(self, forcing: Forcing, tau: FloatScalar) -> Base:
         """Velocity and acceleration of the base, `tau` (s) later."""
-        return base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, tau)
+        return forcing.base_at(self.smooth, tau)
 
-    def load_at(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatScalar:
-        load = forcing.load + tau * forcing.load_slope
+    def load_at(self, forcing: Forcing, tau: FloatScalar) -> FloatScalar:
+        load = later(self._load(forcing), tau)
         return load + self.system.force.value(forcing.t + tau) if isinstance(self.system.force, Signal) else load
 
-    def _beyond_and_limit(self, forcing: OscillatorForcing, tau: FloatScalar, y: State) -> FloatPair:
+    def _load(self, forcing: Forcing) -> FloatPair:
+        """The piecewise-linear part of the load, and its slope: recorded forces and the acceleration of the ground."""
+        mass, (ground, ground_slope) = self.system.mass, forcing.ground
+        ((force, slope),) = forcing.force or ((0.0, 0.0),)
+        return force - mass * ground, slope - mass * ground_slope
+
+    def _beyond_and_limit(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatPair:
         """The friction force that a stick needs, ``m v' + c v + k x - F`` (Lima and Sampaio 2017, eq. 3), from the
         middle of the `stick_band` on, and the largest one in that direction, N.
         """
@@ -274,13 +246,19 @@ class OscillatorModel(EnergyModel[OscillatorForcing]):
         """Whether there is a harmonic force; under other signals slips have no closed form."""
         return isinstance(self.system.force, Signal)
 
-    def _steady(self, forcing: OscillatorForcing, tau: FloatScalar) -> FloatPair:
+    def _steady(self, forcing: Forcing, tau: FloatScalar) -> FloatPair:
         """Position and velocity of the steady response to a harmonic force, without its mean."""
         m, k, c = self._constants()
         if not self._is_harmonic:
             return jnp.zeros_like(tau), jnp.zeros_like(tau)
-        force = cast(Harmonic | SumOfHarmonics, self.system.force)
-        position, velocity = steady_response(force.tones, m, k, 0 if c is None else c, forcing.t + tau)
+
+        def answer(amplitude: FloatArray, w: FloatArray, phase: FloatArray) -> FloatPair:
+            elastic, viscous = k - m * w * w, _times(c, w)
+            gain = amplitude / (elastic * elastic + viscous * viscous)
+            sine, cosine = sincos(angle(w, forcing.t + tau, phase))
+            return gain * (elastic * cosine + viscous * sine), gain * w * (viscous * cosine - elastic * sine)
+
+        position, velocity = added_up(answer, cast(Harmonic | SumOfHarmonics, self.system.force).tones)
         return position, velocity
 
 
@@ -292,9 +270,7 @@ class SolverOscillatorModel(OscillatorModel):
     steps_may_be_long: ClassVar[bool] = False
     has_kinks: ClassVar[bool] = True
 
-    def slip(
-        self, forcing: OscillatorForcing, y: State, h: FloatScalar, sign: FloatScalar
-    ) -> tuple[State, FloatScalar | None]:
+    def slip(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatScalar) -> tuple[State, FloatScalar | None]:
         rates = Partial(type(self).rates, self, forcing, sign=sign)
         y1, error = runge_kutta_step(rates, y, h, solver=self.solver)
         if not self.controlled:
@@ -468,7 +444,7 @@ class MassSpring(System):
         if structure is not None:
             return structure.inner_model(smooth)
         model, laws = SolverOscillatorModel(self, smooth, diffrax.Dopri8(), False), self.memory.laws
-        return InnerStates(model, laws, 2, speed=1) if laws else None
+        return InnerStates(model, 2, laws, speed=1) if laws else None
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         structure = self._as_structure

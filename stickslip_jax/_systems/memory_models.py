@@ -11,10 +11,53 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .._foundation.types import BoolArray, BoolScalar, DType, FloatArray, FloatScalar, Number, Scalar, State
-from .contacts import ContactsModel
 from .dynamic_friction import DieterichRuina, DynamicFriction
 from .friction import FrictionLaw
-from .switched_model import Decision, F, Guard, OneContactModel, Question, SwitchedModel
+from .switched_model import Decision, F, Guard, OneContactModel, Question, Segments, SwitchedModel
+
+# What a contact remembers, as further numbers of the state.
+
+
+class _Remembering(eqx.Module):
+    """The model `inner` with `size` numbers in its state, followed by what its contacts remember: with several one
+    array (contacts,), with one contact a scalar.
+    """
+
+    inner: Any  # a OneContactModel or a ContactsModel
+    size: int = eqx.field(static=True)
+
+    @property
+    def contacts(self) -> int | None:
+        """As of every model."""
+        return self.inner.contacts
+
+    @property
+    def varying(self) -> tuple[int, ...]:
+        """As of every model."""
+        return self.inner.varying
+
+    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+        """The state with these numbers, one for each coordinate of the system."""
+        remembered = jnp.stack([jnp.asarray(value, dtype) for value in y0[self.size :]])
+        return *self.inner.start(y0[: self.size], dtype), remembered if self.contacts else remembered[0]
+
+    def numbers(self, y: State) -> State:
+        """The numbers of the state `y`, one for each coordinate of the system."""
+        remembered = (y[-1],) if self.contacts is None else tuple(y[-1][i] for i in range(self.contacts))
+        return *self.inner.numbers(y[:-1]), *remembered
+
+    def forcing(self, t: FloatScalar, segments: Segments) -> Any:
+        """The excitation from time t (s) on, until a segment ends."""
+        return self.inner.forcing(t, segments)
+
+    def stick_position(self, y: State) -> FloatArray:
+        """What is recorded as the position of a stick."""
+        return self.inner.stick_position(y[:-1])
+
+    def relative_velocity(self, forcing: Any, tau: FloatScalar, y: State) -> FloatArray:
+        """The relative velocity of each contact, m/s."""
+        return self.inner.relative_velocity(forcing, tau, y[:-1])
+
 
 # Systems whose contacts remember how long they have stuck: the ages of sticks as further numbers of the state.
 #
@@ -35,11 +78,9 @@ def with_ages(model: SwitchedModel, size: int, grows: bool, growth_time: Scalar 
     return kind(model, size, growth_time)
 
 
-class _WithAges(SwitchedModel[F]):
-    """The model `inner` with `size` numbers in its state, whose sticks grow stronger over the `growth_time` (s)."""
+class _WithAges(_Remembering, SwitchedModel[F]):
+    """The model `inner`, whose sticks grow stronger over the `growth_time` (s), with their ages."""
 
-    inner: Any  # a SwitchedModel
-    size: int = eqx.field(static=True)
     growth_time: Scalar | None
 
     @property
@@ -47,30 +88,11 @@ class _WithAges(SwitchedModel[F]):
         return self.inner.steps_may_be_long
 
     @property
-    def contacts(self) -> int | None:
-        return self.inner.contacts
-
-    @property
     def coupled(self) -> bool:
         return self.inner.coupled
 
-    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
-        inner = self.inner.start(y0[: self.size], dtype)
-        ages = jnp.stack([jnp.asarray(age, dtype) for age in y0[self.size :]])
-        return *inner, ages if self.contacts else ages[0]
-
-    def numbers(self, y: State) -> State:
-        ages = (y[-1],) if self.contacts is None else tuple(y[-1][i] for i in range(self.contacts))
-        return *self.inner.numbers(y[:-1]), *ages
-
     def stuck(self, sign: FloatArray) -> BoolArray:
         return self.inner.stuck(sign)
-
-    def stick_position(self, y: State) -> FloatArray:
-        return self.inner.stick_position(y[:-1])
-
-    def forcing(self, t: FloatScalar, segments: Any) -> F:
-        return self.inner.forcing(t, segments)
 
     def flow_and_error(
         self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
@@ -80,9 +102,6 @@ class _WithAges(SwitchedModel[F]):
 
     def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
         return *self.inner.rates(forcing, tau, y[:-1], sign), self._stuck(sign).astype(y[0].dtype)
-
-    def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
-        return self.inner.relative_velocity(forcing, tau, y[:-1])
 
     def at_rest(self, forcing: F, y: State, times: float = 1.0) -> BoolArray:
         return self.inner.at_rest(forcing, y[:-1], times)
@@ -181,53 +200,17 @@ def inner_laws_of(laws: tuple[FrictionLaw, ...]) -> tuple[DynamicFriction, ...]:
     return inner
 
 
-class InnerStates(eqx.Module):
-    """The model `inner` with `size` numbers in its state, followed by the inner states of the `laws` of its contacts.
+class InnerStates(_Remembering):
+    """The model `inner` with the inner states of the `laws` of its contacts.
 
-    With several contacts they are one array (contacts,), with one contact a scalar. `speed`: which number of the state
-    is the velocity of the one contact, but for that of its base, if one is.
+    `speed`: which number of the state is the velocity of the one contact, but for that of its base, if one is.
     """
 
-    inner: OneContactModel | ContactsModel
     laws: tuple[DynamicFriction, ...]
-    size: int = eqx.field(static=True)
     speed: int | None = eqx.field(static=True, default=None)
-
-    @property
-    def contacts(self) -> int | None:
-        """As of every model."""
-        return self.inner.contacts
-
-    @property
-    def varying(self) -> tuple[int, ...]:
-        """The contacts of a list whose normal forces vary."""
-        return self.inner.varying if isinstance(self.inner, ContactsModel) else ()
-
-    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
-        """The state with these numbers, one for each coordinate of the system."""
-        states = jnp.stack([jnp.asarray(value, dtype) for value in y0[self.size :]])
-        return *self.inner.start(y0[: self.size], dtype), states if self.contacts else states[0]
-
-    def numbers(self, y: State) -> State:
-        """The numbers of the state `y`, one for each coordinate of the system."""
-        states = (y[-1],) if self.contacts is None else tuple(y[-1][i] for i in range(len(self.laws)))
-        return *self.inner.numbers(y[:-1]), *states
-
-    def forcing(self, t: FloatScalar, segments: Any) -> Any:
-        """The excitation from time t (s) on, until a segment ends."""
-        return self.inner.forcing(t, segments)
-
-    def stick_position(self, y: State) -> FloatArray:
-        """What is recorded as the position of a stick."""
-        return self.inner.stick_position(y[:-1])
-
-    def relative_velocity(self, forcing: Any, tau: FloatScalar, y: State) -> FloatArray:
-        """The relative velocity of each contact, m/s."""
-        return self.inner.relative_velocity(forcing, tau, y[:-1])
 
     def slip_of_law(self, y: State) -> FloatArray:
         """The slip of the law over that of the one contact; not zero."""
-        assert isinstance(self.inner, OneContactModel)
         share = jnp.abs(jnp.asarray(self.inner.to_inner_law(y[:-1])[0], y[0].dtype))
         return jnp.maximum(share, jnp.finfo(share.dtype).eps)
 
@@ -248,7 +231,6 @@ class InnerStates(eqx.Module):
 
     def rates_with_logarithm(self, forcing: Any, y: State) -> State:
         """The time derivative of a state `with_logarithm`."""
-        assert isinstance(self.inner, OneContactModel)
         logarithm, tau = y[self.speed or 0], jnp.zeros_like(y[0])
         coefficient, now = self._law.direct * logarithm, self.without_logarithm(forcing, y)
         rates = self.inner.rates_under(forcing, tau, now[:-1], coefficient)
@@ -267,7 +249,6 @@ class InnerStates(eqx.Module):
 
     def varying_normal_forces(self, forcing: Any, tau: FloatScalar, y: State) -> FloatArray:
         """The normal forces that vary, N."""
-        assert isinstance(self.inner, ContactsModel)
         return self.inner.varying_normal_forces(forcing, tau, y[:-1])
 
     def coefficients(self, forcing: Any, tau: FloatScalar, y: State) -> Array:

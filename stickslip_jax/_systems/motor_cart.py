@@ -147,22 +147,16 @@ class CartModel(EnergyModel[FloatScalar]):
 
     def _slip_torque(self, sine: FloatScalar, speed: FloatScalar, sign: FloatScalar) -> FloatScalar:
         """The friction torque against the motor in a slip of this sign, N m."""
-        torque = self.system.friction_torque_of_one
-        if self.system.friction is not None:
-            # The cart moves forward where r is negative.
-            sliding = sign * self.system.eccentricity * sine * speed
-            torque = self.friction.continued_coefficient(sliding, -sign) * torque
-        return sign * torque * sine
+        # The cart moves forward where r is negative.
+        coefficient = self.friction.continued_coefficient(sign * self.system.eccentricity * sine * speed, -sign)
+        return sign * (coefficient * self.system.friction_torque_of_one) * sine
 
-    def _band(self, sine: FloatScalar) -> tuple[Scalar, FloatScalar]:
+    def _band(self, sine: FloatScalar) -> FloatPair:
         """Centre and half width of the torques of the current that friction can hold, N m.
 
         What a stick needs against the centre tells which way it breaks, even where one direction has no friction.
         """
-        if self.system.friction is None:
-            return 0.0, self.system.largest_friction_torque * jnp.abs(sine)
-        law, ways = OnPin(self.friction, sine), (jnp.full_like(sine, way) for way in (-1.0, 1.0))
-        backward, forward = (law.stick_limit(way) * self.system.friction_torque_of_one * jnp.abs(sine) for way in ways)
+        backward, forward = (torque * jnp.abs(sine) for torque in self.system.held_torques(sine))
         return (forward - backward) / 2, (forward + backward) / 2
 
     def _gross_changes(self, forcing: FloatScalar, y: State, h: FloatScalar) -> State:
@@ -425,20 +419,21 @@ class MotorCart(System):
             return self.largest_friction_torque
         return self.cart_mass * self.gravity * self.eccentricity
 
-    def held_torques(self, sine: FloatScalar, age: FloatScalar) -> tuple[FloatArray, FloatArray]:
-        """The largest torques, N m at ``|sin alpha| = 1``, that a `friction` law can hold in a stick of this age (s).
+    def held_torques(self, sine: FloatScalar, age: FloatScalar | None = None) -> tuple[Scalar, Scalar]:
+        """The largest torques, N m at ``|sin alpha| = 1``, that friction can hold in a stick.
 
         Args:
             sine: Of the angle, a scalar.
-            age: Of the stick, s, a scalar.
+            age: Of the stick, s, a scalar; None for one that has just begun.
 
         Returns:
             That against turning backward, and that against turning forward.
         """
-        assert self.friction is not None
-        law = OnPin(AtAge(self.friction, age), sine)
+        if self.friction is None:
+            return self.largest_friction_torque, self.largest_friction_torque
+        law = OnPin(self.friction if age is None else AtAge(self.friction, age), sine)
         ways = (jnp.full_like(sine, way) for way in (-1.0, 1.0))
-        backward, forward = (jnp.asarray(law.stick_limit(way) * self.friction_torque_of_one) for way in ways)
+        backward, forward = (law.stick_limit(way) * self.friction_torque_of_one for way in ways)
         return backward, forward
 
     @property
@@ -500,7 +495,7 @@ class MotorCart(System):
             return None
         assert isinstance(smooth, SourceVoltage)
         _require_sine(smooth)
-        return InnerStates(CartModel(self, smooth), laws, 3)
+        return InnerStates(CartModel(self, smooth), 3, laws)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         voltage = voltage_of(excitation)
@@ -561,9 +556,6 @@ class MotorCart(System):
     ) -> tuple[Array, Array]:
         """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A, of a stick of the age in the state."""
         sine = jnp.sin(state[0])
-        if self.friction is None:
-            most = self.largest_friction_torque / self.motor_constant * jnp.abs(sine)
-            return -most, most
         ages = state[3] if self.memory.ages else jnp.zeros_like(sine)
         held = jax.vmap(self.held_torques)(sine, ages)
         backward, forward = (torque / self.motor_constant * jnp.abs(sine) for torque in held)
@@ -619,7 +611,10 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
         )
     checks.numeric("angle", angle, ndim=None)
     sine = jnp.sin(jnp.asarray(angle, float))
-    held = [torque * jnp.abs(sine) / system.motor_constant for torque in _torques_in_the_end(system, sine)]
+    # Of sticks that have lasted for ever, which may have grown without a limit.
+    torques = jax.vmap(lambda one: system.held_torques(one, jnp.asarray(_FOR_EVER, one.dtype)))(sine.reshape(-1))
+    torques = [jnp.nan_to_num(torque, nan=_ENDLESS, posinf=_ENDLESS).reshape(sine.shape) for torque in torques]
+    held = [torque * jnp.abs(sine) / system.motor_constant for torque in torques]
     reactance = system.inductance * voltage.angular_frequency
     amplitude = jnp.abs(voltage.amplitude) / jnp.sqrt(system.resistance**2 + reactance**2)
     mean = voltage.mean / system.resistance
@@ -631,15 +626,6 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
     bound = (high - low) * jnp.where(over_lowest | over_highest, 2, 1) / voltage.angular_frequency
     bound = jnp.where(amplitude > 0, bound, 0)
     return jnp.where(jnp.maximum(*held) > 0, jnp.where(over_lowest & over_highest, jnp.inf, bound), 0.0)
-
-
-def _torques_in_the_end(system: MotorCart, sine: FloatArray) -> tuple[FloatArray | Scalar, FloatArray | Scalar]:
-    """The `held_torques` of sticks that have lasted for ever; `_ENDLESS` where they grow without a limit."""
-    if system.friction is None:
-        return system.largest_friction_torque, system.largest_friction_torque
-    held = jax.vmap(lambda one: system.held_torques(one, jnp.asarray(_FOR_EVER, one.dtype)))(sine.reshape(-1))
-    backward, forward = (jnp.nan_to_num(torque, nan=_ENDLESS, posinf=_ENDLESS).reshape(sine.shape) for torque in held)
-    return backward, forward
 
 
 def _asin_within(sine: FloatArray) -> FloatArray:

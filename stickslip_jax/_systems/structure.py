@@ -12,7 +12,6 @@ import numpy as np
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Harmonic, RandomPhase, RandomSignal, Signal, SumOfHarmonics
 from .._excitation.recorded import Recorded
-from .._excitation.segments import Segment, added
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import with_fields
@@ -63,7 +62,7 @@ from .contacts import (
 from .friction import AtAge, FrictionLaw, least
 from .layouts import blocks, disks, storeys
 from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
-from .switched_model import Segments, base_motion
+from .switched_model import Forcing, later
 from .system import (
     PERIOD,
     SOFT,
@@ -126,7 +125,7 @@ def check_forces(name: str, forces: Any, size: int) -> None:
 
 def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:
     """Whether no two contacts have an effect on each other; False where it is not known."""
-    if not _is_known(mass, contacts):
+    if any(checks.is_traced(value) for value in (mass, *(contact.direction for contact in contacts))):
         return False
     gain = _gain(mass, contacts)
     return bool(np.all(gain == np.diag(np.diag(gain))))
@@ -135,10 +134,6 @@ def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:
 def is_singular(eigenvalues: np.ndarray) -> bool:
     """Whether the smallest of these, in order, is not positive, but for round-off."""
     return bool(eigenvalues[0] <= _LEAST * eigenvalues[-1])
-
-
-def _is_known(mass: Any, contacts: tuple[Contact, ...]) -> bool:
-    return not any(checks.is_traced(value) for value in (mass, *(contact.direction for contact in contacts)))
 
 
 def _gain(mass: Any, contacts: tuple[Contact, ...]) -> np.ndarray:
@@ -238,29 +233,16 @@ class Matrices(NamedTuple):
         return self._replace(damping=None if self.damping is None else by_bands(self.damping), **products)
 
 
-class StructureForcing(NamedTuple):
-    """The piecewise-linear parts of base velocity (m/s) and ground acceleration (m/s^2) from time `t` on, and of normal
-    forces and loads: N, one for each that is a record or steps.
-    """
-
-    t: FloatScalar
-    base: FloatScalar
-    base_slope: FloatScalar
-    ground: FloatScalar
-    ground_slope: FloatScalar
-    normal: FloatArray
-    normal_slope: FloatArray
-    load: FloatArray
-    load_slope: FloatArray
-
-
-class StructureModel(ContactsModel[StructureForcing]):
+class StructureModel(ContactsModel):
     """A `LinearStructure` on a base. State: positions (d,) and velocities (d,)."""
 
     smooth: Signal | None
     structure: Any  # a LinearStructure, which makes this model
     matrices: Matrices
-    fastest: FloatScalar
+
+    @property
+    def fastest(self) -> FloatScalar:
+        return self.matrices.fastest
 
     @property
     def contacts(self) -> int:
@@ -276,7 +258,7 @@ class StructureModel(ContactsModel[StructureForcing]):
         return all(one.shortest_period is not None for one in given if isinstance(one, Signal))
 
     def implicit_changes(
-        self, forcing: StructureForcing, tau: FloatScalar, y: State, weight: FloatScalar, sides: State
+        self, forcing: Forcing, tau: FloatScalar, y: State, weight: FloatScalar, sides: State
     ) -> State:
         of, (of_position, of_velocity) = self._in_precision_of(y), sides
         matrix = jnp.eye(self.structure.size, dtype=weight.dtype) + weight**2 * dense(of.stiffness)
@@ -301,16 +283,8 @@ class StructureModel(ContactsModel[StructureForcing]):
     def stick_position(self, y: State) -> FloatArray:
         return jnp.append(times(self._in_precision_of(y).directions, y[0]), y[0][0])
 
-    def time(self, forcing: StructureForcing) -> FloatScalar:
-        return forcing.t
-
-    def forcing(self, t: FloatScalar, segments: Segments) -> StructureForcing:
-        recorded = (*_each(t, segments.normal), *_each(t, segments.force))
-        return StructureForcing(t, *added(t, segments.base), *added(t, segments.ground), *recorded)
-
-    def instant(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> Instant:
-        base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, tau)
-        of = self._in_precision_of(y)
+    def instant(self, forcing: Forcing, tau: FloatScalar, y: State) -> Instant:
+        base, of = forcing.base_at(self.smooth, tau), self._in_precision_of(y)
         pull = self._load(forcing, tau) - times(of.stiffness, y[0])
         if of.damping is not None:
             pull = pull - times(of.damping, y[1])
@@ -318,11 +292,11 @@ class StructureModel(ContactsModel[StructureForcing]):
         drift = times(of.directions, pull) - of.on_base * base.acceleration
         return Instant((y[1], pull), velocity, drift, of.gain)
 
-    def effect(self, forcing: StructureForcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
+    def effect(self, forcing: Forcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
         return jnp.zeros_like(y[0]), -times(self._in_precision_of(y).by_force, force)
 
-    def limits(self, forcing: StructureForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
-        return self.limits_under(self._normal_forces(forcing, tau), velocity)
+    def limits(self, forcing: Forcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
+        return self.limits_under(self.normal_forces_at(forcing, tau, y), velocity)
 
     def limits_under(self, normal: FloatArray, velocity: FloatArray) -> Limits:
         """The forces that friction can exert at these relative velocities, under these normal forces."""
@@ -333,25 +307,17 @@ class StructureModel(ContactsModel[StructureForcing]):
     def varying(self) -> tuple[int, ...]:
         return tuple(number for number, one in enumerate(self.structure.normal_forces) if is_function(one))
 
-    def varying_normal_forces(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> FloatArray:
-        return self._normal_forces(forcing, tau)[np.array(self.varying)]
-
-    def normal_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
+    def normal_scale(self, forcing: Forcing, y: State) -> FloatArray:
         return jnp.stack([size_of(self.structure.normal_forces[number], forcing.t) for number in self.varying])
 
-    def normal_forces_at(self, forcing: StructureForcing, tau: FloatScalar, y: State) -> FloatArray:
-        return self._normal_forces(forcing, tau)
+    def normal_forces_at(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
+        return values_at(self.structure.normal_forces, forcing.t, forcing.normal, tau)
 
-    def _normal_forces(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
-        recorded = forcing.normal + tau * forcing.normal_slope
-        return values_at(self.structure.normal_forces, forcing.t + tau, recorded)
-
-    def velocity_scale(self, forcing: StructureForcing, y: State) -> FloatArray:
-        base = base_motion(self.smooth, forcing.t, forcing.base, forcing.base_slope, jnp.zeros_like(forcing.t))
-        of = self._in_precision_of(y)
+    def velocity_scale(self, forcing: Forcing, y: State) -> FloatArray:
+        base, of = forcing.base_at(self.smooth, jnp.zeros_like(forcing.t)), self._in_precision_of(y)
         return times(magnitudes(of.directions), jnp.abs(y[1])) + jnp.abs(of.on_base * base.velocity)
 
-    def gross_changes(self, forcing: StructureForcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
+    def gross_changes(self, forcing: Forcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
         x, v = jnp.abs(y[0]), jnp.abs(y[1])
         of = self._in_precision_of(y)
         load = jnp.abs(self._load(forcing, jnp.zeros_like(h))) + times(magnitudes(of.by_force), friction)
@@ -360,15 +326,13 @@ class StructureModel(ContactsModel[StructureForcing]):
             load = load + times(magnitudes(of.damping), v)
         return h * (v + h * load), h * load
 
-    def _load(self, forcing: StructureForcing, tau: FloatScalar) -> FloatArray:
+    def _load(self, forcing: Forcing, tau: FloatScalar) -> FloatArray:
         """What ground and external forces do to each mass, m/s^2."""
-        ground = forcing.ground + tau * forcing.ground_slope
-        load = jnp.full((self.structure.size,), -ground)
+        load = jnp.full((self.structure.size,), -later(forcing.ground, tau))
         if self.structure.force is None:
             return load
-        t = forcing.t + tau
-        applied = values_at(self.structure.force, t, forcing.load + tau * forcing.load_slope)
-        return load + times(in_dtype(self.matrices.inverse_mass, t.dtype), applied)
+        applied = values_at(self.structure.force, forcing.t, forcing.force, tau)
+        return load + times(in_dtype(self.matrices.inverse_mass, forcing.t.dtype), applied)
 
     def _in_precision_of(self, y: State) -> Matrices:
         return in_dtype(self.matrices, y[0].dtype)
@@ -376,16 +340,6 @@ class StructureModel(ContactsModel[StructureForcing]):
 
 def in_dtype(tree: _Tree, dtype: DType) -> _Tree:
     return jax.tree.map(lambda values: values.astype(dtype), tree)
-
-
-def _each(t: FloatScalar, segments: tuple[Segment, ...]) -> tuple[FloatArray, FloatArray]:
-    """The values and slopes of segments at the time `t`, (segments,) each; there may be none."""
-    values, slopes = [t[None][:0]], [t[None][:0]]
-    for segment in segments:
-        value, slope = added(t, (segment,))
-        values.append(value[None])
-        slopes.append(slope[None])
-    return jnp.concatenate(values), jnp.concatenate(slopes)
 
 
 def _coefficients(laws: tuple[FrictionLaw, ...], velocity: FloatArray) -> FloatArray:
@@ -420,9 +374,7 @@ class ArcsModel(StructureModel):
 
     has_kinks: ClassVar[bool] = False
 
-    def flow_and_error(
-        self, forcing: StructureForcing, y: State, h: FloatScalar, sign: FloatArray
-    ) -> tuple[State, None]:
+    def flow_and_error(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray) -> tuple[State, None]:
         of, sticks = self._in_precision_of(y), self._own(sign) == 0
         terms = _TERMS[h.dtype.itemsize][of.damping is not None]
         held = _Held(of, holding(of.gain, sticks))
@@ -446,15 +398,15 @@ class ArcsModel(StructureModel):
         return self._held(forcing, h, reached, sticks), None
 
     def _sources(
-        self, held: "_Held", forcing: StructureForcing, y: State, sign: FloatArray, terms: int
+        self, held: "_Held", forcing: Forcing, y: State, sign: FloatArray, terms: int
     ) -> list[FloatArray | None]:
         """The coefficients in the power series of accelerations (masses,) that do not depend on the state."""
         t, of, none = forcing.t, held.of, jnp.zeros_like(forcing.t)
         # Constant friction coefficients: at any relative velocity.
         share = self._closed(self.limits_under(jnp.ones_like(of.on_base), jnp.zeros_like(of.on_base)), sign)
         slip = share.slip(self._own(sign))
-        normal = power_series_of(self.structure.normal_forces, t, forcing.normal, forcing.normal_slope, terms)
-        load = power_series_of(self.structure.force or (), t, forcing.load, forcing.load_slope, terms)
+        normal = power_series_of(self.structure.normal_forces, t, forcing.normal, terms)
+        load = power_series_of(self.structure.force or (), t, forcing.force, terms)
         base: tuple[FloatArray | None, ...] = (None,) * (terms + 1)
         if self.smooth is not None:
             base = cast(Harmonic | SumOfHarmonics, self.smooth).power_series(t, terms + 1)
@@ -462,31 +414,31 @@ class ArcsModel(StructureModel):
         for k, (of_normal, of_load, of_base) in enumerate(zip(normal, load, base[1:], strict=True)):
             parts = [] if of_normal is None else [-times(of.by_force, slip * of_normal)]
             if k < 2:
-                parts.append(jnp.full_like(y[0], -(forcing.ground_slope if k else forcing.ground)))
+                parts.append(jnp.full_like(y[0], -forcing.ground[k]))
             if of_load is not None:
                 parts.append(times(of.inverse_mass, of_load))
             found = [held(reduce(add, parts))] if parts else []
             # The sticks follow the base.
             following = none if of_base is None else (k + 1) * of_base
             if k == 0 or of_base is not None:
-                found.append(held.by(of.on_base * (following + (forcing.base_slope if k == 0 else none))))
+                found.append(held.by(of.on_base * (following + (forcing.base[1] if k == 0 else none))))
             sources.append(reduce(add, found) if found else None)
         return sources
 
-    def in_mode(self, forcing: StructureForcing, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
+    def in_mode(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
         of, own, sticks = self._in_precision_of(y), self._own(sign), self._own(sign) == 0
         now = self.instant(forcing, tau, y)
-        t, normal = forcing.t + tau, self._normal_forces(forcing, tau)
-        normal_rate = rates_at(self.structure.normal_forces, t, forcing.normal_slope)
+        t, normal = forcing.t + tau, self.normal_forces_at(forcing, tau, y)
+        normal_rate = rates_at(self.structure.normal_forces, t, forcing.normal)
         limits, changing = (
             self._closed(self.limits_under(forces, now.velocity), sign) for forces in (normal, normal_rate)
         )
         force = solved(now.gain, now.drift, limits.slip(own), sticks)
         moving = now.rates[1] - times(of.by_force, force)
         # The rate of what ground and external forces do to each mass, m/s^3.
-        load = jnp.full((self.structure.size,), -forcing.ground_slope)
+        load = jnp.full((self.structure.size,), -forcing.ground[1])
         if self.structure.force is not None:
-            load = load + times(of.inverse_mass, rates_at(self.structure.force, t, forcing.load_slope))
+            load = load + times(of.inverse_mass, rates_at(self.structure.force, t, forcing.force))
         pull = load - times(of.stiffness, y[1])
         if of.damping is not None:
             pull = pull - times(of.damping, moving)
@@ -612,9 +564,7 @@ class LinearStructure(WithContacts):
 
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel | AgeingContacts":
         kind = ArcsModel if solver is None and self._has_arcs(smooth) else StructureModel
-        solver = diffrax.Dopri8() if solver is None else solver
-        matrices = self.matrices
-        model = kind(solver=solver, smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest)
+        model = kind(diffrax.Dopri8() if solver is None else solver, smooth, self, self.matrices)
         times = [contact.friction.growth_time for contact in self.contacts if contact.friction.grows]
         return with_ages(model, 2 * self.size, bool(times), least(*times))
 
@@ -622,11 +572,7 @@ class LinearStructure(WithContacts):
         laws = self.memory.laws
         if not laws:
             return None
-        matrices = self.matrices
-        model = StructureModel(
-            solver=diffrax.Dopri8(), smooth=smooth, structure=self, matrices=matrices, fastest=matrices.fastest
-        )
-        return InnerStates(model, laws, 2 * self.size)
+        return InnerStates(StructureModel(diffrax.Dopri8(), smooth, self, self.matrices), 2 * self.size, laws)
 
     def _has_arcs(self, smooth: Signal | RandomSignal | None) -> bool:
         """Whether every mode is linear with constant coefficients, under forces of which power series are known."""

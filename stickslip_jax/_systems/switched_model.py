@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._excitation.motion import Signal
-from .._excitation.segments import Segment
+from .._excitation.segments import Segment, added
 from .._foundation import checks
 from .._foundation.fields import keeps
 from .._foundation.types import BoolArray, BoolScalar, DType, FloatArray, FloatScalar, Number, Scalar, State
@@ -49,14 +49,36 @@ class Base(NamedTuple):
     acceleration: FloatScalar
 
 
-def base_motion(
-    smooth: Signal | None, t: FloatScalar, velocity: FloatScalar, slope: FloatScalar, tau: FloatScalar
-) -> Base:
-    """The base `tau` (s) later than `t`, of velocity ``velocity + slope tau + smooth(t + tau)``."""
-    velocity = velocity + tau * slope
-    if smooth is None:
-        return Base(velocity, slope)
-    return Base(velocity + smooth.value(t + tau), slope + smooth.rate(t + tau))
+class Forcing(NamedTuple):
+    """What is piecewise linear in time, from the time `t` (s) on: values there and slopes.
+
+    - `base`: velocity, m/s. `ground`: acceleration, m/s^2. `force`, `normal`: of each record or steps, N.
+    """
+
+    t: FloatScalar
+    base: FloatPair
+    ground: FloatPair
+    force: tuple[FloatPair, ...]
+    normal: tuple[FloatPair, ...]
+
+    @classmethod
+    def of(cls, t: FloatScalar, segments: Segments) -> "Forcing":
+        """The forcing from `t` on, until one of the present segments ends."""
+        force, normal = (tuple(added(t, (one,)) for one in part) for part in (segments.force, segments.normal))
+        return cls(t, added(t, segments.base), added(t, segments.ground), force, normal)
+
+    def base_at(self, smooth: Signal | None, tau: FloatScalar) -> Base:
+        """The base `tau` (s) later, of velocity ``smooth`` plus the linear part."""
+        velocity, slope = later(self.base, tau), self.base[1]
+        if smooth is None:
+            return Base(velocity, slope)
+        return Base(velocity + smooth.value(self.t + tau), slope + smooth.rate(self.t + tau))
+
+
+def later(linear: FloatPair, tau: FloatScalar | float) -> FloatScalar:
+    """The value of what is linear in time, `tau` (s) later."""
+    value, slope = linear
+    return value + tau * slope
 
 
 def with_change(velocity: FloatArray, rate: FloatArray, fastest: Scalar, t: FloatScalar) -> FloatArray:
@@ -124,6 +146,16 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """The number of contacts, where modes are arrays (contacts,); None for one contact, whose mode is a scalar."""
         return None
 
+    @property
+    def varying(self) -> tuple[int, ...]:
+        """The contacts of a list whose normal forces vary."""
+        return ()
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        """Whether all time scales are known, whatever the state: a step that suits them is short enough everywhere."""
+        return False
+
     def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
         """The state with these numbers, one for each coordinate of the system."""
         return tuple(jnp.asarray(value, dtype) for value in y0)
@@ -144,9 +176,9 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """What is recorded as the position of a stick that begins in the state `y`, for each that can be `stuck`."""
         return y[0]
 
-    @abc.abstractmethod
-    def forcing(self, t: FloatScalar, segments: Segments) -> F:
-        """The excitation from time t (s) on, until a segment ends."""
+    def forcing(self, t: FloatScalar, segments: Segments) -> Any:
+        """The excitation from time t (s) on, until a segment ends: a `Forcing`, unless a model needs another."""
+        return Forcing.of(t, segments)
 
     def flow(self, forcing: F, y: State, h: FloatScalar, sign: FloatArray) -> State:
         """The state after the time `h` (s) in the mode of this `sign`, 0 in a stick."""
@@ -284,11 +316,6 @@ class OneContactModel(SwitchedModel[F]):
         none = jnp.zeros_like(on_base[0])
         guard, rate = self.guard(forcing, none, on_base, none)
         return Decision(self.can_stick(forcing, on_base), self.release_sign(forcing, on_base), guard, rate)
-
-    @property
-    def time_scales_are_known(self) -> bool:
-        """Whether all time scales are known, whatever the state: a step that suits them is short enough everywhere."""
-        return False
 
     @property
     @abc.abstractmethod

@@ -51,8 +51,6 @@ from .system import (
 )
 from .users_models import GeneralContactsModel, GeneralModel, UsersBase, depends_on_time, differs_between, records_in
 
-_SLOWEST = 1e-150  # rad/s, where a system with several contacts gives no time scale
-
 
 class SwitchedSystem(WithContacts):
     """A system of your own: ordinary differential equations with a dry-friction contact. Subclass it and write:
@@ -256,9 +254,9 @@ class SwitchedSystem(WithContacts):
 
     @property
     def static_exceeds_kinetic(self) -> bool:
-        if self.memory.ages:
-            return True
         ratio = self.static_ratio
+        if self.memory.ages or checks.is_traced(ratio):
+            return True
         # Not by jnp.max: under jit that would trace a number that is known.
         return bool(np.any(np.asarray(ratio) > 1)) if np.ndim(ratio) else float(ratio) > 1
 
@@ -272,17 +270,13 @@ class SwitchedSystem(WithContacts):
         self, smooth: Signal | None, solver: ExplicitSolver | None
     ) -> "GeneralModel | GeneralContactsModel":
         """The `switched_model` of sticks that never grow stronger."""
-        solver = diffrax.Dopri8() if solver is None else solver
-        if self.contacts is not None:
-            shortest = self.shortest_time
-            fastest = jnp.asarray(_SLOWEST if shortest is None else 2 * np.pi / shortest, float)
-            return GeneralContactsModel(solver=solver, system=self, smooth=smooth, fastest=fastest)
-        return GeneralModel(self, smooth, solver)
+        kind = GeneralModel if self.contacts is None else GeneralContactsModel
+        return kind(system=self, smooth=smooth, solver=diffrax.Dopri8() if solver is None else solver)
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
         if not self.inner_laws:
             return None
-        return InnerStates(self.model_without_ages(smooth, None), self.inner_laws, len(self.state_names))
+        return InnerStates(self.model_without_ages(smooth, None), len(self.state_names), self.inner_laws)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         with checks.traceable(f"The property shortest_time of {type(self).__name__}"):
@@ -340,31 +334,26 @@ AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below 
 
 def check_fields(system: Any) -> None:
     """Check the fields and properties of `system`. Raises ValueError for what does not fit."""
+    kind = type(system).__name__
     for path, leaf in jax.tree_util.tree_leaves_with_path(system):
         if not isinstance(leaf, (int, float, np.ndarray, np.generic, jax.Array)):
             field = jax.tree_util.keystr(path).lstrip(".")
-            raise ValueError(
-                f"Argument {field} of a {type(system).__name__} must be a number or an array, but {checks.show(leaf)} "
-                f"was given; declare a field of another kind as {field}: ... = equinox.field(static=True)."
-            )
+            hint = f"declare a field of another kind as {field}: ... = equinox.field(static=True)"
+            raise checks.refused(f"{field} of a {kind}", "be a number or an array", leaf, hint)
     for field in dataclasses.fields(system):
         if callable(getattr(System, field.name, None)) or field.name in _ASKED:
             raise ValueError(
-                f"Argument {field.name} of a {type(system).__name__} must have another name, because {field.name} is "
+                f"Argument {field.name} of a {kind} must have another name, because {field.name} is "
                 "what the package asks of every system; rename the field."
             )
     if system.has_normal_forces and system.contacts is None:
         raise ValueError(
-            f"Argument normal_forces of a {type(system).__name__} must come with the number of its contacts, but "
+            f"Argument normal_forces of a {kind} must come with the number of its contacts, but "
             "contacts is None, and nobody would ask for it: declare contacts = 1, or more."
         )
     names = system.state_names
     if not isinstance(names, tuple) or len(names) < 2 or not all(isinstance(name, str) for name in names):
-        raise ValueError(
-            f"Argument state_names of a {type(system).__name__} must be a tuple of two names or more, but "
-            f"{checks.show(names)} was given."
-        )
-    kind = type(system).__name__
+        raise checks.refused(f"state_names of a {kind}", "be a tuple of two names or more", names)
     with checks.traceable(f"The property static_ratio of {kind}"):
         ratio = system.static_ratio
     if system.contacts is None:
@@ -390,10 +379,8 @@ def _check_inner_laws(system: Any) -> None:
     """Check the `inner_laws` of a system, if it has some."""
     kind, laws, number = type(system).__name__, system.inner_laws, system.contacts or 1
     if not isinstance(laws, tuple) or not all(isinstance(law, DynamicFriction) for law in laws):
-        raise ValueError(
-            f"Argument inner_laws of a {kind} must be a tuple of friction laws with an inner state, such as LuGre, but "
-            f"{checks.show(laws)} was given; other laws are written in rates."
-        )
+        demand = "be a tuple of friction laws with an inner state, such as LuGre"
+        raise checks.refused(f"inner_laws of a {kind}", demand, laws, "other laws are written in rates")
     if laws and len(laws) != number:
         raise ValueError(
             f"Argument inner_laws of a {kind} must hold a law for each of its contacts, {number}, but {len(laws)} were "
@@ -440,7 +427,8 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
     """
     kind, zero = type(system).__name__, jnp.zeros(())
     y, base = tuple(jnp.asarray(value, float) for value in y0), UsersBase(zero, zero, zero)
-    is_new = _TRIED.is_new(system, y)
+    tried = _kind_of((system, y))
+    is_new = tried not in _TRIED
     if is_new:
         _check_methods(system, y, base)
     if any(checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y))):
@@ -458,37 +446,24 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
     if system.has_normal_forces:
         near.check(kind, np.asarray(near_forces), "normal_forces", _BY_DIRECTION)
     _check_affine(kind, np.asarray(rates, float), gradients, system.contacts)
-    _TRIED.add(system, y)
+    if tried is not None:
+        _TRIED[tried] = None
+        if len(_TRIED) > _MOST_TRIED:  # the oldest is forgotten
+            _TRIED.pop(next(iter(_TRIED)), None)  # another thread may have been first
 
 
-class _Tried:
-    """Systems whose methods were tried: their classes, and what can be told of their fields without the numbers."""
+_MOST_TRIED = 256
+_TRIED: dict[Any, None] = {}
+"""The kinds of systems whose methods were tried, with their states."""
 
-    def __init__(self, most: int):
-        self._kinds: dict[Any, None] = {}
-        self._most = most
 
-    def is_new(self, system: Any, y: tuple[Array, ...]) -> bool:
-        """Whether no system like it was tried."""
-        try:
-            return self._kind(system, y) not in self._kinds
-        except TypeError:  # a static field cannot be hashed
-            return True
-
-    def add(self, system: Any, y: tuple[Array, ...]) -> None:
-        """Remember it; the oldest is forgotten."""
-        with contextlib.suppress(TypeError):
-            self._kinds[self._kind(system, y)] = None
-            if len(self._kinds) > self._most:
-                self._kinds.pop(next(iter(self._kinds)), None)  # another thread may have been first
-
-    @staticmethod
-    def _kind(system: Any, y: tuple[Array, ...]) -> tuple[Any, ...]:
-        leaves, structure = jax.tree.flatten((system, y))
+def _kind_of(tree: Any) -> Any:
+    """What can be told of `tree` without its numbers, to be looked up; None where a static field cannot be hashed."""
+    leaves, structure = jax.tree.flatten(tree)
+    with contextlib.suppress(TypeError):
+        hash(structure)
         return structure, tuple((np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-
-
-_TRIED = _Tried(256)
+    return None
 
 
 def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
@@ -537,16 +512,14 @@ def _check_number(kind: str, name: str, values: Any, contacts: int | None) -> No
     listed = isinstance(values, (tuple, list))
     shapes = [np.shape(value) for value in values] if listed else [()] * np.size(values)
     if contacts is not None and (len(shapes) != contacts or any(shapes)):
-        raise ValueError(
-            f"Argument {name} of a {kind} must return {contacts} numbers, one for each of its contacts, but "
-            f"{checks.show(values)} was given."
-        )
+        demand = f"return {contacts} numbers, one for each of its contacts"
+        raise checks.refused(f"{name} of a {kind}", demand, values)
     if contacts is None and (listed or len(shapes) > 1):
         raise ValueError(
             f"Argument {name} of a {kind} must return one number, but {len(shapes)} were given; {_ONE_CONTACT}"
         )
     if contacts is None and not _is_scalar(values):
-        raise ValueError(f"Argument {name} of a {kind} must return a scalar, but {checks.show(values)} was given.")
+        raise checks.refused(f"{name} of a {kind}", "return a scalar", values)
 
 
 def check_traceable(system: Any, names: tuple[str, ...], *args: Any) -> None:

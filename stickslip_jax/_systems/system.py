@@ -542,10 +542,7 @@ def shortest_period(excitation: Excitation) -> Scalar | None:
 def checked_system(system: object) -> System:
     """`system` itself. Raises ValueError for what is no system."""
     if not isinstance(system, System):
-        raise ValueError(
-            "Argument system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but "
-            f"{checks.show(system)} was given."
-        )
+        raise checks.refused("system", "be a MassSpring, a MotorCart or a SwitchedSystem of your own", system)
     return system
 
 

@@ -19,14 +19,13 @@ from jax.tree_util import Partial
 
 from .._excitation.motion import Signal
 from .._excitation.recorded import ForceSteps, Recorded
-from .._excitation.segments import added
 from .._foundation.types import BoolArray, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Scalar, State
 from .._numerics.derivatives import without_derivatives
-from .._numerics.matrices import is_positive_definite, linear_solve
+from .._numerics.matrices import is_positive_definite, linear_solve, sum_of
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .contacts import ContactsModel, Instant, Limits, Uncoupled
 from .friction import Coulomb, FrictionLaw
-from .switched_model import FloatPair, OneContactModel, Segments, SwitchedModel, base_motion, with_change
+from .switched_model import FloatPair, Forcing, OneContactModel, SwitchedModel, later, with_change
 
 # What drives a user's `SwitchedSystem` from one instant on: its base, the ground, and the records in its fields.
 
@@ -44,36 +43,6 @@ class UsersBase(NamedTuple):
     velocity: FloatScalar
     acceleration: FloatScalar
     ground: FloatScalar
-
-
-class GeneralForcing(NamedTuple):
-    """The piecewise-linear parts of base velocity (m/s) and ground acceleration (m/s^2) from time `t` on, and the
-    values of the records in the fields of the system: each with its slope.
-    """
-
-    t: FloatScalar
-    base: FloatScalar
-    base_slope: FloatScalar
-    ground: FloatScalar
-    ground_slope: FloatScalar
-    records: tuple[tuple[FloatScalar, FloatScalar], ...]
-
-    @classmethod
-    def of(cls, t: FloatScalar, segments: Segments) -> "GeneralForcing":
-        """The forcing from `t` on, until one of the present segments ends."""
-        records = tuple(added(t, (segment,)) for segment in segments.force)
-        return cls(t, *added(t, segments.base), *added(t, segments.ground), records)
-
-    def base_at(self, smooth: Signal | None, tau: FloatScalar) -> UsersBase:
-        """The base `tau` (s) later, of velocity ``smooth`` plus the linear part."""
-        base = base_motion(smooth, self.t, self.base, self.base_slope, tau)
-        return UsersBase(base.velocity, base.acceleration, self.ground + tau * self.ground_slope)
-
-    def seen_at(self, system: S, t: FloatScalar) -> S:
-        """The `system` whose records have their value at `t` on their present segments, without a search in them."""
-        if not self.records:
-            return system
-        return with_records_at(system, t, [value + (t - self.t) * slope for value, slope in self.records])
 
 
 def with_records_at(system: S, t: FloatScalar, values: Iterable[FloatScalar]) -> S:
@@ -166,7 +135,7 @@ def _depends_on_time(structure: Any, leaves: tuple[jax.ShapeDtypeStruct, ...]) -
 # A user's system under its excitation.
 
 
-class _OfUser(SwitchedModel[GeneralForcing]):
+class _OfUser(SwitchedModel[Forcing]):
     """A `SwitchedSystem` on a base of velocity ``smooth(t)`` plus piecewise-linear parts."""
 
     system: Any  # a SwitchedSystem, which makes this model
@@ -181,17 +150,71 @@ class _OfUser(SwitchedModel[GeneralForcing]):
     def _static_ratio(self) -> Scalar | FloatArray:
         return self.system.static_ratio if self.age is None else self.system.static_ratio_after(self.age)
 
-    def forcing(self, t: FloatScalar, segments: Segments) -> GeneralForcing:
-        return GeneralForcing.of(t, segments)
-
-    def base_at(self, forcing: GeneralForcing, tau: FloatScalar) -> tuple[FloatScalar, UsersBase, UsersBase]:
+    def base_at(self, forcing: Forcing, tau: FloatScalar) -> tuple[FloatScalar, UsersBase, UsersBase]:
         """The time, the base and its time derivative, `tau` later."""
-        t, base = forcing.t + tau, forcing.base_at(self.smooth, tau)
+        t, base = forcing.t + tau, UsersBase(*forcing.base_at(self.smooth, tau), later(forcing.ground, tau))
         jerk = jnp.zeros_like(t) if self.smooth is None else jnp.asarray(self.smooth.curvature(t), t.dtype)
-        return t, base, UsersBase(base.acceleration, jerk, forcing.ground_slope)
+        return t, base, UsersBase(base.acceleration, jerk, forcing.ground[1])
 
-    def _rates(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase, friction: FloatArray) -> State:
-        return tuple(jnp.asarray(rate, t.dtype) for rate in forcing.seen_at(self.system, t).rates(t, y, base, friction))
+    def _seen_at(self, forcing: Forcing, t: FloatScalar) -> Any:
+        """The system whose records have their value at `t` on their present segments, without a search in them."""
+        if not forcing.force:
+            return self.system
+        return with_records_at(self.system, t, [later(record, t - forcing.t) for record in forcing.force])
+
+    def relative_velocity(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
+        return self._velocity(forcing, *self.base_at(forcing, tau)[:2], y)
+
+    def velocity_scale(self, forcing: Forcing, y: State) -> FloatArray:
+        """The size of the terms that cancel in the relative velocity of each contact."""
+        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
+
+        def under(velocity: FloatScalar) -> FloatArray:
+            return self._velocity(forcing, t, base._replace(velocity=velocity), y)
+
+        velocity, gradient = self._gradient(forcing, t, base, y)
+        _, by_base = jax.jvp(under, (base.velocity,), (jnp.ones_like(t),))
+        by_state = sum(jnp.abs(part * value) for part, value in zip(gradient, y, strict=True))
+        return jnp.abs(velocity) + jnp.abs(by_base * base.velocity) + by_state
+
+    def gross_changes(self, forcing: Forcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
+        """The changes of the state in the time `h` by each term of its rates alone, under the largest `friction`."""
+        model, forcing, y, h = without_derivatives((self, forcing, y, h))
+        t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
+        idle, by_friction = model._affine(forcing, t, base, y)
+        by_state = jax.jacfwd(partial(model._rates, forcing, t, base))(y, jnp.zeros_like(friction))
+        by_contacts = tuple(sum_of(jnp.abs(each) * friction) for each in by_friction)
+        return gross_changes(h, y, idle, by_state, by_contacts)
+
+    def _rates(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State, friction: FloatArray) -> State:
+        rates = self._seen_at(forcing, t).rates(t, y, base, friction)
+        return tuple(jnp.asarray(rate, t.dtype) for rate in rates)
+
+    def _velocity(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State) -> FloatArray:
+        return _stacked(self._seen_at(forcing, t).relative_velocity(t, y, base), t)
+
+    def _gradient(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State) -> tuple[FloatArray, State]:
+        """The relative velocity of each contact, and its gradient with respect to the state."""
+        velocity = partial(self._velocity, forcing, t, base)
+        return jax.value_and_grad(velocity)(y) if self.contacts is None else (velocity(y), jax.jacrev(velocity)(y))
+
+    def _affine(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State) -> tuple[State, State]:
+        """The rates without friction, and what one unit of friction adds to each; in each of several contacts."""
+        # Rates are affine in friction: their derivative is what friction adds, without cancellation.
+        rates, contacts = partial(self._rates, forcing, t, base, y), self.contacts
+        if contacts is None:
+            return jax.jvp(rates, (jnp.zeros_like(t),), (jnp.ones_like(t),))
+        along = partial(jax.jvp, rates, (jnp.zeros(contacts, t.dtype),))
+        return jax.vmap(lambda unit: along((unit,)), out_axes=(None, 0))(jnp.eye(contacts, dtype=t.dtype))
+
+    def _drift(
+        self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State, idle: State
+    ) -> tuple[FloatArray, FloatArray]:
+        """The relative velocity of each contact, and its rate without friction, where the state has `idle` rates."""
+        # It depends on the base's velocity only, whose rate is its acceleration.
+        none = jnp.zeros_like(t)
+        moving = jnp.ones_like(t), UsersBase(base.acceleration, none, none), idle
+        return jax.jvp(partial(self._velocity, forcing), (t, base, y), moving)
 
 
 # With one contact.
@@ -226,24 +249,26 @@ class _Contact(NamedTuple):
         return -self.drift * self.per_gain
 
 
-class GeneralModel(_OfUser, OneContactModel[GeneralForcing]):
+class GeneralModel(_OfUser, OneContactModel[Forcing]):
     """A `SwitchedSystem` with one contact, whose relative velocity and friction are scalars."""
 
-    def slip(self, forcing: GeneralForcing, y: State, h: FloatScalar, sign: FloatScalar) -> tuple[State, FloatScalar]:
-        rates = Partial(type(self).slip_rates, self, forcing, sign=sign)
-        slid, error = runge_kutta_step(rates, y, h, solver=self.solver)
-        return slid, relative_error(error, y, slid, self._gross_changes(forcing, y, h))
+    def slip(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatScalar) -> tuple[State, FloatScalar]:
+        return self._stepped(forcing, y, h, Partial(type(self).slip_rates, self, forcing, sign=sign))
 
-    def stick(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> tuple[State, FloatScalar]:
-        rates = Partial(type(self).stick_rates, self, forcing)
-        held, error = runge_kutta_step(rates, y, h, solver=self.solver)
-        return self._held(forcing, h, held), relative_error(error, y, held, self._gross_changes(forcing, y, h))
+    def stick(self, forcing: Forcing, y: State, h: FloatScalar) -> tuple[State, FloatScalar]:
+        held, error = self._stepped(forcing, y, h, Partial(type(self).stick_rates, self, forcing))
+        return self._held(forcing, h, held), error
 
-    def rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+    def _stepped(self, forcing: Forcing, y: State, h: FloatScalar, rates: Partial) -> tuple[State, FloatScalar]:
+        """The state after a step of one mode, and its relative error."""
+        reached, error = runge_kutta_step(rates, y, h, solver=self.solver)
+        return reached, relative_error(error, y, reached, self.gross_changes(forcing, y, h, jnp.ones_like(h)))
+
+    def rates(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         slid, held = self.slip_rates(forcing, tau, y, sign), self.stick_rates(forcing, tau, y)
         return tuple(jnp.where(sign == 0, a, b) for a, b in zip(held, slid, strict=True))
 
-    def slip_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
+    def slip_rates(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatScalar) -> State:
         """The rates of a slip of this sign, continued smoothly to beyond the end of the slip.
 
         The last Runge-Kutta step of a slip may have stages slightly beyond its end. Friction that depends on the
@@ -251,57 +276,54 @@ class GeneralModel(_OfUser, OneContactModel[GeneralForcing]):
         mirror image of the state.
         """
         t, base, _ = self.base_at(forcing, tau)
-        sigma, gradient = self._gradient(forcing, t, y, base)
+        sigma, gradient = self._gradient(forcing, t, base, y)
         steep = sum(part * part for part in gradient)
         beyond = (sign * sigma < 0) & (steep > 0)
         shift = jnp.where(beyond, sigma / jnp.where(beyond, steep, 1), 0)
         end, image = (tuple(v - k * shift * g for v, g in zip(y, gradient, strict=True)) for k in (1, 2))
-        here, there = self._rates(forcing, t, end, base, sign), self._rates(forcing, t, image, base, sign)
+        here, there = self._rates(forcing, t, base, end, sign), self._rates(forcing, t, base, image, sign)
         return tuple(jnp.where(beyond, 2 * a - b, b) for a, b in zip(here, there, strict=True))
 
-    def stick_rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
+    def stick_rates(self, forcing: Forcing, tau: FloatScalar, y: State) -> State:
         """The sliding field: the rates under the friction that keeps the relative velocity."""
         contact = self._contact(forcing, *self.base_at(forcing, tau)[:2], y)
         return tuple(a + contact.share * b for a, b in zip(contact.idle, contact.by_friction, strict=True))
 
-    def guard(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
+    def guard(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatScalar) -> FloatPair:
         t, base, base_rates = self.base_at(forcing, tau)
         one = jnp.ones_like(t)
 
         slid = self.slip_rates(forcing, tau, y, sign)
-        sigma, sigma_rate = jax.jvp(partial(self._sigma, forcing), (t, y, base), (one, slid, base_rates))
+        sigma, sigma_rate = jax.jvp(partial(self._velocity, forcing), (t, base, y), (one, base_rates, slid))
 
-        def share_of(t, y, base):
+        def share_of(t, base, y):
             contact = self._contact(forcing, t, base, y)
             return contact.share / jnp.asarray(self._static_ratio, t.dtype), contact.has_effect
 
         held = self.stick_rates(forcing, tau, y)
-        share, share_rate, has_effect = jax.jvp(share_of, (t, y, base), (one, held, base_rates), has_aux=True)
+        share, share_rate, has_effect = jax.jvp(share_of, (t, base, y), (one, base_rates, held), has_aux=True)
         sticking = sign == 0
         stick = jnp.where(has_effect, 1 - share * share, -1)
         stick_rate = jnp.where(has_effect, -2 * share * share_rate, 0)
         return jnp.where(sticking, stick, sign * sigma), jnp.where(sticking, stick_rate, sign * sigma_rate)
 
-    def guard_scale(self, forcing: GeneralForcing, y: State, sign: FloatScalar) -> FloatScalar:
-        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
-        sigma, gradient = self._gradient(forcing, t, y, base)
-        by_base = jax.grad(lambda v: self._sigma(forcing, t, y, base._replace(velocity=v)))(base.velocity)
-        slip = jnp.abs(sigma) + jnp.abs(by_base * base.velocity)
-        slip = slip + sum(jnp.abs(part * value) for part, value in zip(gradient, y, strict=True))
+    def guard_scale(self, forcing: Forcing, y: State, sign: FloatScalar) -> FloatScalar:
+        slip = self.velocity_scale(forcing, y)
         if self.system.shortest_time is not None:
-            contact = self._contact(forcing, t, base, y)
+            t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
+            contact, (_, gradient) = self._contact(forcing, t, base, y), self._gradient(forcing, t, base, y)
             change = sum(jnp.abs(part * rate) for part, rate in zip(gradient, contact.idle, strict=True))
             slip = with_change(slip, change + jnp.abs(contact.gain), 2 * np.pi / self.system.shortest_time, t)
         return jnp.where(sign == 0, 2.0, slip)
 
-    def on_base(self, forcing: GeneralForcing, y: State) -> State:
+    def on_base(self, forcing: Forcing, y: State) -> State:
         return self._held(forcing, jnp.zeros_like(y[0]), y)
 
-    def can_stick(self, forcing: GeneralForcing, y: State) -> BoolScalar:
+    def can_stick(self, forcing: Forcing, y: State) -> BoolScalar:
         contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
         return contact.has_effect & (jnp.abs(contact.share) <= self._static_ratio)
 
-    def release_sign(self, forcing: GeneralForcing, y: State) -> FloatScalar:
+    def release_sign(self, forcing: Forcing, y: State) -> FloatScalar:
         # Without friction the relative velocity would change faster than friction can prevent.
         contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
         return jnp.where(contact.drift > 0, 1, -1).astype(y[0].dtype)
@@ -311,57 +333,29 @@ class GeneralModel(_OfUser, OneContactModel[GeneralForcing]):
         """Coulomb's law, its coefficient a share of the kinetic force."""
         return Coulomb(1.0, self.system.static_ratio if self.system.has_static_ratio else None)
 
-    def rates_under(self, forcing: GeneralForcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
+    def rates_under(self, forcing: Forcing, tau: FloatScalar, y: State, coefficient: FloatScalar) -> State:
         t, base, _ = self.base_at(forcing, tau)
-        return self._rates(forcing, t, y, base, coefficient)
+        return self._rates(forcing, t, base, y, coefficient)
 
-    def relative_velocity(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatScalar:
-        t, base, _ = self.base_at(forcing, tau)
-        return self._sigma(forcing, t, y, base)
-
-    def relative_acceleration(self, forcing: GeneralForcing, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
+    def relative_acceleration(self, forcing: Forcing, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
         t, base, base_rates = self.base_at(forcing, tau)
-        return jax.jvp(partial(self._sigma, forcing), (t, y, base), (jnp.ones_like(t), rates, base_rates))[1]
+        return jax.jvp(partial(self._velocity, forcing), (t, base, y), (jnp.ones_like(t), base_rates, rates))[1]
 
-    def _gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar) -> State:
-        """The sum of the changes of each number of the state in the time `h` by each term of its rate alone."""
-        model, forcing, y, h = without_derivatives((self, forcing, y, h))
-        t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
-        none = jnp.zeros_like(t)
-        slopes = jax.jacfwd(partial(model._rates, forcing, t), argnums=(0, 2))(y, base, none)
-        return gross_changes(h, y, model._rates(forcing, t, y, base, none), *zip(*slopes, strict=True))
-
-    def _sigma(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase) -> FloatScalar:
-        return jnp.asarray(forcing.seen_at(self.system, t).relative_velocity(t, y, base), t.dtype)
-
-    def _gradient(
-        self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase
-    ) -> tuple[FloatScalar, State]:
-        """The relative velocity and its gradient with respect to the state."""
-        return jax.value_and_grad(lambda y: self._sigma(forcing, t, y, base))(y)
-
-    def _contact(self, forcing: GeneralForcing, t: FloatScalar, base: UsersBase, y: State) -> _Contact:
-        # Rates are affine in friction: their derivative is what friction adds, without cancellation.
-        idle, by_friction = jax.jvp(
-            lambda friction: self._rates(forcing, t, y, base, friction), (jnp.zeros_like(t),), (jnp.ones_like(t),)
-        )
-        _, gradient = self._gradient(forcing, t, y, base)
-        # The relative velocity depends on the base's velocity only, whose rate is its acceleration.
-        none = jnp.zeros_like(t)
-        moving = (jnp.ones_like(t), idle, UsersBase(base.acceleration, none, none))
-        _, drift = jax.jvp(partial(self._sigma, forcing), (t, y, base), moving)
+    def _contact(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State) -> _Contact:
+        idle, by_friction = self._affine(forcing, t, base, y)
+        (_, gradient), (_, drift) = self._gradient(forcing, t, base, y), self._drift(forcing, t, base, y, idle)
         terms = [part * rate for part, rate in zip(gradient, by_friction, strict=True)]
         gain, size = sum(terms, jnp.zeros_like(t)), sum(map(jnp.abs, terms), jnp.zeros_like(t))
         has_effect = gain < -_LEAST_GAIN * jnp.finfo(t.dtype).eps * size
         per_gain = jnp.where(has_effect, 1 / jnp.where(has_effect, gain, -1), 0)
         return _Contact(idle, by_friction, drift, has_effect, gain, per_gain)
 
-    def _held(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> State:
+    def _held(self, forcing: Forcing, tau: FloatScalar, y: State) -> State:
         """`y`, moved in the direction in which friction acts until the relative velocity is zero."""
         t, base, _ = self.base_at(forcing, tau)
         for _ in range(_NEWTON_STEPS):
             contact = self._contact(forcing, t, base, y)
-            friction = self._sigma(forcing, t, y, base) * contact.per_gain
+            friction = self._velocity(forcing, t, base, y) * contact.per_gain
             y = tuple(value - friction * effect for value, effect in zip(y, contact.by_friction, strict=True))
         return y
 
@@ -369,11 +363,16 @@ class GeneralModel(_OfUser, OneContactModel[GeneralForcing]):
 # With several contacts.
 
 
-class GeneralContactsModel(_OfUser, ContactsModel[GeneralForcing]):
+_SLOWEST = 1e-150  # rad/s, where the system gives no time scale
+
+
+class GeneralContactsModel(_OfUser, ContactsModel):
     """A `SwitchedSystem` with several contacts, whose relative velocities and friction are arrays (contacts,)."""
 
-    solver: ExplicitSolver
-    fastest: FloatScalar
+    @property
+    def fastest(self) -> FloatScalar:
+        shortest = self.system.shortest_time
+        return jnp.asarray(_SLOWEST if shortest is None else 2 * np.pi / shortest, float)
 
     @property
     def contacts(self) -> int:
@@ -384,31 +383,25 @@ class GeneralContactsModel(_OfUser, ContactsModel[GeneralForcing]):
     def coupled(self) -> bool:
         return True
 
-    def time(self, forcing: GeneralForcing) -> FloatScalar:
-        return forcing.t
-
     def stick_position(self, y: State) -> FloatArray:
         return jnp.broadcast_to(y[0], (self.contacts + 1,))
 
-    def instant(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> Instant:
+    def instant(self, forcing: Forcing, tau: FloatScalar, y: State) -> Instant:
         t, base, _ = self.base_at(forcing, tau)
-        idle, by_friction = self._affine(forcing, t, y, base)
-        # The relative velocities depend on the base's velocity only, whose rate is its acceleration.
-        none = jnp.zeros_like(t)
-        moving = (jnp.ones_like(t), idle, UsersBase(base.acceleration, none, none))
-        velocity, drift = jax.jvp(partial(self._velocities, forcing), (t, y, base), moving)
+        idle, by_friction = self._affine(forcing, t, base, y)
+        velocity, drift = self._drift(forcing, t, base, y, idle)
 
         def along(effect: State) -> FloatArray:
-            return jax.jvp(lambda y: self._velocities(forcing, t, y, base), (y,), (effect,))[1]
+            return jax.jvp(partial(self._velocity, forcing, t, base), (y,), (effect,))[1]
 
         return Instant(idle, velocity, drift, -jax.vmap(along, out_axes=1)(by_friction))
 
-    def effect(self, forcing: GeneralForcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
+    def effect(self, forcing: Forcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
         t, base, _ = self.base_at(forcing, tau)
-        _, by_friction = self._affine(forcing, t, y, base)
+        _, by_friction = self._affine(forcing, t, base, y)
         return tuple(jnp.sum(force * each) for each in by_friction)
 
-    def rates(self, forcing: GeneralForcing, tau: FloatScalar, y: State, sign: FloatArray) -> State:
+    def rates(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> State:
         """The rates, continued smoothly to beyond the ends of slips.
 
         The last Runge-Kutta step of a slip may have stages slightly beyond its end. Friction that depends on the
@@ -416,9 +409,8 @@ class GeneralContactsModel(_OfUser, ContactsModel[GeneralForcing]):
         mirror image of the state.
         """
         t, base, _ = self.base_at(forcing, tau)
-        velocity, own = self._velocities(forcing, t, y, base), self._own(sign)
+        (velocity, gradients), own = self._gradient(forcing, t, base, y), self._own(sign)
         beyond = (own * velocity < 0) & ~self._is_open(sign)
-        gradients = jax.jacrev(lambda y: self._velocities(forcing, t, y, base))(y)
         rows = jnp.stack(gradients, axis=-1)  # (contacts, states)
         both = beyond[:, None] & beyond[None, :]
         matrix = jnp.where(both, rows @ rows.T, jnp.eye(len(own), dtype=t.dtype))
@@ -428,8 +420,8 @@ class GeneralContactsModel(_OfUser, ContactsModel[GeneralForcing]):
         passed = jnp.any(beyond)
         return tuple(jnp.where(passed, 2 * a - b, b) for a, b in zip(here, there, strict=True))
 
-    def limits(self, forcing: GeneralForcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
-        normal = self._normal_forces(forcing, tau, y)
+    def limits(self, forcing: Forcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
+        normal = self.normal_forces_at(forcing, tau, y)
         static = normal * jnp.broadcast_to(jnp.asarray(self._static_ratio, normal.dtype), normal.shape)
         return Limits(normal, normal, static, static)
 
@@ -437,70 +429,35 @@ class GeneralContactsModel(_OfUser, ContactsModel[GeneralForcing]):
     def varying(self) -> tuple[int, ...]:
         return tuple(range(self.contacts)) if self.system.has_normal_forces else ()
 
-    def varying_normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
-        return self._normal_forces(forcing, tau, y)
+    def normal_forces_at(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
+        if not self.system.has_normal_forces:
+            return jnp.ones(self.contacts, y[0].dtype)
+        return self._normal(forcing, *self.base_at(forcing, tau)[:2], y)
 
-    def normal_forces_at(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
-        return self._normal_forces(forcing, tau, y)
+    def varying_normal_forces(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
+        return self.normal_forces_at(forcing, tau, y)
 
-    def normal_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
+    def normal_scale(self, forcing: Forcing, y: State) -> FloatArray:
         t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
 
         def rate(t: FloatScalar) -> FloatArray:
-            return jax.jvp(lambda t: self._normal(forcing, t, y, base), (t,), (jnp.ones_like(t),))[1]
+            return jax.jvp(lambda t: self._normal(forcing, t, base, y), (t,), (jnp.ones_like(t),))[1]
 
         # What oscillates in time is as large as its curvature says where it is zero.
         bend = jax.jvp(rate, (t,), (jnp.ones_like(t),))[1] / self.fastest**2
-        slopes = jax.jacrev(lambda numbers: self._normal(forcing, t, *numbers))((y, base))
-        terms = jax.tree.map(lambda slope, number: jnp.abs(slope * number), slopes, (y, base))
-        return jnp.abs(self._normal(forcing, t, y, base)) + jnp.abs(bend) + sum(jax.tree.leaves(terms))
+        slopes = jax.jacrev(partial(self._normal, forcing, t), argnums=(0, 1))(base, y)
+        terms = jax.tree.map(lambda slope, number: jnp.abs(slope * number), slopes[::-1], (y, base))
+        return jnp.abs(self._normal(forcing, t, base, y)) + jnp.abs(bend) + sum(jax.tree.leaves(terms))
 
-    def velocity_scale(self, forcing: GeneralForcing, y: State) -> FloatArray:
-        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
-        slopes = jax.jacrev(lambda y: self._velocities(forcing, t, y, base))(y)
-        by_base = jax.jacfwd(lambda v: self._velocities(forcing, t, y, base._replace(velocity=v)))(base.velocity)
-        by_state = sum(jnp.abs(slope * value) for slope, value in zip(slopes, y, strict=True))
-        return jnp.abs(self._velocities(forcing, t, y, base)) + jnp.abs(by_base * base.velocity) + by_state
-
-    def gross_changes(self, forcing: GeneralForcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
-        model, forcing, y, h = without_derivatives((self, forcing, y, h))
-        t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
-        none = jnp.zeros_like(friction)
-        slopes = jax.jacfwd(partial(model._rates, forcing, t), argnums=(0,))(y, base, none)
-        _, by_friction = model._affine(forcing, t, y, base)
-        by_contacts = [jnp.sum(jnp.abs(each) * friction) for each in by_friction]
-        (by_state,) = zip(*slopes, strict=True)
-        return gross_changes(h, y, model._rates(forcing, t, y, base, none), by_state, tuple(by_contacts))
-
-    def at_base_velocity(self, forcing: GeneralForcing, y: State, resting: BoolArray) -> State:
+    def at_base_velocity(self, forcing: Forcing, y: State, resting: BoolArray) -> State:
         """As of every model; NaN where the contacts have no unique motion, because friction would drive itself."""
         y = super().at_base_velocity(forcing, y, resting)
         gain = self.instant(forcing, jnp.zeros_like(y[0]), y).gain
         assert not isinstance(gain, Uncoupled)
         return jnp.where(is_positive_definite((gain + gain.T) / 2), y[0], jnp.nan), *y[1:]
 
-    def _affine(
-        self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase
-    ) -> tuple[State, tuple[FloatArray, ...]]:
-        """The rates without friction, and what one unit of friction in each contact adds, each (contacts,)."""
-        none = jnp.zeros(self.contacts, t.dtype)
-
-        def along(direction):
-            return jax.jvp(lambda friction: self._rates(forcing, t, y, base, friction), (none,), (direction,))
-
-        return jax.vmap(along, out_axes=(None, 0))(jnp.eye(self.contacts, dtype=t.dtype))
-
-    def _velocities(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase) -> FloatArray:
-        return _stacked(forcing.seen_at(self.system, t).relative_velocity(t, y, base), t)
-
-    def _normal(self, forcing: GeneralForcing, t: FloatScalar, y: State, base: UsersBase) -> FloatArray:
-        return _stacked(forcing.seen_at(self.system, t).normal_forces(t, y, base), t)
-
-    def _normal_forces(self, forcing: GeneralForcing, tau: FloatScalar, y: State) -> FloatArray:
-        if not self.system.has_normal_forces:
-            return jnp.ones(self.contacts, y[0].dtype)
-        t, base, _ = self.base_at(forcing, tau)
-        return self._normal(forcing, t, y, base)
+    def _normal(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State) -> FloatArray:
+        return _stacked(self._seen_at(forcing, t).normal_forces(t, y, base), t)
 
 
 def _stacked(values: Any, t: FloatScalar) -> FloatArray:

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.stick_tables import slips_among
-from stickslip_jax._dynamics.sticks import FlatSticks
+from stickslip_jax._dynamics.sticks import FlatSticks, slips_among
 from stickslip_jax._statistics.quantities import ordinal
 
 KEY = jax.random.key(2)

@@ -127,6 +127,13 @@ def test_three_blocks_on_the_floor(one):
     assert one.of_contact(1).totals.sticks == 1
 
 
+def test_a_static_ratio_of_fields_under_smoothed_friction(one):
+    """It is a number that JAX traces there. What sticks creeps by at most a width, 1e-3 m/s, for 12 s."""
+    method = ss.Regularized(1e-3, step=0.02, threshold=2e-3, minimum_duration=0.05)
+    smoothed = ss.simulate(one.system, one.base, t1=one.t1, y0=START, method=method)
+    np.testing.assert_allclose(smoothed.final_state, one.final_state, rtol=0, atol=0.02)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("weakening", [0.0, 0.8])
 def test_as_a_linear_structure(weakening):

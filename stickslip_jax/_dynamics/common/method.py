@@ -356,10 +356,8 @@ def check_fixed(**arguments: object) -> None:
     for name, value in arguments.items():
         checks.tree(name, value)
         for path, source, _ in varying(value, (name,)):
-            raise ValueError(
-                f"Argument {shown(path)} must be one number here, but {checks.show(source)} was given; "
-                "simulate_ensemble takes distributions, and arrays with one number for each sample."
-            )
+            hint = "simulate_ensemble takes distributions, and arrays with one number for each sample"
+            raise checks.refused(shown(path), "be one number here", source, hint)
 
 
 def working_dtype(*arrays: AnyArray, stacklevel: int = 3) -> np.dtype:

@@ -25,10 +25,10 @@ from ..._systems.switched_model import Segments, State
 from ..common.lanes import Engine, SampleTotals
 from ..common.path import MotionPath, Run, sample_totals
 from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, start_totals, sticks_of
-from .arcs import Scales, sticks_from_start
-from .crossing import (
+from .arcs import (
     LAST_LEFT,
     MassState,
+    Scales,
     cross_interval,
     cross_live_interval,
     is_tie,
@@ -38,6 +38,7 @@ from .crossing import (
     start_motion,
     starts_at_edge,
     status_of,
+    sticks_from_start,
 )
 
 # Lanes of the interval engine: a step is a whole base interval, drawn when it is simulated.

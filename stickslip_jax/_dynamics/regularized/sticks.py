@@ -10,10 +10,10 @@ from jax import lax
 from jaxtyping import Array
 
 from ..._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray, Scalar
+from ..._numerics.derivatives import root_of
 from ..._numerics.matrices import any_of
 from ..._numerics.steps import look_ahead
 from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantities, ending_of, recorded, start_totals
-from .balances import root_of
 
 # Detection of sticks in fixed steps: the relative velocity stays below a threshold for long enough.
 #
@@ -449,7 +449,9 @@ def detect_joined(
         at_end = jnp.where(over, after.closed, closed)
         changed = jnp.where(closed_before == closed, now, step.t + jnp.where(closed, closing, opening))
         contacts = _Contacts(
-            ended=_joined(left._replace(ending=jnp.where(closed_before, endings, jnp.int8(-1))), following),
+            ended=jax.tree.map(
+                jnp.append, left._replace(ending=jnp.where(closed_before, endings, jnp.int8(-1))), following
+            ),
             is_over=jnp.append(
                 ends & closed_before & left.may_go_on(bend),
                 (following.ending >= 0) & ~following.may_go_on(bend) & at_end,
@@ -554,7 +556,3 @@ def _slip(step: SeenStep, first: FloatArray, last: FloatArray) -> FloatArray:
 
 def _chosen(which: BoolArray, one: Left, other: Left) -> Left:
     return jax.tree.map(lambda a, b: jnp.where(which, a, b), one, other)
-
-
-def _joined(one: Left, other: Left) -> Left:
-    return jax.tree.map(jnp.append, one, other)

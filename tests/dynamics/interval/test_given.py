@@ -9,7 +9,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax._dynamics.interval import engine as given_intervals
-from stickslip_jax._dynamics.interval.crossing import scales_of, start_motion
+from stickslip_jax._dynamics.interval.arcs import scales_of, start_motion
 from stickslip_jax._dynamics.interval.engine import Given, _plain, motion_over
 
 LAW = ss.PoissonSwitching(speed=0.6, rate=1.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip_jax._dynamics.common.method import SHAPES
-from stickslip_jax._dynamics.regularized.balances import ForceLaw, Switch, balanced_forces
+from stickslip_jax._dynamics.regularized.field import ForceLaw, Switch, balanced_forces
 
 SETUPS = 400
 

@@ -29,7 +29,7 @@ from support.regularized import (
 )
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.regularized.balances import Switch, balance
+from stickslip_jax._dynamics.regularized.field import Switch, balance
 
 # Each shape and each law once; `test_coefficient` looks at all of them together.
 PAIRS = [("tanh", "coulomb"), ("linear", "static"), ("arctan", "weakening"), ("rational", "stribeck")]
