@@ -100,7 +100,7 @@ from ._statistics.estimate import Estimate as Estimate
 from ._statistics.quantities import FirstSticks as FirstSticks, first_stick as first_stick
 from ._statistics.independence import identically_distributed as identically_distributed
 from ._statistics.independence import independent as independent, independent_and_identical as independent_and_identical
-from ._statistics.joint import (
+from ._statistics.distribution import (
     ConditionalMeans as ConditionalMeans,
     JointDistribution as JointDistribution,
     JointHistogram as JointHistogram,

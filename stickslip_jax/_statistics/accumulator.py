@@ -12,14 +12,13 @@ from .._foundation import checks
 from .._foundation.types import Ending
 from .._numerics import sums
 from .._numerics.sums import CommonBins, DyadicCounts, PowerSums
-from .distribution import BINS
+from .distribution import BINS, BINS_OF_PAIRS
 from .quantities import STICK_QUANTITIES, STREAMED_PAIRS
 
 # Sums and histograms of sticks and of the slips between them, by compiled loops over the sticks of a part.
 
 
 BINS_BY_ORDER = 1024
-BINS_OF_PAIRS = 128  # at most, along each axis
 
 _NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)
 _SLIP = len(_NAMES)  # the column of slips, after those of the sticks

@@ -12,13 +12,13 @@ from jaxtyping import Float
 
 from .._dynamics.stick_tables import FlatSlips, slips_after, slips_among
 from .._dynamics.sticks import FlatSticks, StickStream
-from .._foundation import checks
+from .._foundation import checks, html
+from .._foundation.extras import Entries, labeled_dataset, variable
 from .._foundation.types import Ending
 from .._numerics.sums import DyadicCounts, PowerSums
 from .accumulator import Numbering, StickAccumulator
-from .distribution import BINS, Clusters, Distribution, Summary, shown, shown_share, summary_of_distributions, table_of
-from .estimate import Estimate, Share, origin_of, require_ensemble
-from .joint import JointDistribution, dataset_of_statistics
+from .distribution import BINS, BINS_OF_PAIRS, DEFAULT_BINS, Clusters, Distribution, JointDistribution, wrapped
+from .estimate import Estimate, Share, format_with_error, origin_of, require_ensemble
 from .quantities import (
     BY_NAME,
     DISTRIBUTIONS,
@@ -43,9 +43,83 @@ if TYPE_CHECKING:
     import xarray
 
 
+# Statistics as tables to read, in text and in HTML.
+
+
+Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
+_FIRST = 6  # columns of the first part in text: up to the quantiles
+_HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy (nat)", "values")
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Summary:
+    """The statistics of an ensemble in tables: print it, or show it in a notebook.
+
+    `tables`: each a caption, the heads of the columns, and rows of text. `notes`: sentences below the tables.
+    """
+
+    title: str
+    tables: tuple[Table, ...]
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        parts = [self.title]
+        for caption, head, rows in self.tables:
+            columns = range(len(head))
+            widths = [max(len(row[column]) for row in (head, *rows)) for column in columns]
+            # One that has too many columns for a line in two parts, with the names of its rows again.
+            groups = [columns] if tuple(head) != _HEAD else [columns[:_FIRST], (0, *columns[_FIRST:])]
+            lines = [
+                "  ".join(f"{row[column]:{'>' if column else '<'}{widths[column]}}" for column in group).rstrip()
+                for group in groups
+                for row in (head, *rows)
+            ]
+            parts.append("\n".join([caption, "-" * max(map(len, lines)), *lines]))
+        notes = [wrapped(note) for note in self.notes]
+        return "\n\n".join([*parts, "\n".join(notes)] if notes else parts)
+
+    def _repr_html_(self) -> str:
+        parts = [html.table(rows, head, caption) for caption, head, rows in self.tables]
+        return "".join([html.titled(self.title), *parts, *map(html.escaped, self.notes)])
+
+
+def table_of(caption: str, distributions: Sequence[Distribution]) -> Table:
+    """A table with a row for each of some distributions."""
+    rows = []
+    for of in distributions:
+        unit = "" if of.unit == "1" else f" ({of.unit})"
+        others = (of.standard_deviation, of.quantile(0.05), of.median, of.quantile(0.95), of.skewness, of.entropy())
+        cells = ("-" if math.isnan(one.value) else f"{one.value:.4g}" for one in others)
+        rows.append((f"{of.name}{unit}", shown(of.mean), *cells, f"{of.number:,}"))
+    return caption, _HEAD, tuple(rows)
+
+
+def summary_of_distributions(title: str, distributions: Sequence[Distribution]) -> Summary:
+    """One table, a row for each of some distributions."""
+    return Summary(title, (table_of("Mean +- standard error", distributions),), ())
+
+
+def shown(estimate: Estimate) -> str:
+    """Value and standard error of an estimate, as far as they are known."""
+    if math.isnan(estimate.value):
+        return "-"
+    if math.isnan(estimate.standard_error):
+        return f"{estimate.value:.6g}"
+    return format_with_error(estimate.value, estimate.standard_error)
+
+
+def shown_share(share: Estimate) -> str:
+    """A share of the samples in percent with its standard error; or in a word, where all of them are meant."""
+    if share.value == 1:
+        return "all"
+    percent = dataclasses.replace(share, value=100 * share.value, standard_error=100 * share.standard_error)
+    return f"{shown(percent)} %"
+
+
 # Statistics of the i-th stick, or of the i-th slip, of each sample.
 
 
+_SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
 NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)  # in the order of the accumulator's columns
 
 
@@ -369,7 +443,67 @@ class EnsembleStatistics(ByQuantity):
         Args:
             bins: At most, of each histogram; by default 50, of whole numbers one for each number.
         """
-        return dataset_of_statistics(self, bins)
+        variables: Entries = {}
+        coordinates: Entries = {"quantile": variable("quantile", list(_SHARES), "share of values", "1")}
+
+        def add_estimates(name: str, dimension: str, estimates: Sequence[Estimate], long_name: str, unit: str) -> None:
+            values, errors = ([getattr(one, what) for one in estimates] for what in ("value", "standard_error"))
+            variables[name] = variable(dimension, values, long_name, unit)
+            variables[f"{name}_error"] = variable(dimension, errors, "standard error", unit)
+
+        def add_bins(name: str, edges: np.ndarray, long_name: str, unit: str) -> None:
+            """Centres of bins, and their bounds as CF conventions have them."""
+            centers, bounds = (edges[1:] + edges[:-1]) / 2, f"{name}_bounds"
+            coordinates[name] = variable(name, centers, long_name, unit, bounds=bounds)
+            variables[bounds] = ((name, "bounds"), np.stack([edges[:-1], edges[1:]], axis=1))
+
+        for quantity in self.known(DISTRIBUTIONS):
+            name = quantity.name
+            of: Distribution = getattr(self, name)
+            for moment in ("mean", "standard_deviation", "skewness"):
+                one, label = getattr(of, moment), f"{name}_{moment}"
+                variables[label] = variable((), one.value, one.name, one.unit, standard_error=one.standard_error)
+            quantiles = [of.quantile(share) for share in _SHARES]
+            add_estimates(f"{name}_quantile", "quantile", quantiles, f"quantile of {of.name}", of.unit)
+            histogram, bin_name = of.histogram(bins), f"{name}_bin"
+            per = "1" if of.unit == "1" else f"{of.unit}-1"
+            add_bins(bin_name, histogram.edges, of.name, of.unit)
+            counted = f"number of values of {of.name}"
+            variables[f"{name}_count_in_bin"] = variable(bin_name, histogram.counts, counted, "1")
+            variables[f"{name}_density"] = variable(bin_name, histogram.density, f"density of {of.name}", per)
+            variables[f"{name}_density_error"] = variable(bin_name, histogram.error, "standard error", per)
+
+        for pair in (*STREAMED_PAIRS, FIRST_TWO):
+            if set(pair) & self.missing:
+                continue
+            joint = self.joint(*pair)
+            # In names of variables ``duration``, or ``duration_1`` for that of the first stick.
+            name = "_and_".join(one if isinstance(one, str) else f"{one[0]}_{one[1]}" for one in pair)
+            histogram = joint.histogram(DEFAULT_BINS if bins is None else min(bins, BINS_OF_PAIRS))
+            dimensions = (f"{name}_x_bin", f"{name}_y_bin")
+            edges = (histogram.x_edges, histogram.y_edges)
+            for dimension, edge, quantity, unit in zip(dimensions, edges, joint.names, joint.units, strict=True):
+                add_bins(dimension, edge, quantity, unit)
+            counted = f"number of pairs of {joint.names[0]} and {joint.names[1]}"
+            variables[f"{name}_count_in_bin"] = variable(dimensions, histogram.counts, counted, "1")
+
+        # The share of samples and the means of the 1st, 2nd, ... stick, and slip.
+        numbers = list(range(1, self.orders + 1))
+        coordinates["order"] = variable("order", numbers, "number of the stick or slip", "1")
+        sticks, slips = ([of.order(number) for number in numbers] for of in (self, self.slips))
+        shares = [one.share for one in sticks]
+        add_estimates("share_by_order", "order", shares, "share of samples that have the stick", "1")
+        by_order = [(sticks, one, f"{one.short_label} of the stick") for one in self.known(STICK_QUANTITIES)]
+        by_order += [(slips, one, one.label) for one in SLIP_QUANTITIES]
+        for orders, quantity, label in by_order:
+            means, unit = [one.distributions[quantity.name].mean for one in orders], self.unit_of(quantity)
+            add_estimates(f"{quantity.name}_by_order", "order", means, f"mean {label}", unit)
+
+        endings = self.endings
+        add_estimates("ending_share", "ending", list(endings.values()), "share of sticks by ending", "1")
+        names = [ending.name for ending in endings]
+        coordinates["ending"] = ("ending", names, {"long_name": "how the stick ended"})
+        return labeled_dataset(variables, coordinates, {"samples": self.samples, "duration_s": float(self.t1)})
 
     @property
     def _summary(self) -> Summary:

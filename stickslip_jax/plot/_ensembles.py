@@ -15,9 +15,8 @@ from .._ensemble.result import Ensemble
 from .._excitation.motion import Signal
 from .._foundation import checks
 from .._foundation.types import Ending, Status
-from .._statistics.distribution import DEFAULT_BINS, Distribution, bin_of
+from .._statistics.distribution import DEFAULT_BINS, Distribution, JointDistribution, bin_of
 from .._statistics.estimate import DEFAULT_LEVEL, check_level
-from .._statistics.joint import JointDistribution
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES, FirstSticks
 from .._statistics.totals import Convergence, HistogramConvergence
 from .._systems.system import System, require_system, unphased
