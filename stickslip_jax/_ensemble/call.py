@@ -16,7 +16,7 @@ from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState, Status
-from .._statistics.accumulator import Numbering
+from .._statistics.quantities import Numbering
 from .._systems.system import System, WithContacts
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, StochasticModel

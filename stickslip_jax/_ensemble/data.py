@@ -19,7 +19,7 @@ from .._dynamics.sticks import FlatSticks
 from .._excitation.excitation import law_of
 from .._foundation.types import Number, Status
 from .._numerics.sums import Moments
-from .._statistics.accumulator import Numbering, StickAccumulator
+from .._statistics.quantities import Numbering, StickAccumulator
 from .._systems.system import Coordinate, System
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel

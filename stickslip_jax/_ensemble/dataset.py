@@ -23,7 +23,7 @@ from .._foundation.files import file_for_user
 from .._foundation.processes import require_memory
 from .._foundation.types import Ending, Status
 from .._numerics.sums import Moments
-from .._statistics.accumulator import Numbering, StickAccumulator
+from .._statistics.quantities import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._systems.system import Coordinate, System
 from .._uncertainty.families import RandomNumber

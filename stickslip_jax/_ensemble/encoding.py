@@ -22,7 +22,7 @@ from .._foundation import lazy_diffrax as diffrax
 from .._foundation.extras import require
 from .._foundation.files import FULL
 from .._numerics.sums import DyadicCounts, Moments, PowerSums
-from .._statistics.accumulator import StickAccumulator
+from .._statistics.quantities import StickAccumulator
 from .._systems.friction import TabulatedCurve
 from .._uncertainty.design import Design
 from .data import GivenMotions, Origin, Unknown, UnknownSystem

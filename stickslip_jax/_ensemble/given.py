@@ -16,7 +16,7 @@ from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import NUMBERS, FlatSticks
 from .._foundation import checks
 from .._foundation.types import Ending
-from .._statistics.accumulator import Numbering
+from .._statistics.quantities import Numbering
 from .._systems.system import Coordinate
 from .data import Fields, GivenMotions, Unknown, UnknownSystem, single
 from .parts import EnsembleAccumulator, EnsemblePart

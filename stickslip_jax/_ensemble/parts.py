@@ -15,7 +15,7 @@ from .._foundation import checks
 from .._foundation.processes import available_memory
 from .._foundation.types import DType, Status
 from .._numerics.sums import Moments
-from .._statistics.accumulator import Numbering, StickAccumulator
+from .._statistics.quantities import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .data import EnsembleData, Fields, Keep, Retained
 

@@ -20,10 +20,10 @@ from .._foundation import checks, html
 from .._foundation.files import file_to_write
 from .._foundation.processes import require_threads_of_jax
 from .._numerics.sums import DyadicCounts, PowerSums
-from .._statistics.accumulator import Numbering
 from .._statistics.distribution import BINS, Clusters, Distribution
 from .._statistics.ensemble_statistics import EnsembleStatistics, Summary, shown, statistics_of_ensemble, table_of
 from .._statistics.estimate import origin_of
+from .._statistics.quantities import Numbering
 from .._statistics.totals import STATISTICS, TOTALS
 from .._uncertainty.inputs import StochasticModel
 from .data import EnsembleData, GivenMotions, Realization, Unknown, UnknownSystem, require_known, single

@@ -28,8 +28,7 @@ from .._excitation.excitation import is_random, key_data_for, law_of
 from .._foundation import checks
 from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, Status
-from .._statistics.accumulator import Numbering
-from .._statistics.quantities import DISTRIBUTIONS
+from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
 from .._systems.system import require_system
 from .._uncertainty.design import Design

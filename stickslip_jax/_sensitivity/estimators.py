@@ -22,7 +22,7 @@ from .._ensemble.parts import RETAINED
 from .._ensemble.setup import EnsembleSetup, OutputRunner
 from .._foundation.types import AnyArray, DType, IntArray, Status
 from .._numerics.sums import Moments
-from .._statistics.accumulator import Numbering
+from .._statistics.quantities import Numbering
 from .._systems.system import is_built_in
 from .._uncertainty.inputs import StochasticModel
 from .._uncertainty.numbers import check_numbers, with_numbers

@@ -16,7 +16,6 @@ from .._foundation import checks, html
 from .._foundation.extras import Entries, labeled_dataset, variable
 from .._foundation.types import Ending
 from .._numerics.sums import DyadicCounts, PowerSums
-from .accumulator import Numbering, StickAccumulator
 from .distribution import BINS, BINS_OF_PAIRS, DEFAULT_BINS, Clusters, Distribution, JointDistribution, wrapped
 from .estimate import Estimate, Share, format_with_error, origin_of, require_ensemble
 from .quantities import (
@@ -33,7 +32,9 @@ from .quantities import (
     STICK_FRACTION,
     STICK_QUANTITIES,
     STREAMED_PAIRS,
+    Numbering,
     SampledQuantity,
+    StickAccumulator,
     StickValue,
     ordinal,
 )

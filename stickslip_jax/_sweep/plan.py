@@ -17,8 +17,7 @@ from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup, fields_of_outputs, ru
 from .._foundation import checks
 from .._foundation.processes import require_memory
 from .._numerics.elementary import key_data_of
-from .._statistics.accumulator import Numbering
-from .._statistics.quantities import DISTRIBUTIONS
+from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._uncertainty.numbers import parameters_of
 

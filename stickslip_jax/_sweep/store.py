@@ -46,7 +46,7 @@ from .._foundation.files import (
     sync_folder,
     write_whole,
 )
-from .._statistics.accumulator import Numbering
+from .._statistics.quantities import Numbering
 from . import plan as plans
 from .plan import Plan, Task
 

@@ -21,8 +21,7 @@ from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState
-from .._statistics.accumulator import Numbering
-from .._statistics.quantities import SampledQuantity
+from .._statistics.quantities import Numbering, SampledQuantity
 from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
 from .._uncertainty.design import Design
