@@ -35,7 +35,7 @@ from .._foundation.types import Status
 from .._sensitivity.call import sensitivity
 from .._sensitivity.estimate import Sensitivities
 from .._statistics.totals import DIFFERENTIABLE
-from .plan import RETAINED, Plan, Task
+from .sweep import RETAINED, Plan, Task
 
 # Warnings of tasks that run in several threads, collected task by task.
 #

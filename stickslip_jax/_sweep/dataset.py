@@ -27,8 +27,8 @@ from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import require_system
 from .batches import derivatives_of, head_of, joined, packed, unpacked
-from .plan import Plan, Task
 from .store import DATA, Batch, Store, derivative_name
+from .sweep import Plan, Task
 
 if TYPE_CHECKING:
     import xarray

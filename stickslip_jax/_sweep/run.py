@@ -36,8 +36,8 @@ from .._foundation.processes import cores
 from . import batches
 from .batches import Failed, NoMemory, Outcome, Performer, Sent, outcome_of, perform_sent, sent
 from .dataset import Work, dataset_of, require_packages, write_dataset
-from .plan import Plan, Task
 from .store import LOG, Store, opened
+from .sweep import Plan, Task
 
 if TYPE_CHECKING:
     import distributed

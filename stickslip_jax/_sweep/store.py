@@ -47,8 +47,7 @@ from .._foundation.files import (
     write_whole,
 )
 from .._statistics.quantities import Numbering
-from . import plan as plans
-from .plan import Plan, Task
+from .sweep import Plan, Task, checked_derivatives, checked_errors, checked_keep, checked_statistics
 
 # The manifest of a sweep's folder, and its copy there: everything that decides the numbers, and what was asked for.
 
@@ -262,9 +261,9 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
     fields = body["deciding"] | body["asked"]
     if fields["dtype"] not in ("float64", "float32"):
         raise ValueError(f"dtype is {checks.show(fields['dtype'])}")
-    keep = plans.checked_keep(fields["keep"])
+    keep = checked_keep(fields["keep"])
     derivatives = [(name, tuple(wrt)) for name, wrt in fields["derivatives"]]
-    statistics = _known(fields["statistics"], lambda name: plans.checked_statistics([name], keep))
+    statistics = _known(fields["statistics"], lambda name: checked_statistics([name], keep))
     fields["numbering"] = Numbering.checked(*fields["numbering"])
     words, outputs = fields["key_data"], fields.pop("output_code")
     is_key = isinstance(words, list) and all(type(word) is int and 0 <= word < 2**32 for word in words)
@@ -273,8 +272,8 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
     fields |= {
         "key_data": None if words is None else tuple(words),
         "statistics": statistics,
-        "derivatives": _known(derivatives, lambda one: plans.checked_derivatives([one])),
-        "standard_errors": plans.checked_errors(fields["standard_errors"] or None, statistics),
+        "derivatives": _known(derivatives, lambda one: checked_derivatives([one])),
+        "standard_errors": checked_errors(fields["standard_errors"] or None, statistics),
         "outputs": {name: Output(_not_stored, name, unit) for name, unit, _ in outputs},
     }
     if outputs and to_run:

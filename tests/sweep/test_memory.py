@@ -14,7 +14,7 @@ from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import batches
 from stickslip_jax._sweep.batches import Failed, NoMemory, outcome_of, perform_sent, sent
 from stickslip_jax._sweep.dataset import status_of
-from stickslip_jax._sweep.plan import Task
+from stickslip_jax._sweep.sweep import Task
 
 
 def no_memory(message: str = "") -> MemoryError:
