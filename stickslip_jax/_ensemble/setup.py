@@ -26,6 +26,7 @@ from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import ALL, StickCollector, StickStream
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._foundation import checks
+from .._foundation.extras import progress_bar
 from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, Status
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
@@ -33,8 +34,7 @@ from .._statistics.totals import STATISTICS
 from .._systems.system import require_system
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
-from .data import EnsembleData, Fields, Keep
-from .parts import EnsembleAccumulator, EnsemblePart, prepare, progress_bar
+from .data import EnsembleAccumulator, EnsembleData, EnsemblePart, Fields, Keep, prepare
 
 # The checked arguments of an ensemble, and the engine that simulates its samples.
 

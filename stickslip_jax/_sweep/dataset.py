@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .._dynamics.simulation import source
-from .._ensemble.dataset import as_netcdf, read_netcdf, verified
-from .._ensemble.encoding import DamagedFileError, SweepError, cannot_write, sum_of
+from .._ensemble.encoding import DamagedFileError, SweepError, as_netcdf, cannot_write, read_netcdf, sum_of, verified
+from .._ensemble.ensemble import Ensemble
 from .._ensemble.points import POINT, label_and_unit
-from .._ensemble.result import Ensemble
 from .._foundation.extras import Entries, labeled_dataset, require, variable
 from .._foundation.files import write_whole
 from .._foundation.types import Status
@@ -26,9 +25,8 @@ from .._statistics.quantities import BY_NAME as STICK_BY_NAME
 from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import require_system
-from .batches import derivatives_of, head_of, joined, packed, unpacked
+from .batches import Plan, Task, derivatives_of, head_of, joined, packed, unpacked
 from .store import DATA, Batch, Store, derivative_name
-from .sweep import Plan, Task
 
 if TYPE_CHECKING:
     import xarray

@@ -28,16 +28,14 @@ import jax
 import jax.numpy as jnp
 
 from .._ensemble.encoding import SweepError, cannot_write, with_header
-from .._ensemble.parts import Progress, progress_bar
 from .._foundation import checks
-from .._foundation.extras import require
+from .._foundation.extras import Progress, progress_bar, require
 from .._foundation.files import write_whole
 from .._foundation.processes import cores
 from . import batches
-from .batches import Failed, NoMemory, Outcome, Performer, Sent, outcome_of, perform_sent, sent
+from .batches import Failed, NoMemory, Outcome, Performer, Plan, Sent, Task, outcome_of, perform_sent, sent
 from .dataset import Work, dataset_of, require_packages, write_dataset
 from .store import LOG, Store, opened
-from .sweep import Plan, Task
 
 if TYPE_CHECKING:
     import distributed

@@ -47,7 +47,7 @@ from .._foundation.files import (
     write_whole,
 )
 from .._statistics.quantities import Numbering
-from .sweep import Plan, Task, checked_derivatives, checked_errors, checked_keep, checked_statistics
+from .batches import Plan, Task, checked_derivatives, checked_errors, checked_keep, checked_statistics
 
 # The manifest of a sweep's folder, and its copy there: everything that decides the numbers, and what was asked for.
 

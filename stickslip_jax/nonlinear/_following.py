@@ -37,8 +37,8 @@ from .._ensemble.encoding import (
     with_header,
     without_header,
 )
-from .._ensemble.parts import progress_bar
 from .._foundation import checks
+from .._foundation.extras import progress_bar
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory

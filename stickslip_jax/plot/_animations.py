@@ -23,9 +23,9 @@ from PIL import Image
 
 from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import Sticks
-from .._ensemble.parts import progress_bar
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
+from .._foundation.extras import progress_bar
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import Ending
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars

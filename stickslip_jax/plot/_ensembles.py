@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import StepPatch
 
 from .._dynamics.simulation import Simulation
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble
 from .._excitation.motion import Signal
 from .._foundation import checks
 from .._foundation.types import Ending, Status

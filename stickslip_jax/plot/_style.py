@@ -23,7 +23,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from matplotlib.typing import ColorType
 
 from .._dynamics.simulation import Simulation
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble
 from .._excitation.motion import RandomPhase, SourceVoltage
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
