@@ -21,7 +21,6 @@ from .._dynamics.stick_tables import slip_variables, stick_variables
 from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks
 from .._foundation import checks
 from .._foundation.extras import flags, labeled_dataset, require, variable
-from .._foundation.files import file_for_user
 from .._foundation.types import Ending, Status
 from .._numerics.sums import Moments
 from .._statistics.quantities import Numbering, StickAccumulator
@@ -39,7 +38,7 @@ from .data import (
     UnknownSystem,
     single,
 )
-from .encoding import DamagedFileError, Decoder, Encoder, as_netcdf, read_netcdf, verified
+from .encoding import DamagedFileError, Decoder, Encoder, read_netcdf, verified
 from .setup import MOST_SAMPLES
 
 if TYPE_CHECKING:
@@ -276,15 +275,6 @@ def _codes(values: np.ndarray, kind: type[IntEnum], name: str) -> np.ndarray:
 
 
 _STUDY = "study.nc"  # the file of a study's data in its folder
-
-
-def write_dataset(dataset: "xarray.Dataset", path: Path) -> Path:
-    """Write the data set of an ensemble to `path`, from `file_to_write`; see `Ensemble.save`."""
-    require("Files of ensembles need", "study", "xarray", "h5netcdf")
-    data = as_netcdf(dataset, compression(dataset))
-    with file_for_user(path) as file:
-        file.write(data)
-    return path
 
 
 def fields_of_file(path: Path) -> Fields:

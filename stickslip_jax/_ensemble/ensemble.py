@@ -5,7 +5,7 @@
 import dataclasses
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,18 +17,19 @@ import numpy as np
 from jaxtyping import Array
 
 from .._dynamics.common.method import EXACT, Exact, Regularized
-from .._dynamics.simulate import Output, Outputs, checked_outputs
+from .._dynamics.simulate import Outputs, checked_outputs
 from .._dynamics.simulation import Simulation
 from .._dynamics.stick_tables import stick_columns, time_columns, write_table
 from .._dynamics.sticks import Slips, Sticks, in_slots
 from .._excitation.excitation import BaseMotion, is_random
 from .._foundation import checks, html
-from .._foundation.files import file_to_write
+from .._foundation.extras import require
+from .._foundation.files import file_for_user, file_to_write
 from .._foundation.processes import require_threads_of_jax
 from .._foundation.types import InitialState, Status
 from .._numerics.sums import DyadicCounts, PowerSums
 from .._statistics.distribution import BINS, Clusters, Distribution
-from .._statistics.ensemble_statistics import EnsembleStatistics, Summary, shown, statistics_of_ensemble, table_of
+from .._statistics.ensemble_statistics import EnsembleStatistics, Summary, shown, table_of
 from .._statistics.estimate import origin_of
 from .._statistics.quantities import Numbering
 from .._statistics.totals import STATISTICS, TOTALS
@@ -50,7 +51,8 @@ from .data import (
     same_object,
     single,
 )
-from .setup import MOST_SAMPLES, NO_OUTPUTS, TAKEN, EnsembleSetup, fields_of_outputs, found_by, found_here, outputs_of
+from .encoding import as_netcdf
+from .setup import MOST_SAMPLES, TAKEN, EnsembleSetup, fields_of_outputs, found_by, outputs_of
 
 if TYPE_CHECKING:
     import xarray
@@ -205,7 +207,13 @@ class Ensemble(EnsembleData):
     @cached_property
     def statistics(self) -> EnsembleStatistics:
         """All statistics of the sticks and slips. Raises ValueError if ``keep="totals"``."""
-        return statistics_of_ensemble(self)
+        sticks = self.finished_sticks()  # refuses an ensemble that has none
+        assert self.retained is not None
+        assert self.accumulator is not None
+        position = self.system.stick_position.unit
+        return EnsembleStatistics(
+            self.accumulator, sticks, self.retained.totals, self.t1, position, self.numbering, origin_of(self)
+        )
 
     @cached_property
     def outputs(self) -> dict[str, Distribution]:
@@ -346,7 +354,12 @@ class Ensemble(EnsembleData):
             ImportError: Without the extra ``study``.
         """
         path = file_to_write(path, (".nc",), overwrite=overwrite)
-        return conversions.write_dataset(self.to_xarray(), path)
+        dataset = self.to_xarray()
+        require("Files of ensembles need", "study", "xarray", "h5netcdf")
+        data = as_netcdf(dataset, conversions.compression(dataset))
+        with file_for_user(path) as file:
+            file.write(data)
+        return path
 
     def write_sticks(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
@@ -393,12 +406,11 @@ class Ensemble(EnsembleData):
         return html.titled(title) + html.table(rows) + figure
 
     def __repr__(self) -> str:
-        sticks = self.moments.mean[TOTALS.index("stick_count")] * self.moments.number
         lines = [
             f"Ensemble of {self.samples} samples on [0, {self.t1:g}] s",
             f"  system    {_brief(self.system)}",
             f"  law       {_brief(self.law)}",
-            f"  sticks    {round(sticks)} found" + ("" if self.flat_sticks is None else ", all kept"),
+            f"  sticks    {_sticks(self)} found" + ("" if self.flat_sticks is None else ", all kept"),
         ]
         if self.run_seconds:
             lines.append(f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile")
@@ -491,19 +503,6 @@ def simulate_ensemble(
     return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(wanted))
 
 
-def simulate_batch(
-    setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int,
-    outputs: Mapping[str, Output] = NO_OUTPUTS,
-) -> Ensemble:  # fmt: skip
-    """Samples `first`, ``first + 1``, ... of a larger whole, simulated in this thread.
-
-    `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any batch of the whole
-    has; programs compiled for one batch fit all others with the same `fewest`.
-    """
-    found = found_here(setup, first, EnsembleAccumulator(samples, keep, retained), fewest, outputs)
-    return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(outputs))
-
-
 # `simulate_contacts`: many samples of a system with several contacts, with the statistics of each contact.
 
 
@@ -512,10 +511,15 @@ class ContactEnsembles:
     """The result of `simulate_contacts`: an `Ensemble` for each contact, and one for all contacts at once.
 
     - `system`: as it was given. `contacts`: how many it has. `samples`: their number. `t1`: s.
+    - `status_counts`, `near_grazing_samples`: as of an `Ensemble`.
     """
 
     system: System
     contacts: int
+    samples: int
+    t1: float
+    status_counts: dict[Status, int]
+    near_grazing_samples: int
     _ensembles: tuple[Ensemble, ...]
 
     def of_contact(self, number: int) -> Ensemble:
@@ -532,26 +536,6 @@ class ContactEnsembles:
     def of_all_contacts(self) -> Ensemble:
         """The ensemble in which the times are counted when every closed contact sticks."""
         return self._ensembles[-1]
-
-    @property
-    def samples(self) -> int:
-        """The number of samples."""
-        return self._ensembles[0].samples
-
-    @property
-    def t1(self) -> float:
-        """Their duration, s."""
-        return self._ensembles[0].t1
-
-    @property
-    def status_counts(self) -> dict[Status, int]:
-        """As of an `Ensemble`."""
-        return self._ensembles[0].status_counts
-
-    @property
-    def near_grazing_samples(self) -> int:
-        """As of an `Ensemble`."""
-        return self._ensembles[0].near_grazing_samples
 
     @property
     def input_values(self) -> dict[str, np.ndarray]:
@@ -572,7 +556,7 @@ class ContactEnsembles:
 
 
 def _sticks(ensemble: Ensemble) -> int:
-    return round(float(ensemble.moments.mean[1] * ensemble.moments.number))
+    return round(float(ensemble.moments.mean[TOTALS.index("stick_count")] * ensemble.moments.number))
 
 
 def simulate_contacts(
@@ -650,7 +634,10 @@ def simulate_contacts(
     counted = [*(system.of_contact(number) for number in range(contacts)), system.of_all_contacts()]
     shared: Fields = setup.fields() | {"samples": number, "first_sample": first} | fields_of_outputs(wanted)
     ensembles = [Ensemble(**{**shared, "system": one, **fields}) for one, fields in zip(counted, found, strict=True)]
-    return ContactEnsembles(system, contacts, tuple(ensembles))
+    one = ensembles[0]
+    return ContactEnsembles(
+        system, contacts, number, one.t1, one.status_counts, one.near_grazing_samples, tuple(ensembles)
+    )
 
 
 # `concatenate` joins ensembles, `load` reads one from a file.

@@ -17,7 +17,7 @@ from .._foundation.extras import Entries, labeled_dataset, variable
 from .._foundation.types import Ending
 from .._numerics.sums import DyadicCounts, PowerSums
 from .distribution import BINS, BINS_OF_PAIRS, DEFAULT_BINS, Clusters, Distribution, JointDistribution, wrapped
-from .estimate import Estimate, Share, format_with_error, origin_of, require_ensemble
+from .estimate import Estimate, Share, format_with_error
 from .quantities import (
     BY_NAME,
     DISTRIBUTIONS,
@@ -235,20 +235,6 @@ class SlipStatistics(ByQuantity):
 
 
 # The statistics of the sticks and slips of an ensemble, by quantity and by order.
-
-
-def statistics_of_ensemble(ensemble: object) -> "EnsembleStatistics":
-    """All statistics of an ensemble that was simulated with ``keep="statistics"`` or ``"sticks"``.
-
-    Raises:
-        ValueError: For any other argument.
-    """
-    many = require_ensemble(ensemble)
-    sticks = many.finished_sticks()  # refuses an ensemble that has none
-    position = many.system.stick_position.unit
-    return EnsembleStatistics(
-        many.accumulator, sticks, many.retained.totals, many.t1, position, many.numbering, origin_of(many)
-    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

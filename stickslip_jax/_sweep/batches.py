@@ -18,10 +18,10 @@ import time
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias, TypeVar, cast, get_args
+from typing import Any, NamedTuple, TypeAlias, cast, get_args
 
 import jax
 import jax.numpy as jnp
@@ -32,9 +32,9 @@ from .._dynamics.simulate import Output
 from .._dynamics.sticks import FlatSticks
 from .._ensemble.data import EnsembleAccumulator, Keep, Retained
 from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, SweepError, versions
-from .._ensemble.ensemble import Ensemble, simulate_batch
+from .._ensemble.ensemble import Ensemble
 from .._ensemble.points import Points, Setter, SweepSetting, check_points, setter_of
-from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup, fields_of_outputs, runner_for
+from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup, fields_of_outputs, found_here, runner_for
 from .._foundation import checks, compilation_cache
 from .._foundation.files import unpacked_arrays
 from .._foundation.processes import require_memory
@@ -294,12 +294,11 @@ def perform(plan: Plan, task: Task) -> bytes:
         fewest = min(plan.samples, plan.batch)
         # Joined, the batches keep the first sticks of the point, whatever the size of a batch; each sample has one or
         # more.
-        retained, run = max(0, RETAINED - task.first), plan.run_at(task.point)
-        return packed(
-            simulate_batch(
-                run, task.first, task.samples, plan.keep, retained=retained, fewest=fewest, outputs=plan.outputs
-            )
-        )
+        accumulator = EnsembleAccumulator(task.samples, plan.keep, max(0, RETAINED - task.first))
+        setup = plan.run_at(task.point)
+        found = found_here(setup, task.first, accumulator, fewest, plan.outputs)
+        about = setup.fields() | fields_of_outputs(plan.outputs)
+        return packed(Ensemble(samples=task.samples, first_sample=task.first, **about, **found))
     name, wrt = plan.derivatives[task.derivative]
     statistic = next(one for one in DIFFERENTIABLE if one.name == name)
     setting, started = plan.setting_at(task.point), time.perf_counter()
@@ -345,23 +344,18 @@ _UNFIT = (
     RecursionError, TypeError, ValueError,
 )  # fmt: skip
 """What reading bytes raises that `packed` did not make."""
-_Read = TypeVar("_Read", bound=Callable[..., Any])
 
 
-def _damage_told(read: _Read) -> _Read:
-    """`read`, a function of bytes, with a DamagedFileError for those that `perform` did not make."""
-
-    @functools.wraps(read)
-    def told(*arguments: Any) -> Any:
-        try:
-            return read(*arguments)
-        except _UNFIT as error:
-            raise DamagedFileError(str(error)) from error
-
-    return cast(_Read, told)
+@contextmanager
+def _damage_told() -> Iterator[None]:
+    """Raises DamagedFileError where the block reads bytes that `perform` did not make."""
+    try:
+        yield
+    except _UNFIT as error:
+        raise DamagedFileError(str(error)) from error
 
 
-@_damage_told
+@_damage_told()
 def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensemble:
     """The ensemble of the batch of samples ``first .. end - 1`` that `perform` made.
 
@@ -388,7 +382,7 @@ def unpacked(data: bytes, fields: dict[str, Any], first: int, end: int) -> Ensem
     )
 
 
-@_damage_told
+@_damage_told()
 def head_of(data: bytes, first: int, end: int) -> dict[str, Any]:
     """What the batch of samples ``first .. end - 1`` says of itself, as `packed` wrote it: their numbers, how many have
     each status, and their sums. Raises DamagedFileError as `unpacked`.
@@ -403,7 +397,7 @@ def head_of(data: bytes, first: int, end: int) -> dict[str, Any]:
     return head
 
 
-@_damage_told
+@_damage_told()
 def derivatives_of(data: bytes, end: int) -> dict[str, Any]:
     """The derivatives that `perform` found from samples ``0 .. end - 1``: `by` parameter, with `warnings` about them.
 

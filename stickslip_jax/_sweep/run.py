@@ -114,25 +114,6 @@ class Executor:
         self.close(wait=kind is None)
 
 
-def _threads(plan: Plan, number: int) -> Executor:
-    """Threads of this process."""
-    new_pool = functools.partial(ThreadPoolExecutor, number, thread_name_prefix="stickslip sweep")
-    return Executor(number, new_pool, Performer(plan).perform)
-
-
-def _processes(plan: Plan, number: int) -> Executor:
-    """Processes of this machine, each with one thread. They are spawned: JAX does not survive a fork.
-
-    Those of loky do not run the user's program again, as those of the standard library and of dask do.
-    """
-    start, prepare = batches.start_of_process(plan), batches.prepare_process
-    require("Argument workers needs", "study", "loky")
-    from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
-
-    options: dict[str, Any] = {"initializer": prepare, "initargs": start, "env": _ENVIRONMENT}
-    return Executor(number, functools.partial(ProcessPoolExecutor, number, **options), batches.perform_in_process)
-
-
 @contextmanager
 def _no_interrupts() -> Iterator[None]:
     """Processes that are started in the block ignore Ctrl-C from the beginning: they inherit what is blocked."""
@@ -527,9 +508,18 @@ def _executor_for(
     if client is not None:
         return DaskCluster(plan, client, store, shared_folder)
     if workers is not None:
-        return _processes(plan, checks.whole_number("workers", workers))
+        # Spawned processes: JAX does not survive a fork. Those of loky do not run the user's program again, as those of
+        # the standard library and of dask do.
+        number, start = checks.whole_number("workers", workers), batches.start_of_process(plan)
+        require("Argument workers needs", "study", "loky")
+        from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
+
+        options: dict[str, Any] = {"initializer": batches.prepare_process, "initargs": start, "env": _ENVIRONMENT}
+        return Executor(number, functools.partial(ProcessPoolExecutor, number, **options), batches.perform_in_process)
     usual = max(cores(), len(jax.local_devices()))
-    return _threads(plan, usual if threads is None else checks.whole_number("threads", threads))
+    number = usual if threads is None else checks.whole_number("threads", threads)
+    new_pool = functools.partial(ThreadPoolExecutor, number, thread_name_prefix="stickslip sweep")
+    return Executor(number, new_pool, Performer(plan).perform)
 
 
 def run_sweep(

@@ -17,35 +17,12 @@ from typing import Any, NamedTuple, TypedDict, TypeVar, cast, get_origin
 import numpy as np
 
 from .._dynamics.simulate import Output
+from .._ensemble import encoding
 from .._ensemble.data import Unknown
-from .._ensemble.encoding import (
-    ID_LENGTH,
-    LONGEST_HEADER,
-    DamagedFileError,
-    Decoder,
-    Encoder,
-    ForeignFileError,
-    SweepError,
-    cannot_write,
-    id_of,
-    locked,
-    parts_of_file,
-    sum_of,
-    versions,
-    with_header,
-    without_header,
-)
+from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, ForeignFileError, SweepError
 from .._ensemble.points import Dimension, Points, SweepSetting, points_of, setting_of
-from .._foundation import checks
-from .._foundation.files import (
-    NotAFileError,
-    append_regular,
-    finished_name,
-    read_regular,
-    remove_unfinished,
-    sync_folder,
-    write_whole,
-)
+from .._foundation import checks, files
+from .._foundation.files import NotAFileError
 from .._statistics.quantities import Numbering
 from .batches import Plan, Task, checked_derivatives, checked_errors, checked_keep, checked_statistics
 
@@ -88,7 +65,7 @@ def manifest_text(plan: Plan) -> str:
     body: Manifest = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "versions": versions(),
+        "versions": encoding.versions(),
         "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in OBJECTS},
         "deciding": {name: getattr(plan, name) for name in DECIDING},
         "asked": {name: getattr(plan, name) for name in ASKED},
@@ -103,7 +80,7 @@ def manifest_text(plan: Plan) -> str:
 
 
 def _text(body: Mapping[str, object]) -> str:
-    return json.dumps({"body": body, "sha256": sum_of(body)}, indent=1)
+    return json.dumps({"body": body, "sha256": encoding.sum_of(body)}, indent=1)
 
 
 def body_of(text: str | bytes) -> Manifest:
@@ -115,7 +92,9 @@ def body_of(text: str | bytes) -> Manifest:
     try:
         whole = json.loads(text)
         is_ours = isinstance(whole, dict) and bool({"body", "sha256"} & whole.keys())
-        is_whole = is_ours and isinstance(whole.get("body"), dict) and sum_of(whole["body"]) == whole.get("sha256")
+        is_whole = (
+            is_ours and isinstance(whole.get("body"), dict) and encoding.sum_of(whole["body"]) == whole.get("sha256")
+        )
     except (ValueError, RecursionError) as error:
         raise DamagedFileError(str(error)) from error
     if not is_ours:
@@ -137,7 +116,7 @@ def body_of(text: str | bytes) -> Manifest:
     for name, kind in Manifest.__annotations__.items():
         if type(body.get(name)) is not (get_origin(kind) or kind):
             raise DamagedFileError(f"its {name} is missing")
-    wanted = {"versions": tuple(versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
+    wanted = {"versions": tuple(encoding.versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
     for part, names in wanted.items():
         there = body[part]
         for name in (*(name for name in names if name not in there), *(name for name in there if name not in names)):
@@ -186,7 +165,7 @@ def _brief(value: object) -> str:
 
 def sweep_id_of(body: Manifest) -> bytes:
     """The identity of a sweep: of everything that decides the numbers at a point."""
-    return id_of({name: body[name] for name in _FINGERPRINT})
+    return encoding.id_of({name: body[name] for name in _FINGERPRINT})
 
 
 def has_manifest(folder: Path) -> bool:
@@ -210,7 +189,7 @@ def body_in(folder: Path, *, to_write: bool = False) -> Manifest:
     for name in (MANIFEST, COPY):
         path = folder / name
         try:
-            found[name] = body_of(read_regular(path))
+            found[name] = body_of(files.read_regular(path))
         except (FileNotFoundError, NotADirectoryError):
             continue
         except SweepError as error:
@@ -231,7 +210,7 @@ def body_in(folder: Path, *, to_write: bool = False) -> Manifest:
         ids = set()  # with which the batches begin that are there
         for name in filter(_NAME.fullmatch, _names_in(folder)):
             with contextlib.suppress(OSError):
-                ids.add(read_regular(folder / BATCHES / name, ID_LENGTH))
+                ids.add(files.read_regular(folder / BATCHES / name, encoding.ID_LENGTH))
         right = [name for name, body in found.items() if sweep_id_of(body) in ids]
         if len(right) != 1:
             raise SweepError(
@@ -444,7 +423,7 @@ class Store:
         that is gone, and SweepError for one of another sweep and one that cannot be read.
         """
         try:
-            return without_header(self.sweep_id, batch.path.name, read_regular(batch.path))
+            return encoding.without_header(self.sweep_id, batch.path.name, files.read_regular(batch.path))
         except FileNotFoundError:
             raise
         except ForeignFileError:
@@ -461,7 +440,7 @@ class Store:
         foreign, is_any_ours = None, False
         for batch in itertools.chain.from_iterable(self._all().values()):
             try:
-                sweep_id, name, _ = parts_of_file(read_regular(batch.path, LONGEST_HEADER))
+                sweep_id, name, _ = encoding.parts_of_file(files.read_regular(batch.path, encoding.LONGEST_HEADER))
                 if sweep_id != self.sweep_id:
                     self.read(batch)  # raises an error for any
                 is_any_ours = True
@@ -506,18 +485,18 @@ class Store:
         """Write the bytes of a batch. Raises SweepError if that fails."""
         self.check_kept()
         try:
-            write_whole(path, with_header(self.sweep_id, path.name, data))
+            files.write_whole(path, encoding.with_header(self.sweep_id, path.name, data))
         except FileNotFoundError as error:  # while the folder is being removed, the rest may still be there
             self.check_kept()
             raise self._taken_away(path.name) from error
         except OSError as error:
             self.check_kept()
-            raise cannot_write(self.folder, error) from error
+            raise encoding.cannot_write(self.folder, error) from error
 
     def log(self, text: str) -> None:
         """Add a line to the log, with the time."""
         with contextlib.suppress(OSError):
-            append_regular(self.folder / LOG, f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+            files.append_regular(self.folder / LOG, f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
 def _names_in(folder: Path) -> set[str]:
@@ -569,12 +548,14 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
     except NotADirectoryError:
         raise SweepError(f"{folder} cannot hold a sweep, because it lies below a file; choose another.") from None
     except OSError as error:
-        raise cannot_write(folder, error) from error
+        raise encoding.cannot_write(folder, error) from error
     if others and not has_sweep:
         raise SweepError(
             f"{folder} is not empty and holds no sweep (it has {others[0]}); choose an empty or a new folder."
         )
-    with locked(folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."):
+    with encoding.locked(
+        folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."
+    ):
         text = manifest_text(plan)
         if has_manifest(folder):
             stored = body_in(folder, to_write=True)
@@ -597,15 +578,15 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
         store = Store(folder, body_of(text), can_write=True)
         store.check_batches()
         try:
-            remove_unfinished(folder)
-            remove_unfinished(folder / BATCHES)
+            files.remove_unfinished(folder)
+            files.remove_unfinished(folder / BATCHES)
             (folder / BATCHES).mkdir(exist_ok=True)
             for path in (folder / MANIFEST, folder / COPY):
-                if not path.exists() or read_regular(path) != text.encode():
-                    write_whole(path, text.encode())
-            sync_folder(folder.parent)
+                if not path.exists() or files.read_regular(path) != text.encode():
+                    files.write_whole(path, text.encode())
+            files.sync_folder(folder.parent)
         except OSError as error:
-            raise cannot_write(folder, error) from error
+            raise encoding.cannot_write(folder, error) from error
         yield store, plan
 
 
@@ -613,7 +594,7 @@ def _is_begun(path: Path) -> bool:
     """Whether `opened` makes such a file before the manifest is complete."""
     if path.name == BATCHES:
         return path.is_dir() and not os.listdir(path)
-    return path.name == LOCK or finished_name(path.name) in (MANIFEST, COPY)
+    return path.name == LOCK or files.finished_name(path.name) in (MANIFEST, COPY)
 
 
 def _without_overlap(batches: list[Batch]) -> list[Batch]:
