@@ -27,17 +27,8 @@ from .._statistics.quantities import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._systems.system import Coordinate, System
 from .._uncertainty.families import RandomNumber
-from .data import (
-    EnsembleAccumulator,
-    EnsembleData,
-    EnsemblePart,
-    Fields,
-    GivenMotions,
-    Retained,
-    Unknown,
-    UnknownSystem,
-    single,
-)
+from . import data
+from .data import EnsembleAccumulator, EnsembleData, EnsemblePart, Fields, GivenMotions, Unknown, UnknownSystem
 from .encoding import DamagedFileError, Decoder, Encoder, read_netcdf, verified
 from .setup import MOST_SAMPLES
 
@@ -352,12 +343,12 @@ def _fields(dataset: "xarray.Dataset") -> Fields:
         totals = _stored_totals(dataset, found)
         own = (totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks))
         finished = np.asarray(totals.status) == Status.FINISHED
-        retained = Retained(sticks.only(finished), np.stack(own, axis=1, dtype=np.float64)[finished])
+        retained = data.Retained(sticks.only(finished), np.stack(own, axis=1, dtype=np.float64)[finished])
         kept = {"sample_totals": totals, "flat_sticks": sticks, "retained": retained}
     elif keep == "statistics":
         sticks = _flat_sticks(dataset, SAMPLE[keep])
         own = (dataset[name].to_numpy() for name in ("stick_time", "stick_count", "slip_count"))
-        kept["retained"] = Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
+        kept["retained"] = data.Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
     elif "stick_count" in dataset:
         kept["sample_totals"] = _stored_totals(dataset, dataset["stick_count"].to_numpy())
     return {
@@ -593,7 +584,7 @@ def fields_of_simulations(result: object, numbering: Numbering) -> Fields:
     def shared(leaf: Any) -> Any:  # what is the same in all simulations stands once; the rest stays (samples,)
         if not np.ndim(leaf) or len(leaf) != samples:
             return leaf
-        return np.asarray(leaf) if differs(leaf) else single(np.asarray(leaf)[0])
+        return np.asarray(leaf) if differs(leaf) else data.single(np.asarray(leaf)[0])
 
     system, law, method = (jax.tree.map(shared, part) for part in (result.system, result.base, result.method))
     leaves = jax.tree.leaves(result.base)

@@ -36,21 +36,8 @@ from .._statistics.totals import STATISTICS, TOTALS
 from .._systems.system import System, WithContacts
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, StochasticModel
-from . import conversions
-from .data import (
-    EnsembleAccumulator,
-    EnsembleData,
-    Fields,
-    GivenMotions,
-    Keep,
-    Origin,
-    Realization,
-    Unknown,
-    UnknownSystem,
-    require_known,
-    same_object,
-    single,
-)
+from . import conversions, data
+from .data import EnsembleAccumulator, EnsembleData, Fields, GivenMotions, Keep, Origin, Unknown, UnknownSystem
 from .encoding import as_netcdf
 from .setup import MOST_SAMPLES, TAKEN, EnsembleSetup, fields_of_outputs, found_by, outputs_of
 
@@ -196,7 +183,7 @@ class Ensemble(EnsembleData):
         parts = self._parts
         for part in parts:
             part._require_whole()
-            require_known("system", part.system)
+            data.require_known("system", part.system)
         if len({part.inputs.names for part in parts}) > 1:
             raise ValueError(
                 f"This ensemble was joined from {len(parts)} parts in which different numbers differ from sample to "
@@ -288,7 +275,7 @@ class Ensemble(EnsembleData):
         mask, filled = in_slots(np.bincount(slips.sample, minlength=self.samples), columns)
         return Slips(**filled, mask=mask)
 
-    def realization(self, number: int) -> Realization:
+    def realization(self, number: int) -> data.Realization:
         """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it::
 
             system, base, y0 = many.realization(3)
@@ -308,16 +295,16 @@ class Ensemble(EnsembleData):
             samples = part.samples
 
             def own(leaf):
-                return single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == samples else leaf
+                return data.single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == samples else leaf
 
             y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in part.y0)
-            return Realization(jax.tree.map(own, part.system), part.law.base(number), y0)
+            return data.Realization(jax.tree.map(own, part.system), part.law.base(number), y0)
 
         if part.key_data is not None:
             self._check_dtype()
         system, law, y0 = part.inputs.of_sample(number, jnp.dtype(self.dtype))
         base = part.inputs.realization_of(number, law, self.t1) if is_random(law) else law
-        return Realization(system, base, y0)
+        return data.Realization(system, base, y0)
 
     def to_xarray(self) -> "xarray.Dataset":
         """The ensemble as an ``xarray.Dataset`` with units and long names, from which `from_xarray` makes it again.
@@ -356,9 +343,9 @@ class Ensemble(EnsembleData):
         path = file_to_write(path, (".nc",), overwrite=overwrite)
         dataset = self.to_xarray()
         require("Files of ensembles need", "study", "xarray", "h5netcdf")
-        data = as_netcdf(dataset, conversions.compression(dataset))
+        content = as_netcdf(dataset, conversions.compression(dataset))
         with file_for_user(path) as file:
-            file.write(data)
+            file.write(content)
         return path
 
     def write_sticks(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -542,11 +529,11 @@ class ContactEnsembles:
         """The values of the numbers that differ from sample to sample, by name, arrays (samples,)."""
         return self._ensembles[0].input_values
 
-    def realization(self, number: int) -> Realization:
+    def realization(self, number: int) -> data.Realization:
         """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it."""
         system, base, y0 = self._ensembles[0].realization(number)
         assert isinstance(system, WithContacts)
-        return Realization(system._counting(None), base, y0)
+        return data.Realization(system._counting(None), base, y0)
 
     def __repr__(self) -> str:
         first, *lines = repr(dataclasses.replace(self._ensembles[0], system=self.system)).split("\n")
@@ -696,7 +683,7 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
     if len(origins) > 1:
         given |= {"origins": origins, "key_data": None, "first_sample": 0, "design": None, "copula": None}
         for name in ("system", "law", "method", "y0"):
-            if not all(same_object(getattr(origin, name), given[name]) for origin in origins):
+            if not all(data.same_object(getattr(origin, name), given[name]) for origin in origins):
                 unknown = Unknown(f"differs among the {len(origins)} parts")
                 position = origins[0].system.stick_position
                 stands_for = {"system": UnknownSystem(unknown.name, "", position), "y0": (unknown,)}

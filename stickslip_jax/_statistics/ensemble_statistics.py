@@ -16,28 +16,10 @@ from .._foundation import checks, html
 from .._foundation.extras import Entries, labeled_dataset, variable
 from .._foundation.types import Ending
 from .._numerics.sums import DyadicCounts, PowerSums
+from . import quantities
 from .distribution import BINS, BINS_OF_PAIRS, DEFAULT_BINS, Clusters, Distribution, JointDistribution, wrapped
 from .estimate import Estimate, Share, format_with_error
-from .quantities import (
-    BY_NAME,
-    DISTRIBUTIONS,
-    FIRST_TWO,
-    OWN_MEAN_DURATION,
-    SAMPLE_QUANTITIES,
-    SLIP_COUNT,
-    SLIP_DURATION,
-    SLIP_QUANTITIES,
-    SLIP_START,
-    STICK_COUNT,
-    STICK_FRACTION,
-    STICK_QUANTITIES,
-    STREAMED_PAIRS,
-    Numbering,
-    SampledQuantity,
-    StickAccumulator,
-    StickValue,
-    ordinal,
-)
+from .quantities import Numbering, SampledQuantity, StickAccumulator, StickValue, ordinal
 from .totals import TOTALS
 
 if TYPE_CHECKING:
@@ -121,7 +103,7 @@ def shown_share(share: Estimate) -> str:
 
 
 _SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
-NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)  # in the order of the accumulator's columns
+NAMES = tuple(quantity.name for quantity in quantities.STICK_QUANTITIES)  # in the order of the accumulator's columns
 
 
 class ByQuantity(abc.ABC):
@@ -145,7 +127,7 @@ class ByQuantity(abc.ABC):
             for key in (name, f"slip_{name}"):
                 if key in self.distributions:
                     return self.distributions[key]
-            if SLIP_START.name not in self.distributions:
+            if quantities.SLIP_START.name not in self.distributions:
                 raise ValueError(f"The sticks of this ensemble have no {name}, which was not measured.")
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
 
@@ -204,12 +186,12 @@ class SlipStatistics(ByQuantity):
     def distributions(self) -> dict[str, Distribution]:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         """The distribution over all slips of each of the `SLIP_QUANTITIES`, by name."""
         every = np.ones(len(self._slips.start), bool)
-        return {one.name: self._distribution(one, every) for one in SLIP_QUANTITIES}
+        return {one.name: self._distribution(one, every) for one in quantities.SLIP_QUANTITIES}
 
     def order(self, number: int) -> OrderStatistics:
         """Statistics of the `number`-th slip of each sample that has so many. Raises ValueError below 1."""
         chosen = self._slips.order == checks.whole_number("number", number)
-        found = {one.name: self._distribution(one, chosen, number) for one in SLIP_QUANTITIES}
+        found = {one.name: self._distribution(one, chosen, number) for one in quantities.SLIP_QUANTITIES}
         return OrderStatistics.of(number, "slip", int(chosen.sum()), len(self.sticks.count), found, self.origin)
 
     @cached_property
@@ -277,9 +259,9 @@ class EnsembleStatistics(ByQuantity):
         summed = len(self.accumulator.stick_bins)
         return frozenset(name for at, name in enumerate(NAMES) if at >= summed or np.any(np.isnan(self._column(name))))
 
-    def known(self, quantities: Iterable[SampledQuantity]) -> tuple[SampledQuantity, ...]:
-        """Those of the `quantities` that the sticks have."""
-        return tuple(one for one in quantities if one.name not in self.missing)
+    def known(self, asked: Iterable[SampledQuantity]) -> tuple[SampledQuantity, ...]:
+        """Those of the quantities `asked` for that the sticks have."""
+        return tuple(one for one in asked if one.name not in self.missing)
 
     def unit_of(self, quantity: SampledQuantity) -> str:
         """The unit of a quantity for this system."""
@@ -309,23 +291,23 @@ class EnsembleStatistics(ByQuantity):
         owner = np.concatenate([self.sticks.sample, np.arange(len(after))])
         values = np.concatenate([before, after])
         slips = values > 0
-        clusters = self._clusters(values[slips], owner[slips])
-        return self._distribution(SLIP_DURATION, self.accumulator.slips, self.accumulator.slip_bins, clusters)
+        sums, clusters = self.accumulator.slips, self._clusters(values[slips], owner[slips])
+        return self._distribution(quantities.SLIP_DURATION, sums, self.accumulator.slip_bins, clusters)
 
     @cached_property
     def stick_count(self) -> Distribution:
         """Number of sticks of each sample."""
-        return self._of_samples(STICK_COUNT, self._total("stick_count"))
+        return self._of_samples(quantities.STICK_COUNT, self._total("stick_count"))
 
     @cached_property
     def slip_count(self) -> Distribution:
         """Number of slips of each sample."""
-        return self._of_samples(SLIP_COUNT, self._total("slip_count"))
+        return self._of_samples(quantities.SLIP_COUNT, self._total("slip_count"))
 
     @cached_property
     def stick_fraction(self) -> Distribution:
         """Share of ``[0, t1]`` that each sample spends sticking."""
-        return self._of_samples(STICK_FRACTION, self._total("stick_time") / self.t1)
+        return self._of_samples(quantities.STICK_FRACTION, self._total("stick_time") / self.t1)
 
     @cached_property
     def own_mean_duration(self) -> Distribution:
@@ -334,8 +316,8 @@ class EnsembleStatistics(ByQuantity):
         count = self._total("stick_count") - self._total("rest_count")
         has = count > 0
         clusters = self._clusters(time[has] / count[has], np.flatnonzero(has))
-        accumulator = self.accumulator
-        return self._distribution(OWN_MEAN_DURATION, accumulator.own_mean, accumulator.own_mean_bins, clusters)
+        sums, bins = self.accumulator.own_mean, self.accumulator.own_mean_bins
+        return self._distribution(quantities.OWN_MEAN_DURATION, sums, bins, clusters)
 
     @property
     def endings(self) -> dict[Ending, Estimate]:
@@ -403,10 +385,10 @@ class EnsembleStatistics(ByQuantity):
         exists = np.isfinite(values[0]) & np.isfinite(values[1])
         values, owner = tuple(column[exists] for column in values), owner[exists]
         bins, correlation, sums = None, None, self.accumulator
-        if (x, y) == FIRST_TWO:
+        if (x, y) == quantities.FIRST_TWO:
             bins, correlation = sums.first_two_bins, float(sums.first_two.correlation[0, 1])
-        elif (x, y) in STREAMED_PAIRS:
-            bins = sums.pair_bins[STREAMED_PAIRS.index((x, y))]
+        elif (x, y) in quantities.STREAMED_PAIRS:
+            bins = sums.pair_bins[quantities.STREAMED_PAIRS.index((x, y))]
             correlation = float(sums.sticks.correlation[NAMES.index(x), NAMES.index(y)])
         clusters = [self._clusters(column, owner, of_all=bins is not None) for column in values]
         labels = (of_x.axis_label(number_x), of_y.axis_label(number_y))
@@ -444,7 +426,7 @@ class EnsembleStatistics(ByQuantity):
             coordinates[name] = variable(name, centers, long_name, unit, bounds=bounds)
             variables[bounds] = ((name, "bounds"), np.stack([edges[:-1], edges[1:]], axis=1))
 
-        for quantity in self.known(DISTRIBUTIONS):
+        for quantity in self.known(quantities.DISTRIBUTIONS):
             name = quantity.name
             of: Distribution = getattr(self, name)
             for moment in ("mean", "standard_deviation", "skewness"):
@@ -460,7 +442,7 @@ class EnsembleStatistics(ByQuantity):
             variables[f"{name}_density"] = variable(bin_name, histogram.density, f"density of {of.name}", per)
             variables[f"{name}_density_error"] = variable(bin_name, histogram.error, "standard error", per)
 
-        for pair in (*STREAMED_PAIRS, FIRST_TWO):
+        for pair in (*quantities.STREAMED_PAIRS, quantities.FIRST_TWO):
             if set(pair) & self.missing:
                 continue
             joint = self.joint(*pair)
@@ -480,8 +462,8 @@ class EnsembleStatistics(ByQuantity):
         sticks, slips = ([of.order(number) for number in numbers] for of in (self, self.slips))
         shares = [one.share for one in sticks]
         add_estimates("share_by_order", "order", shares, "share of samples that have the stick", "1")
-        by_order = [(sticks, one, f"{one.short_label} of the stick") for one in self.known(STICK_QUANTITIES)]
-        by_order += [(slips, one, one.label) for one in SLIP_QUANTITIES]
+        by_order = [(sticks, one, f"{one.short_label} of the stick") for one in self.known(quantities.STICK_QUANTITIES)]
+        by_order += [(slips, one, one.label) for one in quantities.SLIP_QUANTITIES]
         for orders, quantity, label in by_order:
             means, unit = [one.distributions[quantity.name].mean for one in orders], self.unit_of(quantity)
             add_estimates(f"{quantity.name}_by_order", "order", means, f"mean {label}", unit)
@@ -495,11 +477,11 @@ class EnsembleStatistics(ByQuantity):
     @property
     def _summary(self) -> Summary:
         """The tables of `Ensemble.summary`, without what only the ensemble knows: which samples did not finish."""
-        every = [getattr(self, quantity.name) for quantity in self.known(DISTRIBUTIONS)]
+        every = [getattr(self, quantity.name) for quantity in self.known(quantities.DISTRIBUTIONS)]
         tables = [table_of("All sticks and slips (mean +- standard error)", every)]
-        for body, of, quantities in (
-            ("stick", self, self.known(STICK_QUANTITIES)),
-            ("slip", self.slips, SLIP_QUANTITIES),
+        for body, of, shared in (
+            ("stick", self, self.known(quantities.STICK_QUANTITIES)),
+            ("slip", self.slips, quantities.SLIP_QUANTITIES),
         ):
             orders = [of.order(number) for number in range(1, self.orders + 1)]
             rows = tuple(
@@ -508,7 +490,7 @@ class EnsembleStatistics(ByQuantity):
                 if one.duration.number > 0
             )
             if rows:
-                heads = [f"{one.short_label.removeprefix('slip ')} ({self.unit_of(one)})" for one in quantities]
+                heads = [f"{one.short_label.removeprefix('slip ')} ({self.unit_of(one)})" for one in shared]
                 caption = f"{body.capitalize()}s by order (mean +- standard error)"
                 tables.append((caption, (body, f"samples with this {body}", *heads), rows))
         return Summary(f"{self.samples:,} samples on [0, {self.t1:g}] s", tuple(tables), ())
@@ -535,13 +517,13 @@ class EnsembleStatistics(ByQuantity):
             one.name: self._distribution(
                 one, sums, bins[index], self._clusters(self._column(one.name)[at], owner), index, number
             )
-            for index, one in enumerate(STICK_QUANTITIES)
+            for index, one in enumerate(quantities.STICK_QUANTITIES)
             if one.name not in self.missing
         }
 
     def _of_samples(self, quantity: SampledQuantity, values: np.ndarray) -> Distribution:
         """The distribution of one of the `SAMPLE_QUANTITIES`, which has these `values` in the retained samples."""
-        index, clusters = SAMPLE_QUANTITIES.index(quantity), self._clusters(values, np.arange(len(values)))
+        index, clusters = quantities.SAMPLE_QUANTITIES.index(quantity), self._clusters(values, np.arange(len(values)))
         bins = self.accumulator.sample_bins[index]
         return self._distribution(quantity, self.accumulator.samples, bins, clusters, index)
 
@@ -580,9 +562,10 @@ class EnsembleStatistics(ByQuantity):
 def _stick_value(argument: str, value: object) -> tuple[SampledQuantity, int | None]:
     """A quantity of a stick, and the number of the stick if there is one."""
     name, number = value if isinstance(value, tuple) and len(value) == 2 else (value, None)
-    if not (isinstance(name, str) and name in BY_NAME):
-        options = f"{', '.join(map(repr, BY_NAME))}, or such a name with the number of the stick, as in ('duration', 1)"
+    if not (isinstance(name, str) and name in quantities.BY_NAME):
+        names = ", ".join(map(repr, quantities.BY_NAME))
+        options = f"{names}, or such a name with the number of the stick, as in ('duration', 1)"
         raise checks.refused(argument, f"be one of {options}", value)
     if isinstance(value, tuple):
         number = checks.whole_number(f"{argument}[1]", number)
-    return BY_NAME[name], number
+    return quantities.BY_NAME[name], number

@@ -92,16 +92,14 @@ def body_of(text: str | bytes) -> Manifest:
     try:
         whole = json.loads(text)
         is_ours = isinstance(whole, dict) and bool({"body", "sha256"} & whole.keys())
-        is_whole = (
-            is_ours and isinstance(whole.get("body"), dict) and encoding.sum_of(whole["body"]) == whole.get("sha256")
-        )
+        body = whole.get("body") if is_ours else None
+        is_whole = isinstance(body, dict) and encoding.sum_of(body) == whole.get("sha256")
     except (ValueError, RecursionError) as error:
         raise DamagedFileError(str(error)) from error
     if not is_ours:
         raise ForeignFileError("it is of another program")
     if not is_whole:
         raise DamagedFileError("its check sum is wrong")
-    body = whole["body"]
     if body.get("format") not in (FORMAT, _OLDER_FORMAT):
         raise ForeignFileError("it is of another program")
     version, writers = body.get("format_version"), body.get("versions")
@@ -553,9 +551,8 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
         raise SweepError(
             f"{folder} is not empty and holds no sweep (it has {others[0]}); choose an empty or a new folder."
         )
-    with encoding.locked(
-        folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."
-    ):
+    in_use = f"{folder} is in use by another run; wait for it to end, or choose another folder."
+    with encoding.locked(folder / LOCK, in_use):
         text = manifest_text(plan)
         if has_manifest(folder):
             stored = body_in(folder, to_write=True)
