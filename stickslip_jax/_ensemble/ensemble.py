@@ -5,7 +5,7 @@
 import dataclasses
 import itertools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._dynamics.common.method import EXACT, Exact, Regularized
-from .._dynamics.simulate import Outputs, checked_outputs
+from .._dynamics.simulate import Output, Outputs, checked_outputs
 from .._dynamics.simulation import Simulation
 from .._dynamics.stick_tables import stick_columns, time_columns, write_table
 from .._dynamics.sticks import Slips, Sticks, in_slots
@@ -39,7 +39,7 @@ from .._uncertainty.inputs import GaussianCopula, StochasticModel
 from . import conversions, data
 from .data import EnsembleAccumulator, EnsembleData, Fields, GivenMotions, Keep, Origin, Unknown, UnknownSystem
 from .encoding import as_netcdf
-from .setup import MOST_SAMPLES, TAKEN, EnsembleSetup, fields_of_outputs, found_by, outputs_of
+from .setup import MOST_SAMPLES, NO_OUTPUTS, TAKEN, EnsembleSetup, fields_of_outputs, found_by, found_here, outputs_of
 
 if TYPE_CHECKING:
     import xarray
@@ -488,6 +488,19 @@ def simulate_ensemble(
     samples, first = setup.inputs.samples - int(first_sample), int(first_sample)
     (found,) = found_by(setup, first, (EnsembleAccumulator(samples, keep),), threads, chunk, progress, wanted)
     return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(wanted))
+
+
+def simulate_batch(
+    setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int,
+    outputs: Mapping[str, Output] = NO_OUTPUTS,
+) -> Ensemble:  # fmt: skip
+    """Samples `first`, ``first + 1``, ... of a larger whole, simulated in this thread.
+
+    `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any batch of the whole
+    has; programs compiled for one batch fit all others with the same `fewest`.
+    """
+    found = found_here(setup, first, EnsembleAccumulator(samples, keep, retained), fewest, outputs)
+    return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(outputs))
 
 
 # `simulate_contacts`: many samples of a system with several contacts, with the statistics of each contact.

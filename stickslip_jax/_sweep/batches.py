@@ -32,9 +32,9 @@ from .._dynamics.simulate import Output
 from .._dynamics.sticks import FlatSticks
 from .._ensemble.data import EnsembleAccumulator, Keep, Retained
 from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, SweepError, versions
-from .._ensemble.ensemble import Ensemble
+from .._ensemble.ensemble import Ensemble, simulate_batch
 from .._ensemble.points import Points, Setter, SweepSetting, check_points, setter_of
-from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup, fields_of_outputs, found_here, runner_for
+from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup, fields_of_outputs, runner_for
 from .._foundation import checks, compilation_cache
 from .._foundation.files import unpacked_arrays
 from .._foundation.processes import require_memory
@@ -294,11 +294,9 @@ def perform(plan: Plan, task: Task) -> bytes:
         fewest = min(plan.samples, plan.batch)
         # Joined, the batches keep the first sticks of the point, whatever the size of a batch; each sample has one or
         # more.
-        accumulator = EnsembleAccumulator(task.samples, plan.keep, max(0, RETAINED - task.first))
-        setup = plan.run_at(task.point)
-        found = found_here(setup, task.first, accumulator, fewest, plan.outputs)
-        about = setup.fields() | fields_of_outputs(plan.outputs)
-        return packed(Ensemble(samples=task.samples, first_sample=task.first, **about, **found))
+        setup, retained = plan.run_at(task.point), max(0, RETAINED - task.first)
+        own = (task.first, task.samples, plan.keep)
+        return packed(simulate_batch(setup, *own, retained=retained, fewest=fewest, outputs=plan.outputs))
     name, wrt = plan.derivatives[task.derivative]
     statistic = next(one for one in DIFFERENTIABLE if one.name == name)
     setting, started = plan.setting_at(task.point), time.perf_counter()
