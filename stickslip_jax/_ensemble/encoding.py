@@ -172,8 +172,10 @@ def as_netcdf(
 
     They are made in memory: HDF5 ends the process where a disk is full. `packing`: how to compress variables.
     """
-    buffer = BytesIO()
-    with _without_cluster():
+    buffer, waiting = BytesIO(), contextlib.nullcontext()
+    if "dask.base" in sys.modules:  # with a client of it, xarray would ask the cluster for a lock, and fail
+        waiting = sys.modules["dask"].config.set(scheduler="synchronous")
+    with waiting:
         for group, part in {None: dataset, **(groups or {})}.items():
             arrays = {name: one for name, one in part.variables.items() if one.ndim and one.size}
             options = {name: {"fletcher32": True} for name, one in arrays.items() if one.dtype.kind in "biuf"}
@@ -255,16 +257,6 @@ def _text(attributes: Mapping[Hashable, Any]) -> bytes:
     """Attributes as text, lists of one number as the number, which they become in a file."""
     plain = {str(name): np.atleast_1d(np.asarray(value)).tolist() for name, value in attributes.items()}
     return json.dumps(plain, sort_keys=True).encode()
-
-
-@contextlib.contextmanager
-def _without_cluster() -> Iterator[None]:
-    """Where this process has a client of dask, xarray would ask the cluster for a lock to write memory (and fail)."""
-    if "dask.base" not in sys.modules:
-        yield
-        return
-    with sys.modules["dask"].config.set(scheduler="synchronous"):
-        yield
 
 
 # Objects of this package as JSON, with long arrays beside it, and back.

@@ -703,9 +703,7 @@ def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
                 given[name] = stands_for.get(name, unknown)
     functions, *others = (one.output_functions for one in ensembles)
     return Ensemble(
-        t1=ensembles[0].t1,
-        numbering=ensembles[0].numbering,
-        dtype=ensembles[0].dtype,
+        **{name: getattr(ensembles[0], name) for name in ("t1", "numbering", "dtype")},
         **{**given, "samples": accumulator.samples},
         **accumulator.found(),
         output_units=dict(ensembles[0].output_units),

@@ -156,6 +156,7 @@ class Clusters:
 
 
 DEFAULT_BINS = 50
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of quantiles in data sets
 BINS = 8192  # at most, of each quantity: fine enough to read quantiles off
 _MOST_BINS = 2**31
 _MOST_SPACINGS = 100_000  # number of values for the entropy without bins: its error is small by then

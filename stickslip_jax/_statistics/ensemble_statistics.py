@@ -17,7 +17,7 @@ from .._foundation.extras import Entries, labeled_dataset, variable
 from .._foundation.types import Ending
 from .._numerics.sums import DyadicCounts, PowerSums
 from . import quantities
-from .distribution import BINS, BINS_OF_PAIRS, DEFAULT_BINS, Clusters, Distribution, JointDistribution, wrapped
+from .distribution import BINS, BINS_OF_PAIRS, DEFAULT_BINS, LEVELS, Clusters, Distribution, JointDistribution, wrapped
 from .estimate import Estimate, Share, format_with_error
 from .quantities import Numbering, SampledQuantity, StickAccumulator, StickValue, ordinal
 from .totals import TOTALS
@@ -102,7 +102,6 @@ def shown_share(share: Estimate) -> str:
 # Statistics of the i-th stick, or of the i-th slip, of each sample.
 
 
-_SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
 NAMES = tuple(quantity.name for quantity in quantities.STICK_QUANTITIES)  # in the order of the accumulator's columns
 
 
@@ -413,7 +412,7 @@ class EnsembleStatistics(ByQuantity):
             bins: At most, of each histogram; by default 50, of whole numbers one for each number.
         """
         variables: Entries = {}
-        coordinates: Entries = {"quantile": variable("quantile", list(_SHARES), "share of values", "1")}
+        coordinates: Entries = {"quantile": variable("quantile", list(LEVELS), "share of values", "1")}
 
         def add_estimates(name: str, dimension: str, estimates: Sequence[Estimate], long_name: str, unit: str) -> None:
             values, errors = ([getattr(one, what) for one in estimates] for what in ("value", "standard_error"))
@@ -432,7 +431,7 @@ class EnsembleStatistics(ByQuantity):
             for moment in ("mean", "standard_deviation", "skewness"):
                 one, label = getattr(of, moment), f"{name}_{moment}"
                 variables[label] = variable((), one.value, one.name, one.unit, standard_error=one.standard_error)
-            quantiles = [of.quantile(share) for share in _SHARES]
+            quantiles = [of.quantile(share) for share in LEVELS]
             add_estimates(f"{name}_quantile", "quantile", quantiles, f"quantile of {of.name}", of.unit)
             histogram, bin_name = of.histogram(bins), f"{name}_bin"
             per = "1" if of.unit == "1" else f"{of.unit}-1"

@@ -508,7 +508,7 @@ def perform_sent(plan: Sent, task: Task) -> Outcome:
 
     Raises SweepError where this process cannot, and errors that have other causes than the point or the memory.
     """
-    with _precision.of(plan.double), warnings_by_thread():
+    with _in_precision(plan.double), warnings_by_thread():
         with _reading:  # one performer for all threads, whose compilations they share
             performer = _performer(plan)
         try:
@@ -543,33 +543,30 @@ def _performer(plan: Sent) -> Performer:
         ) from error
 
 
-class _Precision:
-    """The precision of JAX is of the whole process: tasks in another one wait until no task runs."""
-
-    def __init__(self) -> None:
-        self._changed, self._running = threading.Condition(), 0
-
-    @contextmanager
-    def of(self, double: bool) -> Iterator[None]:
-        """Keep JAX in this precision while the block runs."""
-        with self._changed:
-            self._changed.wait_for(lambda: not self._running or jax.config.read("jax_enable_x64") == double)
-            if jax.config.read("jax_enable_x64") != double:
-                jax.config.update("jax_enable_x64", double)
-            self._running += 1
-        try:
-            yield
-        finally:
-            with self._changed:
-                self._running -= 1
-                self._changed.notify_all()
+_changed = threading.Condition()
+_running: list[None] = []
+"""An entry for each task that runs. The precision of JAX is of the whole process: tasks in another one wait."""
 
 
-_precision = _Precision()
+@contextmanager
+def _in_precision(double: bool) -> Iterator[None]:
+    """Keep JAX in this precision while the block runs."""
+    with _changed:
+        _changed.wait_for(lambda: not _running or jax.config.read("jax_enable_x64") == double)
+        if jax.config.read("jax_enable_x64") != double:
+            jax.config.update("jax_enable_x64", double)
+        _running.append(None)
+    try:
+        yield
+    finally:
+        with _changed:
+            _running.pop()
+            _changed.notify_all()
+
 
 # --- worker processes of this machine
 
-_SETTINGS = (
+SETTINGS = (
     "jax_enable_x64",
     "jax_platforms",
     "jax_compilation_cache_dir",
@@ -578,11 +575,6 @@ _SETTINGS = (
     "jax_persistent_cache_min_entry_size_bytes",
 )
 _plan_of_process: list[Sent] = []
-
-
-def start_of_process(plan: Plan) -> tuple[Sent, dict[str, object], int]:
-    """The arguments of `prepare_process`. Raises ValueError for a plan that cannot be sent."""
-    return sent(plan), {name: getattr(jax.config, name) for name in _SETTINGS}, os.getpid()
 
 
 def prepare_process(plan: Sent, settings: dict[str, object], parent: int) -> None:

@@ -19,7 +19,7 @@ from .._foundation.extras import Entries, labeled_dataset, require, variable
 from .._foundation.files import write_whole
 from .._foundation.types import Status
 from .._numerics.sums import CommonBins
-from .._statistics.distribution import DEFAULT_BINS, Distribution, default_bins
+from .._statistics.distribution import DEFAULT_BINS, LEVELS, Distribution, default_bins
 from .._statistics.estimate import Estimate
 from .._statistics.quantities import BY_NAME as STICK_BY_NAME
 from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
@@ -261,8 +261,6 @@ class ReadCache:
 # The result of a sweep as one labelled data set.
 
 
-LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of quantiles
-
 _BY_NAME: dict[str, SampledQuantity] = {quantity.name: quantity for quantity in DISTRIBUTIONS}
 
 
@@ -319,14 +317,14 @@ def dataset_of(work: Work) -> "xarray.Dataset":
     bins = _common_bins(work)
     for point in range(plan.points.number):
         ensemble = work.ensemble(point)
-        samples, near, spent = 0, 0, np.nan
+        samples, near, spent, counts = 0, 0, np.nan, dict.fromkeys(Status, 0)
         if ensemble is not None:
             samples, near, spent = ensemble.samples, ensemble.near_grazing_samples, ensemble.run_seconds
+            counts = ensemble.status_counts
         variables.put(point, "samples", samples, "number of samples")
-        for status in Status:
-            count = 0 if ensemble is None else ensemble.status_counts[status]
-            name = status.name
-            variables.put(point, f"samples_{name.lower()}", count, f"number of samples with status {name}")
+        for one in Status:
+            label = f"number of samples with status {one.name}"
+            variables.put(point, f"samples_{one.name.lower()}", counts[one], label)
         variables.put(point, "samples_near_grazing", near, "number of samples with an event decided by round-off")
         variables.put(point, "run_seconds", spent, "time spent simulating, summed over threads", "s")
         if ensemble is not None:

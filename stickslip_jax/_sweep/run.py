@@ -33,7 +33,7 @@ from .._foundation.extras import Progress, progress_bar, require
 from .._foundation.files import write_whole
 from .._foundation.processes import cores
 from . import batches
-from .batches import Failed, NoMemory, Outcome, Performer, Plan, Sent, Task, outcome_of, perform_sent, sent
+from .batches import SETTINGS, Failed, NoMemory, Outcome, Performer, Plan, Sent, Task, outcome_of, perform_sent, sent
 from .dataset import Work, dataset_of, require_packages, write_dataset
 from .store import LOG, Store, opened
 
@@ -510,7 +510,8 @@ def _executor_for(
     if workers is not None:
         # Spawned processes: JAX does not survive a fork. Those of loky do not run the user's program again, as those of
         # the standard library and of dask do.
-        number, start = checks.whole_number("workers", workers), batches.start_of_process(plan)
+        number = checks.whole_number("workers", workers)
+        start = (sent(plan), {name: getattr(jax.config, name) for name in SETTINGS}, os.getpid())
         require("Argument workers needs", "study", "loky")
         from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
 

@@ -65,23 +65,19 @@ class Kept:
             whole = read_regular(path)
             # They are not compressed.
             arrays = unpacked_arrays(encoding.without_header(self.identity, path.name, whole), 2 * len(whole))
+            return kind(*(arrays[f"arr_{number}"] for number in range(len(arrays))))
         except (FileNotFoundError, ValueError, zipfile.BadZipFile):
-            arrays = None  # what is damaged is done again, and replaced
+            pass  # what is damaged is done again, and replaced
         except (ForeignFileError, OSError) as error:
             raise SweepError(f"{path} cannot be read, or is of another call; move it elsewhere.") from error
-        if arrays is not None:
-            return kind(*(arrays[f"arr_{number}"] for number in range(len(arrays))))
-        found = run()
-        self._write(path, found)
-        return found
-
-    def _write(self, path: Path, results: Any) -> None:
-        data = io.BytesIO()
+        found, data = run(), io.BytesIO()
+        results: Any = found
         np.savez(data, *results)
         try:
             write_whole(path, encoding.with_header(self.identity, path.name, data.getvalue()))
         except OSError as error:
             raise encoding.cannot_write(path.parent, error) from error
+        return found
 
 
 @contextlib.contextmanager
