@@ -61,19 +61,24 @@ class Executor:
     """Does tasks in a pool, as many at a time as it has `workers`, and is closed at the end of a ``with`` block.
 
     - `new_pool`: makes it, a `ThreadPoolExecutor` or one of processes of loky. `perform`: does a task there.
+    - `tasks`: those under way, by future, with the time when each began. `most`: how many at a time are allowed, if
+      fewer than it takes.
     """
 
-    def __init__(self, workers: int, new_pool: Callable[[], Any], perform: Callable[[Task], Outcome]):
+    def __init__(self, workers: int, new_pool: Callable[[], Any], perform: Callable[..., object]):
         self._workers, self._new_pool, self._perform = workers, new_pool, perform
+        self.tasks: dict[Any, tuple[Task, float]] = {}
+        self.most, self._narrowed = math.inf, 0.0
+        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._pool = new_pool()
 
     @property
-    def at_once(self) -> int:
+    def at_once(self) -> float:
         """How many tasks are worth submitting before the first is done."""
-        return 2 * self._workers
+        return min(self.most, 2 * self._workers)
 
     def submit(self, task: Task) -> Any:
-        """Begin a task; its future, of the standard library or of dask."""
+        """The future of a task that begins, of the standard library or of dask."""
         try:
             with _no_interrupts():
                 return self._pool.submit(self._perform, task)
@@ -81,6 +86,39 @@ class Executor:
             future: Future[Outcome] = Future()
             future.set_exception(error)
             return future
+
+    def begin(self, task: Task) -> None:
+        """Begin a task."""
+        future = self.submit(task)
+        self.tasks[future] = task, time.monotonic()
+        future.add_done_callback(lambda _: self._ended.put(future))
+
+    def ended(self) -> Any:
+        """The future of a task that is done; None if none is within a tenth of a second, in which signals come."""
+        try:
+            future = self._ended.get(timeout=0.1)
+        except queue.Empty:
+            return None
+        return future if future in self.tasks else None  # else lost, and begun again
+
+    def forgotten(self) -> list[Task]:
+        """All tasks that are under way, which are no longer."""
+        tasks = [task for task, _ in self.tasks.values()]
+        self.tasks.clear()
+        return tasks
+
+    def narrow(self, began: float) -> None:
+        """Allow fewer tasks at a time, because there was no memory for one that `began` then.
+
+        Half of those that were worked on: as many again wait in the executor. Tasks that were under way together
+        narrow it once.
+        """
+        if began >= self._narrowed:
+            self.most, self._narrowed = max(1, (len(self.tasks) + 1) // 4), time.monotonic()
+
+    def was_alone(self, began: float) -> bool:
+        """Whether a task that `began` then was under way without others."""
+        return self.most == 1 and began >= self._narrowed
 
     def result(self, task: Task, future: Any) -> Outcome | int:
         """The outcome of a task that is done; the size (bytes) of a batch that the worker has written into the folder.
@@ -154,15 +192,13 @@ class DaskCluster(Executor):
                 "Argument executor must be a dask.distributed.Client that waits for answers, but one with "
                 "asynchronous=True was given; make it without, outside of coroutines."
             )
-        self._workers = 1
         self._client: Any = client  # whose annotations are those of its coroutines
         self._checked, self._sent = plan, sent(plan)
         self._store, self._shared = store, shared_folder
-        self._futures: dict[Task, distributed.Future] = {}
         self._counted = -_COUNTED
         self._printed: set[str] = set()
         self._came = time.monotonic()  # when the last result did
-        self._plan = self._send()
+        super().__init__(1, self._send, _perform)
 
     def _send(self) -> "distributed.Future":
         """The future of the plan in the cluster."""
@@ -177,7 +213,7 @@ class DaskCluster(Executor):
         return self._client.submit(function, *arguments, key=key, pure=False, retries=_RETRIES)
 
     @property
-    def at_once(self) -> int:
+    def at_once(self) -> float:
         """Two tasks for each thread that there is now; workers come and go."""
         self.check()
         return super().at_once
@@ -185,14 +221,11 @@ class DaskCluster(Executor):
     def submit(self, task: Task) -> "distributed.Future":
         self.check()
         shared = (str(self._path_of(task).resolve()), self._store.sweep_id) if self._shared else ()
-        future = self._begun("-".join(map(str, task)), _perform, self._plan, tuple(task), *shared)
-        self._futures[task] = future
-        return future
+        return self._begun("-".join(map(str, task)), self._perform, self._pool, tuple(task), *shared)
 
     def result(self, task: Task, future: "distributed.Future") -> Outcome | int:
         from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
 
-        del self._futures[task]
         self._came = time.monotonic()
         try:
             found = future.result()
@@ -260,7 +293,7 @@ class DaskCluster(Executor):
         if not threads:
             start = f"start one with `dask worker {self._client.scheduler.address}`, or stop with Ctrl-C."
             message = f"The cluster has no workers, and the sweep waits for them; {start}"
-        elif self._futures and time.monotonic() > self._came + _LONG and self._are_paused():
+        elif self.tasks and time.monotonic() > self._came + _LONG and self._are_paused():
             message = (
                 "The workers of the cluster are paused, because their memory is nearly full, and the sweep waits for "
                 "them; give them more memory, or stop with Ctrl-C."
@@ -275,15 +308,11 @@ class DaskCluster(Executor):
         workers = self._client.scheduler_info()["workers"].values()
         return bool(workers) and all(worker.get("status") == "paused" for worker in workers)
 
-    def restart(self) -> None:
-        self._plan = self._send()
-
     def close(self, *, wait: bool) -> None:
         """Release what is under way; the client is the caller's, and stays open."""
         if self._client.status == "running":
-            for future in (*self._futures.values(), self._plan):
+            for future in (*self.tasks, self._pool):
                 future.release()
-        self._futures.clear()
 
 
 # --- in the workers
@@ -370,22 +399,22 @@ def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Pr
     last digits. Stops after the tasks under way when `stopping` asks for it. Raises SweepError if the folder cannot be
     written, or the workers keep dying.
     """
-    waiting, under_way, lost = deque(work.tasks()), _UnderWay(executor), Counter[Task]()
+    waiting, lost = deque(work.tasks()), Counter[Task]()
     bar.advance(sum(work.done))
-    while (waiting and not stopping.is_set()) or under_way.tasks:
-        while waiting and not stopping.is_set() and len(under_way.tasks) < min(under_way.most, executor.at_once):
-            under_way.begin(waiting.popleft())
-        future = under_way.ended()
+    while (waiting and not stopping.is_set()) or executor.tasks:
+        while waiting and not stopping.is_set() and len(executor.tasks) < executor.at_once:
+            executor.begin(waiting.popleft())
+        future = executor.ended()
         if future is None:
             executor.check()
             continue
-        task, began = under_way.tasks.pop(future)
+        task, began = executor.tasks.pop(future)
         try:
             found = executor.result(task, future)
         except WorkerDiedError as error:
-            again = [task, *(under_way.forgotten() if error.others else ())]
+            again = [task, *(executor.forgotten() if error.others else ())]
             if _note_lost(work, again, lost, error) > 1:
-                under_way.narrow(began)
+                executor.narrow(began)
             if error.others:
                 executor.restart()
             waiting.extendleft(reversed(again))
@@ -394,12 +423,12 @@ def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Pr
             raise
         except Exception as error:
             found = outcome_of(error)
-        if isinstance(found, NoMemory) and not under_way.was_alone(began):
-            under_way.narrow(began)
+        if isinstance(found, NoMemory) and not executor.was_alone(began):
+            executor.narrow(began)
             waiting.appendleft(task)
             work.store.log(
                 f"no memory for {described(work.plan, task)} ({found.reason}); it is done again, with at most "
-                f"{under_way.most} at a time"
+                f"{executor.most} at a time"
             )
         elif isinstance(found, NoMemory):
             work.without_memory[task] = found.reason
@@ -412,51 +441,6 @@ def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Pr
             work.store.log(f"done {described(work.plan, task)} in {time.monotonic() - began:.2f} s")
             bar.advance(task.samples if task.derivative is None else 0)
             bar.note(f"{work.complete} of {work.plan.points.number} points")
-
-
-class _UnderWay:
-    """The tasks that an executor has been given, by future, with the time when each began.
-
-    `most`: how many at a time are allowed, if fewer than the executor takes.
-    """
-
-    def __init__(self, executor: Executor):
-        self._executor = executor
-        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self.tasks: dict[Any, tuple[Task, float]] = {}
-        self.most, self._narrowed = math.inf, 0.0
-
-    def begin(self, task: Task) -> None:
-        future = self._executor.submit(task)
-        self.tasks[future] = task, time.monotonic()
-        future.add_done_callback(lambda _: self._ended.put(future))
-
-    def ended(self) -> Any:
-        """The future of a task that is done; None if none is within a tenth of a second, in which signals come."""
-        try:
-            future = self._ended.get(timeout=0.1)
-        except queue.Empty:
-            return None
-        return future if future in self.tasks else None  # else lost, and begun again
-
-    def forgotten(self) -> list[Task]:
-        """All tasks that are under way, which are no longer."""
-        tasks = [task for task, _ in self.tasks.values()]
-        self.tasks.clear()
-        return tasks
-
-    def narrow(self, began: float) -> None:
-        """Allow fewer tasks at a time, because there was no memory for one that `began` then.
-
-        Half of those that were worked on: as many again wait in the executor. Tasks that were under way together
-        narrow it once.
-        """
-        if began >= self._narrowed:
-            self.most, self._narrowed = max(1, (len(self.tasks) + 1) // 4), time.monotonic()
-
-    def was_alone(self, began: float) -> bool:
-        """Whether a task that `began` then was under way without others."""
-        return self.most == 1 and began >= self._narrowed
 
 
 def _note_lost(work: Work, again: list[Task], lost: Counter[Task], error: WorkerDiedError) -> int:
