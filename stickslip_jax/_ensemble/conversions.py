@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from .._dynamics.simulation import Simulation, method_attributes
 from .._dynamics.stick_tables import slip_variables, stick_variables
 from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks
 from .._foundation import checks
-from .._foundation.extras import flags, labeled_dataset, require, variable
+from .._foundation.extras import Entries, flags, labeled_dataset, require, variable
 from .._foundation.types import Ending, Status
 from .._numerics.sums import Moments
 from .._statistics.quantities import Numbering, StickAccumulator
@@ -38,9 +38,6 @@ if TYPE_CHECKING:
 
 # An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (see below).
 
-
-Variables: TypeAlias = dict[str, Any]
-"""Variables of a data set by name, as `variable` makes them."""
 
 FORMAT, FORMAT_VERSION = "stickslip_jax ensemble", 2
 STATE, FLOATS, INTEGERS = "ensemble_state", "ensemble_state_floats", "ensemble_state_integers"
@@ -69,7 +66,7 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     """
     from .. import __version__  # noqa: PLC0415 - the package imports this module
 
-    variables: Variables = {}
+    variables: Entries = {}
     totals, retained, first = ensemble.sample_totals, ensemble.retained, ensemble.first_sample
     samples = variable("sample", first + np.arange(ensemble.samples), "number of the sample")
     if ensemble.flat_sticks is not None:
@@ -143,7 +140,7 @@ def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, object]]:
     return {name: {"zlib": True, "complevel": 1} for name in names if name in dataset and dataset[name].size}
 
 
-def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Variables:
+def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Entries:
     first = ensemble.first_sample if sample == "sample" else 0
     return {
         sample: variable(sample, first + np.arange(len(sticks.count)), f"number of the {sample.replace('_', ' ')}"),

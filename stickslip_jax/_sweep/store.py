@@ -12,7 +12,7 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, TypeVar, cast, get_origin
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -40,29 +40,21 @@ _ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest", "
 ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
 
 
-class Manifest(TypedDict):
-    """What a manifest holds.
+Manifest: TypeAlias = dict[str, Any]
+"""What a manifest holds.
 
-    - `objects`: system, law, start and method, of which long arrays stand in `floats` and `integers`.
-    - `deciding`: the other arguments that decide the numbers. `asked`: those that may change from run to run.
-    - `dimensions`: of the points: name, parameters, values.
-    """
-
-    format: str
-    format_version: int
-    versions: dict[str, str]
-    objects: dict[str, Any]
-    deciding: dict[str, Any]
-    asked: dict[str, Any]
-    dimensions: list[dict[str, Any]]
-    floats: list[str]
-    integers: list[int]
+- `objects`: system, law, start and method, of which long arrays stand in `floats` and `integers`.
+- `deciding`: the other arguments that decide the numbers. `asked`: those that may change from run to run.
+- `dimensions`: of the points: name, parameters, values.
+"""
+_KINDS: dict[str, type] = {"format_version": int} | dict.fromkeys(("versions", "objects", "deciding", "asked"), dict)
+_KINDS |= dict.fromkeys(("dimensions", "floats", "integers"), list)
 
 
 def manifest_text(plan: Plan) -> str:
     """The manifest of a sweep as JSON."""
     encoder = Encoder()
-    body: Manifest = {
+    body = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "versions": encoding.versions(),
@@ -111,15 +103,15 @@ def body_of(text: str | bytes) -> Manifest:
             f"it has format {version}, written by stickslip_jax {writer}, and this version reads {FORMAT_VERSION}; "
             f"{todo}."
         )
-    for name, kind in Manifest.__annotations__.items():
-        if type(body.get(name)) is not (get_origin(kind) or kind):
+    for name, kind in _KINDS.items():
+        if type(body.get(name)) is not kind:
             raise DamagedFileError(f"its {name} is missing")
     wanted = {"versions": tuple(encoding.versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
     for part, names in wanted.items():
         there = body[part]
         for name in (*(name for name in names if name not in there), *(name for name in there if name not in names)):
             raise DamagedFileError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
-    return cast(Manifest, body)
+    return body
 
 
 def differences(stored: Manifest, new: Manifest) -> list[str]:
@@ -230,7 +222,6 @@ def body_in(folder: Path, *, to_write: bool = False) -> Manifest:
 # The sweep that a manifest describes: checked as a `Sweep` checks its arguments, for a file may have been edited.
 
 
-_Known = TypeVar("_Known")
 _UNFIT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
@@ -280,7 +271,7 @@ def _not_stored(one: object) -> float:
     raise SweepError("the functions of outputs are not stored")
 
 
-def _known(names: object, check: Callable[[Any], tuple[_Known, ...]]) -> tuple[_Known, ...]:
+def _known(names: object, check: Callable[[Any], tuple[Any, ...]]) -> tuple[Any, ...]:
     """Those of the `names` that this version knows; a warning tells of the others."""
     if not isinstance(names, list):
         raise TypeError(f"statistics are {checks.show(names)}")
