@@ -183,13 +183,8 @@ def check_fields(fields: Mapping[str, Any]) -> None:
     for value in y0 if isinstance(y0, tuple) else (None,):
         if not isinstance(value, (RandomNumber, Unknown)) and not np.all(np.isfinite(np.asarray(value, float))):
             raise ValueError(f"its trajectories start at {checks.show(y0)}")
-    _check_sums(fields)
-    _check_samples(fields)
-
-
-def _check_sums(fields: Mapping[str, Any]) -> None:
-    """The sums over all samples."""
-    samples, counts, near = fields["samples"], fields["status_counts"], fields["near_grazing_samples"]
+    # The sums over all samples.
+    counts, near = fields["status_counts"], fields["near_grazing_samples"]
     total = sum(counts.values())
     _demand(min(counts.values()) >= 0 and total == samples, f"it tells the endings of {total} of {samples} samples")
     _demand(0 <= near <= samples, f"it has {near} samples near grazing")
@@ -205,11 +200,7 @@ def _check_sums(fields: Mapping[str, Any]) -> None:
         number = int(accumulator.samples.number)
         fits = np.all(np.asarray(accumulator.endings) >= 0) and number == finished
         _demand(fits, f"its histograms are of {number} samples, of which {finished} finished")
-
-
-def _check_samples(fields: Mapping[str, Any]) -> None:
-    """What is held of each sample."""
-    samples, counts = fields["samples"], fields["status_counts"]
+    # What is held of each sample.
     retained, flat, totals = fields["retained"], fields["flat_sticks"], fields["sample_totals"]
     if retained is not None:
         check_sticks(retained.sticks, retained.totals[:, 0], np.ones(len(retained.totals), bool), fields["t1"])

@@ -16,7 +16,7 @@ import time
 import uuid
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -73,7 +73,7 @@ class Executor:
         self._pool = new_pool()
 
     @property
-    def at_once(self) -> float:
+    def at_once(self) -> int | float:
         """How many tasks are worth submitting before the first is done."""
         return min(self.most, 2 * self._workers)
 
@@ -213,7 +213,7 @@ class DaskCluster(Executor):
         return self._client.submit(function, *arguments, key=key, pure=False, retries=_RETRIES)
 
     @property
-    def at_once(self) -> float:
+    def at_once(self) -> int | float:
         """Two tasks for each thread that there is now; workers come and go."""
         self.check()
         return super().at_once
@@ -471,20 +471,6 @@ def described(plan: Plan, task: Task) -> str:
 _ROUNDS = 3  # after which batches that keep coming back damaged are an error of the disk
 
 
-def _check_choice(choice: Mapping[str, object], shared_folder: object, *, has_folder: bool) -> None:
-    """Raises ValueError for arguments of `Sweep.run` that exclude each other."""
-    names = [name for name, given in choice.items() if given is not None]
-    if len(names) > 1:
-        raise ValueError(f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate.")
-    checks.truth("shared_folder", shared_folder)
-    if shared_folder and (choice["executor"] is None or not has_folder):
-        missing = "a folder" if choice["executor"] is not None else "executor"
-        raise ValueError(
-            f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it lets "
-            "the workers of a cluster write into the folder of the sweep."
-        )
-
-
 def _executor_for(
     plan: Plan, store: Store, threads: int | None, workers: int | None, client: Any, shared_folder: bool
 ) -> Executor:
@@ -514,7 +500,16 @@ def run_sweep(
     """Do what is left of a sweep, and return its result; see `Sweep.run`."""
     require_packages()
     choice = {"threads": threads, "workers": workers, "executor": executor}
-    _check_choice(choice, shared_folder, has_folder=folder is not None)
+    names = [name for name, given in choice.items() if given is not None]
+    if len(names) > 1:
+        raise ValueError(f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate.")
+    checks.truth("shared_folder", shared_folder)
+    if shared_folder and (executor is None or folder is None):
+        missing = "executor" if executor is None else "a folder"
+        raise ValueError(
+            f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it lets "
+            "the workers of a cluster write into the folder of the sweep."
+        )
     if str(jnp.result_type(float)) != plan.dtype:
         raise SweepError(
             f"This sweep is in {plan.dtype}, and JAX is set to {jnp.result_type(float)}; call "
