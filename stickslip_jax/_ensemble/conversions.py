@@ -17,7 +17,7 @@ import numpy as np
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.simulation import Simulation, method_attributes
-from .._dynamics.stick_tables import slip_variables, stick_variables
+from .._dynamics.stick_tables import slip_variables, slips_among, stick_variables
 from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks
 from .._foundation import checks
 from .._foundation.extras import Entries, flags, labeled_dataset, require, variable
@@ -614,12 +614,9 @@ def fields_of_sticks(
         raise checks.refused("position_unit", wanted, position_unit, "leave it out, or rename the column")
     position = Coordinate("position when the stick starts", position_unit or unit or "m", period=period)
     count = sticks.count
-    starts_stuck, ends_stuck = sticks.begins_at_zero, np.zeros(len(count), bool)
-    ends_stuck[count > 0] = sticks.ending[(sticks.first + count - 1)[count > 0]] == Ending.HORIZON
     time = np.bincount(sticks.sample, weights=sticks.duration, minlength=len(count))
     none = np.zeros(len(count), np.int32)
-    touching = np.bincount(sticks.sample[sticks.touches], minlength=len(count))
-    slips = count + 1 - starts_stuck - ends_stuck - touching
+    slips = np.bincount(slips_among(sticks, float(t1)).sample, minlength=len(count))
     results = SampleTotals(count.astype(np.int32), slips, time, none, none)
     about = "measured sticks"
     return {

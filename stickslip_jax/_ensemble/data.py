@@ -379,10 +379,7 @@ class EnsemblePart(NamedTuple):
         accumulator = StickAccumulator.of(done, stick_time, slips, t1, numbering)
         rest = numbering.rest(done)
         if not np.all(finished):  # as columns of all samples, with 0 for the others
-            whole = [np.zeros(len(finished), column.dtype) for column in rest]
-            for to, column in zip(whole, rest, strict=True):
-                to[finished] = column
-            rest = tuple(whole)
+            rest = tuple(np.bincount(np.flatnonzero(finished), column, len(finished)) for column in rest)
         return cls(results, found or done.in_order() if keep_sticks else None, accumulator, rest)
 
 

@@ -65,10 +65,9 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
     if not (np.all(np.isfinite(given.start)) and np.all(np.isfinite(given.end))):
         raise ValueError("Argument source must have finite starts and ends, but some are NaN or infinite.")
     sticks = given._replace(count=given.count.astype(np.int64), numbers=given.numbers.astype(np.float64))
-    horizon, has = float(np.max(sticks.end, initial=0.0)), sticks.count > 0
+    horizon, owner = float(np.max(sticks.end, initial=0.0)), sticks.sample
     # The slip after each stick. That after the last one of a sample is cut; there is none if that stick itself was cut.
-    is_cut, is_last = sticks.ending == Ending.HORIZON, np.zeros(len(sticks.start), bool)
-    is_last[(sticks.first + sticks.count - 1)[has]] = True
+    is_cut, is_last = sticks.ending == Ending.HORIZON, np.diff(owner, append=-1) != 0
     slips = ~(is_last & is_cut)
     slip = np.where(slips, np.where(is_last, horizon, np.append(sticks.start[1:], 0.0)) - sticks.end, 0.0)
     # Each value is known from a stick or slip: when that `begin`s, the `length` of all such ones up to the end of the
@@ -83,8 +82,7 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
             values, begin, length, exists, complete = slip, sticks.end, slip, slips, ~is_last
         case _:  # known when the stick starts: from the slip before, which may be cut
             values, length, exists, complete = getattr(sticks, quantity), slip, everything, everything
-            begin = np.roll(sticks.end, 1)
-            begin[sticks.first[has]] = 0.0
+            begin = np.where(np.diff(owner, prepend=-1) != 0, 0.0, np.roll(sticks.end, 1))
     longest = np.max(length, initial=0.0)
     before = horizon - longest if starts_before is None else float(starts_before)
     used = complete & (begin < before)
@@ -98,7 +96,7 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
     if error := scale * float(np.finfo(given.numbers.dtype).eps):
         grid = math.ldexp(1.0, math.frexp(256 * error)[1])
         values = grid * np.round(values / grid)
-    count = np.bincount(sticks.sample[used], minlength=len(sticks.count))
+    count = np.bincount(owner[used], minlength=len(sticks.count))
     remark = f"Used {len(values)} {plural(quantity)}"
     if left := int(exists.sum()) - len(values):
         late = "" if before == math.inf else f"begin at {max(before, 0):.4g} s or later, or "

@@ -164,14 +164,9 @@ def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> 
         sticks = sticks.without_initial_rest()
     mask = sticks.count > 0
     at = sticks.first[mask]
-
-    def fill(values, padding):
-        filled = np.full(len(mask), padding, values.dtype)
-        filled[mask] = values[at]
-        return filled
-
-    start, duration, position = (fill(values, np.nan) for values in (sticks.start, sticks.duration, sticks.position))
-    return FirstSticks(start, duration, position, fill(sticks.ending, -1), mask)
+    first = FlatSticks(mask.astype(int), sticks.numbers[:, at], sticks.ending[at]).padded()
+    columns = (first.start, first.duration, first.position, first.ending)
+    return FirstSticks(*(np.asarray(column)[:, 0] for column in columns), mask)
 
 
 # Sums and histograms of sticks and of the slips between them, by compiled loops over the sticks of a part.

@@ -427,11 +427,10 @@ def _put_statistics(
             variables.put(point, f"{name}_of_order{ending}", values, text, unit, dimensions=("order",))
     # Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held.
     for name in ("start", "end") if plan.realizations else ():
-        sticks, held = ensemble.finished_sticks(), 256
+        held = 256
         times = np.full((plan.realizations, held), np.nan)
-        for sample in range(min(plan.realizations, len(sticks.count))):
-            own = getattr(sticks, name)[sticks.first[sample] :][: sticks.count[sample]][:held]
-            times[sample, : len(own)] = own
+        own = getattr(ensemble.finished_sticks().head(plan.realizations).padded(), name)[:, :held]
+        times[: len(own), : own.shape[1]] = own
         label = f"{name} of the first {held} sticks of some samples"
         variables.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
 
