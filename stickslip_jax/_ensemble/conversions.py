@@ -16,7 +16,7 @@ import numpy as np
 
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.simulation import Simulation, method_attributes
+from .._dynamics.simulation import Simulation, method_attributes, source
 from .._dynamics.stick_tables import slip_variables, slips_among, stick_variables
 from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks
 from .._foundation import checks
@@ -64,8 +64,6 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     Raises:
         ImportError: As `Ensemble.to_xarray`.
     """
-    from .. import __version__  # noqa: PLC0415 - the package imports this module
-
     variables: Entries = {}
     totals, retained, first = ensemble.sample_totals, ensemble.retained, ensemble.first_sample
     samples = variable("sample", first + np.arange(ensemble.samples), "number of the sample")
@@ -115,10 +113,9 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     # What was simulated, how, and how it ended. Numbers are in SI units; of long arrays the size is told.
     shown = Encoder()
     attributes: dict[str, object] = {
-        "source": f"stickslip_jax {__version__}",
+        **source(),
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "stickslip_jax_version": __version__,
         "keep": ensemble.keep,
         "system": json.dumps(shown.encoded(ensemble.system)),
         "law": json.dumps(shown.encoded(ensemble.law)),

@@ -377,10 +377,8 @@ class EnsemblePart(NamedTuple):
             found = done.only(finished).in_order()
             done = StickStream.of(found.only(finished))
         accumulator = StickAccumulator.of(done, stick_time, slips, t1, numbering)
-        rest = numbering.rest(done)
-        if not np.all(finished):  # as columns of all samples, with 0 for the others
-            rest = tuple(np.bincount(np.flatnonzero(finished), column, len(finished)) for column in rest)
-        return cls(results, found or done.in_order() if keep_sticks else None, accumulator, rest)
+        kept = (found or done.in_order()) if keep_sticks else None
+        return cls(results, kept, accumulator, numbering.rest(found or done))
 
 
 def within_period(positions: np.ndarray, period: float) -> np.ndarray:

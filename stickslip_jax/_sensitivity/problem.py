@@ -266,7 +266,7 @@ class SensitivityProblem(NamedTuple):
 
     @property
     def per_task(self) -> int:
-        """The largest number of samples of a task that finds totals, as in `_ensemble/call.py`."""
+        """The largest number of samples of a task that finds totals, as in `_ensemble/setup.py`."""
         return min(-(-self._share // LANES) * LANES, LANES * ROWS)
 
     @property
