@@ -424,8 +424,7 @@ def measured_sticks(table: object, t1: float, samples: int | None) -> tuple[Flat
         allowed = f"{checks.one_of(Ending.__members__)} in the column ending"
         _refuse(codes < 0, allowed, lambda at: f"its row {at} has {checks.show(given[at])}")
         ending = codes[order]
-    count = np.bincount(number, minlength=samples)
-    return FlatSticks.of(count, start, end, ending.astype(np.int8), **others), unit
+    return FlatSticks.of(np.bincount(number, minlength=samples), start, end, ending.astype(np.int8), **others), unit
 
 
 def _unfit(demand: str, found: str) -> ValueError:

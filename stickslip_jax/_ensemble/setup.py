@@ -256,8 +256,7 @@ class OutputRunner:
         return simulate(system, base, t1=setup.t1, y0=y0, method=setup.method)
 
     def _numbers(self, one: Simulation) -> tuple[Array, ...]:
-        dtype = self._setup.dtype
-        return one.status, *(output.number(one, dtype) for output in self._outputs.values())
+        return one.status, *(output.number(one, self._setup.dtype) for output in self._outputs.values())
 
 
 def fields_of_outputs(outputs: Mapping[str, Output]) -> Fields:

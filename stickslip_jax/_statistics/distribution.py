@@ -631,8 +631,7 @@ class JointDistribution:
         x, y = self.x.values, self.y.values
         if len(x) < 2 or x.min() == x.max() or y.min() == y.max():
             return self._estimate(name, math.nan, math.nan)
-        number = len(x)
-        ranks = [(stats.rankdata(column) - 0.5) / number for column in (x, y)]
+        ranks = [(stats.rankdata(column) - 0.5) / len(x) for column in (x, y)]
         value = float(np.corrcoef(*ranks)[0, 1])
         # The influence of a pair: the product of its own ranks, plus its effect on the ranks of all other pairs.
         influence = ranks[0] * ranks[1] + _mean_above(x, ranks[1]) + _mean_above(y, ranks[0])

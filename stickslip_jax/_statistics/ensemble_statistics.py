@@ -469,8 +469,7 @@ class EnsembleStatistics(ByQuantity):
 
         endings = self.endings
         add_estimates("ending_share", "ending", list(endings.values()), "share of sticks by ending", "1")
-        names = [ending.name for ending in endings]
-        coordinates["ending"] = ("ending", names, {"long_name": "how the stick ended"})
+        coordinates["ending"] = ("ending", [one.name for one in endings], {"long_name": "how the stick ended"})
         return labeled_dataset(variables, coordinates, {"samples": self.samples, "duration_s": float(self.t1)})
 
     @property

@@ -280,8 +280,7 @@ def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     given = np.array(p_values, float)
     adjusted = np.full(given.shape, np.nan)
     order = np.argsort(given)[: np.count_nonzero(~np.isnan(given))]  # NaN are sorted to the end
-    factors = np.arange(len(order), 0, -1)
-    adjusted[order] = np.minimum(np.maximum.accumulate(factors * given[order]), 1)
+    adjusted[order] = np.minimum(np.maximum.accumulate(np.arange(len(order), 0, -1) * given[order]), 1)
     return tuple(float(p) for p in adjusted)
 
 

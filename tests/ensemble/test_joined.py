@@ -31,7 +31,7 @@ def compare(one, other, rtol):
         for mine, its in zip(jax.tree.leaves(getattr(one, name)), jax.tree.leaves(getattr(other, name)), strict=True):
             np.testing.assert_array_equal(mine, its)
     ours, theirs = (
-        {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(data)}
+        {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(parts)}
         for parts in ((many.moments, many.accumulator) for many in (one, other))
     )
     assert ours.keys() == theirs.keys()
