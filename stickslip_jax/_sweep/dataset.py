@@ -67,10 +67,6 @@ class Work:
         """The batches of samples of a point, without those of derivatives."""
         return [batch for batch in self._batches_at(point) if not batch.derivative]
 
-    def _batch_of(self, task: Task) -> Batch:
-        """The file for the result of a task."""
-        return self.store.batch_of(self.identities[task.point], task, self.plan)
-
     def tasks(self) -> Iterator[Task]:
         """What is left to do. With wanted standard errors, the next batch of each point that misses them."""
         for point in range(self.plan.points.number):
@@ -108,7 +104,7 @@ class Work:
 
     def finish(self, task: Task, data: bytes | None) -> list[Task]:
         """Store the result of a task (None: the worker has stored it); returns the tasks that follow from it."""
-        batch = self._batch_of(task)
+        batch = self.store.batch_of(task, self.plan)
         if data is not None:
             self.store.write(batch.path, data)
         batches = self._batches.setdefault(self.identities[task.point], [])
@@ -206,7 +202,7 @@ class Work:
         whole = self.ensemble(point)
         if whole is None or whole.samples != batches[-1].end:  # a damaged batch, which is done again
             return
-        joint = self._batch_of(Task(point, 0, whole.samples))
+        joint = self.store.batch_of(Task(point, 0, whole.samples), self.plan)
         self.store.write(joint.path, packed(whole))
         there = self._batches_at(point)
         there[:] = [joint, *(batch for batch in there if batch.derivative)]

@@ -220,7 +220,8 @@ class DaskCluster(Executor):
 
     def submit(self, task: Task) -> "distributed.Future":
         self.check()
-        shared = (str(self._path_of(task).resolve()), self._store.sweep_id) if self._shared else ()
+        path = self._store.batch_of(task, self._checked).path.resolve()
+        shared = (str(path), self._store.sweep_id) if self._shared else ()
         return self._begun("-".join(map(str, task)), self._perform, self._pool, tuple(task), *shared)
 
     def result(self, task: Task, future: "distributed.Future") -> Outcome | int:
@@ -251,11 +252,8 @@ class DaskCluster(Executor):
         finally:
             future.release()
         if isinstance(found, int):
-            self._check_visible(self._path_of(task), found)
+            self._check_visible(self._store.batch_of(task, self._checked).path, found)
         return found
-
-    def _path_of(self, task: Task) -> Path:
-        return self._store.batch_of(self._checked.points.identity(task.point), task, self._checked).path
 
     def _check_visible(self, path: Path, size: int) -> None:
         """Raises SweepError if a file that a worker wrote does not appear here; network folders take a moment."""

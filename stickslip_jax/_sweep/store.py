@@ -463,11 +463,11 @@ class Store:
                 with contextlib.suppress(OSError):  # they do no harm
                     batch.path.unlink()
 
-    def batch_of(self, identity: str, task: Task, plan: Plan) -> Batch:
+    def batch_of(self, task: Task, plan: Plan) -> Batch:
         """The file for the result of a task."""
         derivative = "" if task.derivative is None else derivative_name(plan, task.derivative)
         ending = f"-{derivative}.json" if derivative else ".zip"
-        path = self.folder / BATCHES / f"{identity}-{task.first}-{task.end}{ending}"
+        path = self.folder / BATCHES / f"{plan.points.identity(task.point)}-{task.first}-{task.end}{ending}"
         return Batch(path, task.first, task.end, derivative)
 
     def write(self, path: Path, data: bytes) -> None:
