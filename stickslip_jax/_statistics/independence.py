@@ -48,9 +48,7 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
     checks.chosen("quantity", quantity, TESTED)
     if not (isinstance(starts_before, float) and starts_before == math.inf) and starts_before is not None:
         checks.numeric("starts_before", starts_before)
-    given: object = source
-    if not isinstance(source, FlatSticks) and hasattr(source, "numbered_sticks"):
-        given = source.numbered_sticks()
+    given: object = source if isinstance(source, FlatSticks) else getattr(source, "numbered_sticks", lambda: None)()
     if not isinstance(given, FlatSticks):
         raise ValueError(
             "Argument source must be the result of simulate_ensemble or its flat_sticks, "
