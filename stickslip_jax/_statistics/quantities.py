@@ -166,7 +166,8 @@ def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> 
     at = sticks.first[mask]
     first = FlatSticks(mask.astype(int), sticks.numbers[:, at], sticks.ending[at]).padded()
     columns = (first.start, first.duration, first.position, first.ending)
-    return FirstSticks(*(np.asarray(column)[:, 0] for column in columns), mask)
+    start, duration, position, ending = (np.asarray(column)[:, 0] for column in columns)
+    return FirstSticks(start, duration, position, ending, mask)
 
 
 # Sums and histograms of sticks and of the slips between them, by compiled loops over the sticks of a part.

@@ -84,7 +84,7 @@ def body_of(text: str | bytes) -> Manifest:
     try:
         whole = json.loads(text)
         is_ours = isinstance(whole, dict) and bool({"body", "sha256"} & whole.keys())
-        body = whole.get("body") if is_ours else None
+        body: Any = whole.get("body") if is_ours else None
         is_whole = isinstance(body, dict) and encoding.sum_of(body) == whole.get("sha256")
     except (ValueError, RecursionError) as error:
         raise DamagedFileError(str(error)) from error
