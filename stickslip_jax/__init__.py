@@ -4,7 +4,7 @@ from importlib import import_module
 
 from . import _starting  # before all that takes time
 from ._dynamics.simulate import simulate  # noqa: F401 - likewise
-from ._ensemble.call import simulate_ensemble  # noqa: F401 - loads all that a mass on a spring needs; the rest waits
+from ._ensemble.ensemble import simulate_ensemble  # noqa: F401 - loads all that a mass on a spring needs; the rest waits
 from ._foundation.html import draw_with as _draw_with
 from ._foundation.public_names import attached as _attached
 

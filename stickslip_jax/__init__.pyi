@@ -28,11 +28,11 @@ from ._calibration.sticks import (
 from ._calibration.sticks import calibrate_sticks as calibrate_sticks
 from ._calibration.samplers import StickSimulator as StickSimulator, stick_simulator as stick_simulator
 from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
-from ._ensemble.call import simulate_ensemble as simulate_ensemble
-from ._ensemble.call import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts
-from ._ensemble.call import concatenate as concatenate, load as load
+from ._ensemble.ensemble import simulate_ensemble as simulate_ensemble
+from ._ensemble.ensemble import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts
+from ._ensemble.ensemble import concatenate as concatenate, load as load
 from ._ensemble.data import Keep as Keep
-from ._ensemble.result import Ensemble as Ensemble
+from ._ensemble.ensemble import Ensemble as Ensemble
 from ._dynamics.sticks import Slips as Slips, Sticks as Sticks
 from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps
 from ._excitation.recorded import ForceSteps as ForceSteps
@@ -100,7 +100,7 @@ from ._statistics.estimate import Estimate as Estimate
 from ._statistics.quantities import FirstSticks as FirstSticks, first_stick as first_stick
 from ._statistics.independence import identically_distributed as identically_distributed
 from ._statistics.independence import independent as independent, independent_and_identical as independent_and_identical
-from ._statistics.joint import (
+from ._statistics.distribution import (
     ConditionalMeans as ConditionalMeans,
     JointDistribution as JointDistribution,
     JointHistogram as JointHistogram,

@@ -16,8 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from .._dynamics.common.method import EXACT, Exact, Regularized, check_method, working_dtype
-from .._ensemble.call import simulate_ensemble
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble, simulate_ensemble
 from .._ensemble.setup import MOST_SAMPLES
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._dynamics.common.method import Exact, Regularized
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble
 from .._foundation import checks
 from .._foundation.types import InitialState, Scalar, Status
 from .._sensitivity import estimate

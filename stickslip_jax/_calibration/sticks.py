@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._dynamics.common.method import EXACT, Exact, Regularized
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.types import InitialState

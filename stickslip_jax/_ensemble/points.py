@@ -16,15 +16,7 @@ from .._systems.system import System, checked_system, require_system, unit_at
 from .._uncertainty.design import Design, given_twice
 from .._uncertainty.families import RandomNumber
 from .._uncertainty.inputs import SampledLaw, StochasticModel
-from .._uncertainty.numbers import (
-    NumberPath,
-    check_numbers,
-    matching,
-    number_at,
-    paths_of_numbers,
-    shown,
-    with_numbers,
-)
+from .._uncertainty.numbers import NumberPath, check_numbers, matching, number_at, paths_of_numbers, shown, with_numbers
 
 # The points of a parameter sweep: values of some parameters, on a grid, zipped, or from a design.
 

@@ -25,16 +25,15 @@ from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import ALL, StickCollector, StickStream
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._foundation import checks
+from .._foundation.extras import progress_bar
 from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, Status
-from .._statistics.accumulator import Numbering
-from .._statistics.quantities import DISTRIBUTIONS
+from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
 from .._systems.system import require_system
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
-from .data import EnsembleData, Fields, Keep
-from .parts import EnsembleAccumulator, EnsemblePart, prepare, progress_bar
+from .data import EnsembleAccumulator, EnsembleData, EnsemblePart, Fields, Keep, prepare
 
 # The checked arguments of an ensemble, and the engine that simulates its samples.
 
@@ -256,8 +255,7 @@ class OutputRunner:
         return simulate(system, base, t1=setup.t1, y0=y0, method=setup.method)
 
     def _numbers(self, one: Simulation) -> tuple[Array, ...]:
-        dtype = self._setup.dtype
-        return one.status, *(output.number(one, dtype) for output in self._outputs.values())
+        return one.status, *(output.number(one, self._setup.dtype) for output in self._outputs.values())
 
 
 def fields_of_outputs(outputs: Mapping[str, Output]) -> Fields:

@@ -21,7 +21,7 @@ from .._excitation.excitation import BaseMotion, is_random
 from .._excitation.segments import SegmentLaw
 from .._foundation import checks
 from .._foundation.types import FloatArray, InitialState, Status
-from .._statistics.accumulator import Numbering
+from .._statistics.quantities import Numbering
 from .._systems.system import System
 from .._uncertainty.families import RandomNumber
 from .._uncertainty.numbers import number_at, shown, with_numbers

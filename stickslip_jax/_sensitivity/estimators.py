@@ -17,12 +17,12 @@ from .._compiler import WIDE_VECTORS, CompiledNatively
 from .._dynamics.common.lanes import Engine, Job, SampleTotals, summarize, with_leaves
 from .._dynamics.engine_choice import compiled_for
 from .._dynamics.sticks import FlatSticks
-from .._ensemble.call import simulate_batch
-from .._ensemble.parts import RETAINED
+from .._ensemble.data import RETAINED
+from .._ensemble.ensemble import simulate_batch
 from .._ensemble.setup import EnsembleSetup, OutputRunner
 from .._foundation.types import AnyArray, DType, IntArray, Status
 from .._numerics.sums import Moments
-from .._statistics.accumulator import Numbering
+from .._statistics.quantities import Numbering
 from .._systems.system import is_built_in
 from .._uncertainty.inputs import StochasticModel
 from .._uncertainty.numbers import check_numbers, with_numbers

@@ -16,8 +16,8 @@ from .._dynamics.engine_choice import engine_for, engines_of_all, sample_engines
 from .._dynamics.interval.arcs import Scales
 from .._dynamics.interval.engine import IntervalEngine
 from .._dynamics.switched.engine import steps_for
-from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
+from .._ensemble.ensemble import simulate_ensemble
 from .._excitation.excitation import BaseMotion, excitation_of, is_random, key_data_for, law_of
 from .._excitation.motion import RandomSignal
 from .._excitation.piecewise_constant import PiecewiseConstantLaw, PoissonSwitching
@@ -265,7 +265,7 @@ class SensitivityProblem(NamedTuple):
 
     @property
     def per_task(self) -> int:
-        """The largest number of samples of a task that finds totals, as in `_ensemble/call.py`."""
+        """The largest number of samples of a task that finds totals, as in `_ensemble/setup.py`."""
         return min(-(-self._share // LANES) * LANES, LANES * ROWS)
 
     @property

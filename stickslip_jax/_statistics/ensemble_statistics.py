@@ -11,41 +11,97 @@ import numpy as np
 from jaxtyping import Float
 
 from .._dynamics.sticks import FlatSlips, FlatSticks, StickStream, slips_after, slips_among
-from .._foundation import checks
+from .._foundation import checks, html
+from .._foundation.extras import Entries, labeled_dataset, variable
 from .._foundation.types import Ending
 from .._numerics.sums import DyadicCounts, PowerSums
-from .accumulator import Numbering, StickAccumulator
-from .distribution import BINS, Clusters, Distribution, Summary, shown, shown_share, summary_of_distributions, table_of
-from .estimate import Estimate, Share, origin_of, require_ensemble
-from .joint import JointDistribution, dataset_of_statistics
-from .quantities import (
-    BY_NAME,
-    DISTRIBUTIONS,
-    FIRST_TWO,
-    OWN_MEAN_DURATION,
-    SAMPLE_QUANTITIES,
-    SLIP_COUNT,
-    SLIP_DURATION,
-    SLIP_QUANTITIES,
-    SLIP_START,
-    STICK_COUNT,
-    STICK_FRACTION,
-    STICK_QUANTITIES,
-    STREAMED_PAIRS,
-    SampledQuantity,
-    StickValue,
-    ordinal,
-)
+from . import quantities
+from .distribution import BINS, BINS_OF_PAIRS, DEFAULT_BINS, LEVELS, Clusters, Distribution, JointDistribution, wrapped
+from .estimate import Estimate, Share, format_with_error
+from .quantities import Numbering, SampledQuantity, StickAccumulator, StickValue, ordinal
 from .totals import TOTALS
 
 if TYPE_CHECKING:
     import xarray
 
 
+# Statistics as tables to read, in text and in HTML.
+
+
+Table = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]
+_FIRST = 6  # columns of the first part in text: up to the quantiles
+_HEAD = ("", "mean", "std. dev.", "5 %", "median", "95 %", "skewness", "entropy (nat)", "values")
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Summary:
+    """The statistics of an ensemble in tables: print it, or show it in a notebook.
+
+    `tables`: each a caption, the heads of the columns, and rows of text. `notes`: sentences below the tables.
+    """
+
+    title: str
+    tables: tuple[Table, ...]
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        parts = [self.title]
+        for caption, head, rows in self.tables:
+            columns = range(len(head))
+            widths = [max(len(row[column]) for row in (head, *rows)) for column in columns]
+            # One that has too many columns for a line in two parts, with the names of its rows again.
+            groups = [columns] if tuple(head) != _HEAD else [columns[:_FIRST], (0, *columns[_FIRST:])]
+            lines = [
+                "  ".join(f"{row[column]:{'>' if column else '<'}{widths[column]}}" for column in group).rstrip()
+                for group in groups
+                for row in (head, *rows)
+            ]
+            parts.append("\n".join([caption, "-" * max(map(len, lines)), *lines]))
+        notes = [wrapped(note) for note in self.notes]
+        return "\n\n".join([*parts, "\n".join(notes)] if notes else parts)
+
+    def _repr_html_(self) -> str:
+        parts = [html.table(rows, head, caption) for caption, head, rows in self.tables]
+        return "".join([html.titled(self.title), *parts, *map(html.escaped, self.notes)])
+
+
+def table_of(caption: str, distributions: Sequence[Distribution]) -> Table:
+    """A table with a row for each of some distributions."""
+    rows = []
+    for of in distributions:
+        unit = "" if of.unit == "1" else f" ({of.unit})"
+        others = (of.standard_deviation, of.quantile(0.05), of.median, of.quantile(0.95), of.skewness, of.entropy())
+        cells = ("-" if math.isnan(one.value) else f"{one.value:.4g}" for one in others)
+        rows.append((f"{of.name}{unit}", shown(of.mean), *cells, f"{of.number:,}"))
+    return caption, _HEAD, tuple(rows)
+
+
+def summary_of_distributions(title: str, distributions: Sequence[Distribution]) -> Summary:
+    """One table, a row for each of some distributions."""
+    return Summary(title, (table_of("Mean +- standard error", distributions),), ())
+
+
+def shown(estimate: Estimate) -> str:
+    """Value and standard error of an estimate, as far as they are known."""
+    if math.isnan(estimate.value):
+        return "-"
+    if math.isnan(estimate.standard_error):
+        return f"{estimate.value:.6g}"
+    return format_with_error(estimate.value, estimate.standard_error)
+
+
+def shown_share(share: Estimate) -> str:
+    """A share of the samples in percent with its standard error; or in a word, where all of them are meant."""
+    if share.value == 1:
+        return "all"
+    percent = dataclasses.replace(share, value=100 * share.value, standard_error=100 * share.standard_error)
+    return f"{shown(percent)} %"
+
+
 # Statistics of the i-th stick, or of the i-th slip, of each sample.
 
 
-NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)  # in the order of the accumulator's columns
+NAMES = tuple(quantity.name for quantity in quantities.STICK_QUANTITIES)  # in the order of the accumulator's columns
 
 
 class ByQuantity(abc.ABC):
@@ -69,7 +125,7 @@ class ByQuantity(abc.ABC):
             for key in (name, f"slip_{name}"):
                 if key in self.distributions:
                     return self.distributions[key]
-            if SLIP_START.name not in self.distributions:
+            if quantities.SLIP_START.name not in self.distributions:
                 raise ValueError(f"The sticks of this ensemble have no {name}, which was not measured.")
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
 
@@ -128,12 +184,12 @@ class SlipStatistics(ByQuantity):
     def distributions(self) -> dict[str, Distribution]:  # pyright: ignore[reportIncompatibleVariableOverride] - computed
         """The distribution over all slips of each of the `SLIP_QUANTITIES`, by name."""
         every = np.ones(len(self._slips.start), bool)
-        return {one.name: self._distribution(one, every) for one in SLIP_QUANTITIES}
+        return {one.name: self._distribution(one, every) for one in quantities.SLIP_QUANTITIES}
 
     def order(self, number: int) -> OrderStatistics:
         """Statistics of the `number`-th slip of each sample that has so many. Raises ValueError below 1."""
         chosen = self._slips.order == checks.whole_number("number", number)
-        found = {one.name: self._distribution(one, chosen, number) for one in SLIP_QUANTITIES}
+        found = {one.name: self._distribution(one, chosen, number) for one in quantities.SLIP_QUANTITIES}
         return OrderStatistics.of(number, "slip", int(chosen.sum()), len(self.sticks.count), found, self.origin)
 
     @cached_property
@@ -159,20 +215,6 @@ class SlipStatistics(ByQuantity):
 
 
 # The statistics of the sticks and slips of an ensemble, by quantity and by order.
-
-
-def statistics_of_ensemble(ensemble: object) -> "EnsembleStatistics":
-    """All statistics of an ensemble that was simulated with ``keep="statistics"`` or ``"sticks"``.
-
-    Raises:
-        ValueError: For any other argument.
-    """
-    many = require_ensemble(ensemble)
-    sticks = many.finished_sticks()  # refuses an ensemble that has none
-    position = many.system.stick_position.unit
-    return EnsembleStatistics(
-        many.accumulator, sticks, many.retained.totals, many.t1, position, many.numbering, origin_of(many)
-    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -215,9 +257,9 @@ class EnsembleStatistics(ByQuantity):
         summed = len(self.accumulator.stick_bins)
         return frozenset(name for at, name in enumerate(NAMES) if at >= summed or np.any(np.isnan(self._column(name))))
 
-    def known(self, quantities: Iterable[SampledQuantity]) -> tuple[SampledQuantity, ...]:
-        """Those of the `quantities` that the sticks have."""
-        return tuple(one for one in quantities if one.name not in self.missing)
+    def known(self, asked: Iterable[SampledQuantity]) -> tuple[SampledQuantity, ...]:
+        """Those of the quantities `asked` for that the sticks have."""
+        return tuple(one for one in asked if one.name not in self.missing)
 
     def unit_of(self, quantity: SampledQuantity) -> str:
         """The unit of a quantity for this system."""
@@ -247,23 +289,23 @@ class EnsembleStatistics(ByQuantity):
         owner = np.concatenate([self.sticks.sample, np.arange(len(after))])
         values = np.concatenate([before, after])
         slips = values > 0
-        clusters = self._clusters(values[slips], owner[slips])
-        return self._distribution(SLIP_DURATION, self.accumulator.slips, self.accumulator.slip_bins, clusters)
+        sums, clusters = self.accumulator.slips, self._clusters(values[slips], owner[slips])
+        return self._distribution(quantities.SLIP_DURATION, sums, self.accumulator.slip_bins, clusters)
 
     @cached_property
     def stick_count(self) -> Distribution:
         """Number of sticks of each sample."""
-        return self._of_samples(STICK_COUNT, self._total("stick_count"))
+        return self._of_samples(quantities.STICK_COUNT, self._total("stick_count"))
 
     @cached_property
     def slip_count(self) -> Distribution:
         """Number of slips of each sample."""
-        return self._of_samples(SLIP_COUNT, self._total("slip_count"))
+        return self._of_samples(quantities.SLIP_COUNT, self._total("slip_count"))
 
     @cached_property
     def stick_fraction(self) -> Distribution:
         """Share of ``[0, t1]`` that each sample spends sticking."""
-        return self._of_samples(STICK_FRACTION, self._total("stick_time") / self.t1)
+        return self._of_samples(quantities.STICK_FRACTION, self._total("stick_time") / self.t1)
 
     @cached_property
     def own_mean_duration(self) -> Distribution:
@@ -272,8 +314,8 @@ class EnsembleStatistics(ByQuantity):
         count = self._total("stick_count") - self._total("rest_count")
         has = count > 0
         clusters = self._clusters(time[has] / count[has], np.flatnonzero(has))
-        accumulator = self.accumulator
-        return self._distribution(OWN_MEAN_DURATION, accumulator.own_mean, accumulator.own_mean_bins, clusters)
+        sums, bins = self.accumulator.own_mean, self.accumulator.own_mean_bins
+        return self._distribution(quantities.OWN_MEAN_DURATION, sums, bins, clusters)
 
     @property
     def endings(self) -> dict[Ending, Estimate]:
@@ -341,10 +383,10 @@ class EnsembleStatistics(ByQuantity):
         exists = np.isfinite(values[0]) & np.isfinite(values[1])
         values, owner = tuple(column[exists] for column in values), owner[exists]
         bins, correlation, sums = None, None, self.accumulator
-        if (x, y) == FIRST_TWO:
+        if (x, y) == quantities.FIRST_TWO:
             bins, correlation = sums.first_two_bins, float(sums.first_two.correlation[0, 1])
-        elif (x, y) in STREAMED_PAIRS:
-            bins = sums.pair_bins[STREAMED_PAIRS.index((x, y))]
+        elif (x, y) in quantities.STREAMED_PAIRS:
+            bins = sums.pair_bins[quantities.STREAMED_PAIRS.index((x, y))]
             correlation = float(sums.sticks.correlation[NAMES.index(x), NAMES.index(y)])
         clusters = [self._clusters(column, owner, of_all=bins is not None) for column in values]
         labels = (of_x.axis_label(number_x), of_y.axis_label(number_y))
@@ -368,16 +410,75 @@ class EnsembleStatistics(ByQuantity):
         Args:
             bins: At most, of each histogram; by default 50, of whole numbers one for each number.
         """
-        return dataset_of_statistics(self, bins)
+        variables: Entries = {}
+        coordinates: Entries = {"quantile": variable("quantile", list(LEVELS), "share of values", "1")}
+
+        def add_estimates(name: str, dimension: str, estimates: Sequence[Estimate], long_name: str, unit: str) -> None:
+            values, errors = ([getattr(one, what) for one in estimates] for what in ("value", "standard_error"))
+            variables[name] = variable(dimension, values, long_name, unit)
+            variables[f"{name}_error"] = variable(dimension, errors, "standard error", unit)
+
+        def add_bins(name: str, edges: np.ndarray, long_name: str, unit: str) -> None:
+            """Centres of bins, and their bounds as CF conventions have them."""
+            centers, bounds = (edges[1:] + edges[:-1]) / 2, f"{name}_bounds"
+            coordinates[name] = variable(name, centers, long_name, unit, bounds=bounds)
+            variables[bounds] = ((name, "bounds"), np.stack([edges[:-1], edges[1:]], axis=1))
+
+        for quantity in self.known(quantities.DISTRIBUTIONS):
+            name = quantity.name
+            of: Distribution = getattr(self, name)
+            for moment in ("mean", "standard_deviation", "skewness"):
+                one, label = getattr(of, moment), f"{name}_{moment}"
+                variables[label] = variable((), one.value, one.name, one.unit, standard_error=one.standard_error)
+            quantiles = [of.quantile(share) for share in LEVELS]
+            add_estimates(f"{name}_quantile", "quantile", quantiles, f"quantile of {of.name}", of.unit)
+            histogram, bin_name = of.histogram(bins), f"{name}_bin"
+            per = "1" if of.unit == "1" else f"{of.unit}-1"
+            add_bins(bin_name, histogram.edges, of.name, of.unit)
+            counted = f"number of values of {of.name}"
+            variables[f"{name}_count_in_bin"] = variable(bin_name, histogram.counts, counted, "1")
+            variables[f"{name}_density"] = variable(bin_name, histogram.density, f"density of {of.name}", per)
+            variables[f"{name}_density_error"] = variable(bin_name, histogram.error, "standard error", per)
+
+        for pair in (*quantities.STREAMED_PAIRS, quantities.FIRST_TWO):
+            if set(pair) & self.missing:
+                continue
+            joint = self.joint(*pair)
+            # In names of variables ``duration``, or ``duration_1`` for that of the first stick.
+            name = "_and_".join(one if isinstance(one, str) else f"{one[0]}_{one[1]}" for one in pair)
+            histogram = joint.histogram(DEFAULT_BINS if bins is None else min(bins, BINS_OF_PAIRS))
+            dimensions = (f"{name}_x_bin", f"{name}_y_bin")
+            edges = (histogram.x_edges, histogram.y_edges)
+            for dimension, edge, quantity, unit in zip(dimensions, edges, joint.names, joint.units, strict=True):
+                add_bins(dimension, edge, quantity, unit)
+            counted = f"number of pairs of {joint.names[0]} and {joint.names[1]}"
+            variables[f"{name}_count_in_bin"] = variable(dimensions, histogram.counts, counted, "1")
+
+        # The share of samples and the means of the 1st, 2nd, ... stick, and slip.
+        numbers = list(range(1, self.orders + 1))
+        coordinates["order"] = variable("order", numbers, "number of the stick or slip", "1")
+        sticks, slips = ([of.order(number) for number in numbers] for of in (self, self.slips))
+        shares = [one.share for one in sticks]
+        add_estimates("share_by_order", "order", shares, "share of samples that have the stick", "1")
+        by_order = [(sticks, one, f"{one.short_label} of the stick") for one in self.known(quantities.STICK_QUANTITIES)]
+        by_order += [(slips, one, one.label) for one in quantities.SLIP_QUANTITIES]
+        for orders, quantity, label in by_order:
+            means, unit = [one.distributions[quantity.name].mean for one in orders], self.unit_of(quantity)
+            add_estimates(f"{quantity.name}_by_order", "order", means, f"mean {label}", unit)
+
+        endings = self.endings
+        add_estimates("ending_share", "ending", list(endings.values()), "share of sticks by ending", "1")
+        coordinates["ending"] = ("ending", [one.name for one in endings], {"long_name": "how the stick ended"})
+        return labeled_dataset(variables, coordinates, {"samples": self.samples, "duration_s": float(self.t1)})
 
     @property
     def _summary(self) -> Summary:
         """The tables of `Ensemble.summary`, without what only the ensemble knows: which samples did not finish."""
-        every = [getattr(self, quantity.name) for quantity in self.known(DISTRIBUTIONS)]
+        every = [getattr(self, quantity.name) for quantity in self.known(quantities.DISTRIBUTIONS)]
         tables = [table_of("All sticks and slips (mean +- standard error)", every)]
-        for body, of, quantities in (
-            ("stick", self, self.known(STICK_QUANTITIES)),
-            ("slip", self.slips, SLIP_QUANTITIES),
+        for body, of, shared in (
+            ("stick", self, self.known(quantities.STICK_QUANTITIES)),
+            ("slip", self.slips, quantities.SLIP_QUANTITIES),
         ):
             orders = [of.order(number) for number in range(1, self.orders + 1)]
             rows = tuple(
@@ -386,7 +487,7 @@ class EnsembleStatistics(ByQuantity):
                 if one.duration.number > 0
             )
             if rows:
-                heads = [f"{one.short_label.removeprefix('slip ')} ({self.unit_of(one)})" for one in quantities]
+                heads = [f"{one.short_label.removeprefix('slip ')} ({self.unit_of(one)})" for one in shared]
                 caption = f"{body.capitalize()}s by order (mean +- standard error)"
                 tables.append((caption, (body, f"samples with this {body}", *heads), rows))
         return Summary(f"{self.samples:,} samples on [0, {self.t1:g}] s", tuple(tables), ())
@@ -413,13 +514,13 @@ class EnsembleStatistics(ByQuantity):
             one.name: self._distribution(
                 one, sums, bins[index], self._clusters(self._column(one.name)[at], owner), index, number
             )
-            for index, one in enumerate(STICK_QUANTITIES)
+            for index, one in enumerate(quantities.STICK_QUANTITIES)
             if one.name not in self.missing
         }
 
     def _of_samples(self, quantity: SampledQuantity, values: np.ndarray) -> Distribution:
         """The distribution of one of the `SAMPLE_QUANTITIES`, which has these `values` in the retained samples."""
-        index, clusters = SAMPLE_QUANTITIES.index(quantity), self._clusters(values, np.arange(len(values)))
+        index, clusters = quantities.SAMPLE_QUANTITIES.index(quantity), self._clusters(values, np.arange(len(values)))
         bins = self.accumulator.sample_bins[index]
         return self._distribution(quantity, self.accumulator.samples, bins, clusters, index)
 
@@ -458,9 +559,10 @@ class EnsembleStatistics(ByQuantity):
 def _stick_value(argument: str, value: object) -> tuple[SampledQuantity, int | None]:
     """A quantity of a stick, and the number of the stick if there is one."""
     name, number = value if isinstance(value, tuple) and len(value) == 2 else (value, None)
-    if not (isinstance(name, str) and name in BY_NAME):
-        options = f"{', '.join(map(repr, BY_NAME))}, or such a name with the number of the stick, as in ('duration', 1)"
+    if not (isinstance(name, str) and name in quantities.BY_NAME):
+        names = ", ".join(map(repr, quantities.BY_NAME))
+        options = f"{names}, or such a name with the number of the stick, as in ('duration', 1)"
         raise checks.refused(argument, f"be one of {options}", value)
     if isinstance(value, tuple):
         number = checks.whole_number(f"{argument}[1]", number)
-    return BY_NAME[name], number
+    return quantities.BY_NAME[name], number

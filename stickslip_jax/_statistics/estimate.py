@@ -516,12 +516,7 @@ _AT_ONCE = 2**22  # random weights: 32 MB
 
 
 def bootstrap_interval(
-    statistic: Statistic,
-    ensemble: EnsembleLike,
-    *,
-    level: float = DEFAULT_LEVEL,
-    resamples: int = 2000,
-    seed: int = 0,
+    statistic: Statistic, ensemble: EnsembleLike, *, level: float = DEFAULT_LEVEL, resamples: int = 2000, seed: int = 0
 ) -> tuple[float, float]:
     """The bootstrap-t confidence interval of a statistic at `level` (Efron and Tibshirani 1993, section 12.5).
 

@@ -1,20 +1,112 @@
-"""Tests of independence and of identical distribution, combined into one verdict."""
+"""Tests of independence and of identical distribution, combined into one verdict, and the values that they take."""
 
 import dataclasses
 import itertools
 import math
 import warnings
 from collections.abc import Iterable, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy import optimize, stats
 
+from .._dynamics.sticks import FlatSticks
 from .._foundation import checks
-from .accumulator import MOST_ORDERS
+from .._foundation.types import Ending
 from .distribution import wrapped
 from .estimate import StickSource
-from .quantities import IN_A_CYCLE, TESTED, TestedQuantity, plural, sequences_of
+from .quantities import IN_A_CYCLE, MOST_ORDERS, TESTED, TestedQuantity
+
+# Values of a quantity in order of time within each sample, without the bias from the end of the simulation.
+#
+# The simulation ends at t1 and cuts the stick or slip that is under way. One that begins shortly before t1 is complete
+# only if it is short. So the complete ones alone are too short on average, more so the later they come in order, and a
+# long one leaves less time for the next. Tests would take both for a drift of the distribution, or for dependence. All
+# sticks, or slips, that begin before ``t1 - (the longest)`` are complete, and whether one begins before a given instant
+# depends on what happened earlier, not on its own duration.
+
+
+class Sequences(NamedTuple):
+    """The values of one quantity, sample after sample, those of a sample in order of time.
+
+    - `values`: (values,). `first`, `count`: index of each sample's first value, and its number of values, (samples,).
+    - `remark`: a sentence that says how many values were used and left out.
+    """
+
+    values: Float[np.ndarray, " values"]
+    first: Int[np.ndarray, " samples"]
+    count: Int[np.ndarray, " samples"]  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
+    remark: str
+
+
+def sequences_of(source: StickSource, quantity: str, starts_before: float | None) -> Sequences:
+    """The values of `quantity` that begin before `starts_before` (s; None: ``t1 - longest``, as explained above).
+
+    Arguments, and errors raised, as in `identically_distributed`.
+    """
+    checks.chosen("quantity", quantity, TESTED)
+    if not (isinstance(starts_before, float) and starts_before == math.inf) and starts_before is not None:
+        checks.numeric("starts_before", starts_before)
+    given: object = source if isinstance(source, FlatSticks) else getattr(source, "numbered_sticks", lambda: None)()
+    if not isinstance(given, FlatSticks):
+        raise ValueError(
+            "Argument source must be the result of simulate_ensemble or its flat_sticks, "
+            f"but {type(source).__name__} was given."
+        )
+    shapes = [np.shape(column) for column in (*given.numbers, given.ending)]
+    if any(shape != (given.count.sum(),) for shape in shapes):
+        raise ValueError(
+            f"Argument source must have as many sticks as its counts add up to, {given.count.sum()}, "
+            f"but arrays of shapes {', '.join(map(str, shapes))} were given."
+        )
+    if not (np.all(np.isfinite(given.start)) and np.all(np.isfinite(given.end))):
+        raise ValueError("Argument source must have finite starts and ends, but some are NaN or infinite.")
+    sticks = given._replace(count=given.count.astype(np.int64), numbers=given.numbers.astype(np.float64))
+    horizon, owner = float(np.max(sticks.end, initial=0.0)), sticks.sample
+    # The slip after each stick. That after the last one of a sample is cut; there is none if that stick itself was cut.
+    is_cut, is_last = sticks.ending == Ending.HORIZON, np.diff(owner, append=-1) != 0
+    slips = ~(is_last & is_cut)
+    slip = np.where(slips, np.where(is_last, horizon, np.append(sticks.start[1:], 0.0)) - sticks.end, 0.0)
+    # Each value is known from a stick or slip: when that `begin`s, the `length` of all such ones up to the end of the
+    # simulation, in any order, whether there `exists` such a value, and whether the simulation did not cut it.
+    duration, everything = sticks.duration, np.ones(len(sticks.start), bool)
+    match quantity:
+        case "duration":  # from the stick itself
+            values, begin, length, exists, complete = duration, sticks.start, duration, everything, ~is_cut
+        case "slip_start":  # from the stick before the slip
+            values, begin, length, exists, complete = sticks.end, sticks.start, duration, ~is_cut, ~is_cut
+        case "slip_duration":  # from the slip itself
+            values, begin, length, exists, complete = slip, sticks.end, slip, slips, ~is_last
+        case _:  # known when the stick starts: from the slip before, which may be cut
+            values, length, exists, complete = getattr(sticks, quantity), slip, everything, everything
+            begin = np.where(np.diff(owner, prepend=-1) != 0, 0.0, np.roll(sticks.end, 1))
+    longest = np.max(length, initial=0.0)
+    before = horizon - longest if starts_before is None else float(starts_before)
+    used = complete & (begin < before)
+    values = values[used]
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"Argument source must have finite {plural(quantity)}, but some are NaN or infinite.")
+    # Rounded to multiples of a power of two that is at least 256 times the round-off: in periodic motion all sticks are
+    # equally long up to that, and tests by rank would find a pattern in it.
+    is_time = quantity in ("duration", "slip_start", "slip_duration")
+    scale = horizon if is_time else np.max(np.abs(values), initial=0.0)
+    if error := scale * float(np.finfo(given.numbers.dtype).eps):
+        grid = math.ldexp(1.0, math.frexp(256 * error)[1])
+        values = grid * np.round(values / grid)
+    count = np.bincount(owner[used], minlength=len(sticks.count))
+    remark = f"Used {len(values)} {plural(quantity)}"
+    if left := int(exists.sum()) - len(values):
+        late = "" if before == math.inf else f"begin at {max(before, 0):.4g} s or later, or "
+        remark += f"; left out {left}, which {late}are cut by the end of the simulation"
+    return Sequences(values, np.cumsum(count) - count, count, remark + ".")
+
+
+def plural(quantity: str) -> str:
+    """A tested quantity in sentences: "stick durations"."""
+    label = TESTED[quantity].label
+    return f"values of the {label}" if label.endswith("the stick") else f"{label}s"
+
 
 # The Anderson-Darling test of k samples, with p-values of any size.
 #
@@ -186,8 +278,7 @@ def holm(p_values: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     given = np.array(p_values, float)
     adjusted = np.full(given.shape, np.nan)
     order = np.argsort(given)[: np.count_nonzero(~np.isnan(given))]  # NaN are sorted to the end
-    factors = np.arange(len(order), 0, -1)
-    adjusted[order] = np.minimum(np.maximum.accumulate(factors * given[order]), 1)
+    adjusted[order] = np.minimum(np.maximum.accumulate(np.arange(len(order), 0, -1) * given[order]), 1)
     return tuple(float(p) for p in adjusted)
 
 

@@ -1,16 +1,20 @@
-"""The quantities whose distributions are estimated, and their values sample by sample."""
+"""The quantities whose distributions are estimated; sums and histograms of them, updated while sticks stream in."""
 
 import dataclasses
 import math
-from typing import Literal, NamedTuple, TypeAlias
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._dynamics.sticks import FlatSticks
+from .._dynamics.sticks import NUMBERS, FlatSticks, StickStream
 from .._foundation import checks
 from .._foundation.types import Ending
-from .estimate import EnsembleLike, StickSource, require_ensemble
+from .._numerics import sums
+from .._numerics.sums import CommonBins, DyadicCounts, PowerSums
+from .distribution import BINS, BINS_OF_PAIRS
+from .estimate import EnsembleLike, require_ensemble
 
 # The quantities whose distributions are estimated: numbers of each stick, of each slip or of each sample.
 #
@@ -115,100 +119,6 @@ FIRST_TWO: tuple[StickValue, StickValue] = (("duration", 1), ("duration", 2))
 """The pair of two sticks of a sample whose joint histogram is summed over all samples."""
 
 
-# Values of a quantity in order of time within each sample, without the bias from the end of the simulation.
-#
-# The simulation ends at t1 and cuts the stick or slip that is under way. One that begins shortly before t1 is complete
-# only if it is short. So the complete ones alone are too short on average, more so the later they come in order, and a
-# long one leaves less time for the next. Tests would take both for a drift of the distribution, or for dependence. All
-# sticks, or slips, that begin before ``t1 - (the longest)`` are complete, and whether one begins before a given instant
-# depends on what happened earlier, not on its own duration.
-
-
-class Sequences(NamedTuple):
-    """The values of one quantity, sample after sample, those of a sample in order of time.
-
-    - `values`: (values,). `first`, `count`: index of each sample's first value, and its number of values, (samples,).
-    - `remark`: a sentence that says how many values were used and left out.
-    """
-
-    values: Float[np.ndarray, " values"]
-    first: Int[np.ndarray, " samples"]
-    count: Int[np.ndarray, " samples"]  # pyright: ignore[reportIncompatibleMethodOverride] - the name in CF conventions
-    remark: str
-
-
-def sequences_of(source: StickSource, quantity: str, starts_before: float | None) -> Sequences:
-    """The values of `quantity` that begin before `starts_before` (s; None: ``t1 - longest``, as explained above).
-
-    Arguments, and errors raised, as in `identically_distributed`.
-    """
-    checks.chosen("quantity", quantity, TESTED)
-    if not (isinstance(starts_before, float) and starts_before == math.inf) and starts_before is not None:
-        checks.numeric("starts_before", starts_before)
-    given: object = source
-    if not isinstance(source, FlatSticks) and hasattr(source, "numbered_sticks"):
-        given = source.numbered_sticks()
-    if not isinstance(given, FlatSticks):
-        raise ValueError(
-            "Argument source must be the result of simulate_ensemble or its flat_sticks, "
-            f"but {type(source).__name__} was given."
-        )
-    shapes = [np.shape(column) for column in (*given.numbers, given.ending)]
-    if any(shape != (given.count.sum(),) for shape in shapes):
-        raise ValueError(
-            f"Argument source must have as many sticks as its counts add up to, {given.count.sum()}, "
-            f"but arrays of shapes {', '.join(map(str, shapes))} were given."
-        )
-    if not (np.all(np.isfinite(given.start)) and np.all(np.isfinite(given.end))):
-        raise ValueError("Argument source must have finite starts and ends, but some are NaN or infinite.")
-    sticks = given._replace(count=given.count.astype(np.int64), numbers=given.numbers.astype(np.float64))
-    horizon, has = float(np.max(sticks.end, initial=0.0)), sticks.count > 0
-    # The slip after each stick. That after the last one of a sample is cut; there is none if that stick itself was cut.
-    is_cut, is_last = sticks.ending == Ending.HORIZON, np.zeros(len(sticks.start), bool)
-    is_last[(sticks.first + sticks.count - 1)[has]] = True
-    slips = ~(is_last & is_cut)
-    slip = np.where(slips, np.where(is_last, horizon, np.append(sticks.start[1:], 0.0)) - sticks.end, 0.0)
-    # Each value is known from a stick or slip: when that `begin`s, the `length` of all such ones up to the end of the
-    # simulation, in any order, whether there `exists` such a value, and whether the simulation did not cut it.
-    duration, everything = sticks.duration, np.ones(len(sticks.start), bool)
-    match quantity:
-        case "duration":  # from the stick itself
-            values, begin, length, exists, complete = duration, sticks.start, duration, everything, ~is_cut
-        case "slip_start":  # from the stick before the slip
-            values, begin, length, exists, complete = sticks.end, sticks.start, duration, ~is_cut, ~is_cut
-        case "slip_duration":  # from the slip itself
-            values, begin, length, exists, complete = slip, sticks.end, slip, slips, ~is_last
-        case _:  # known when the stick starts: from the slip before, which may be cut
-            values, length, exists, complete = getattr(sticks, quantity), slip, everything, everything
-            begin = np.roll(sticks.end, 1)
-            begin[sticks.first[has]] = 0.0
-    longest = np.max(length, initial=0.0)
-    before = horizon - longest if starts_before is None else float(starts_before)
-    used = complete & (begin < before)
-    values = values[used]
-    if not np.all(np.isfinite(values)):
-        raise ValueError(f"Argument source must have finite {plural(quantity)}, but some are NaN or infinite.")
-    # Rounded to multiples of a power of two that is at least 256 times the round-off: in periodic motion all sticks are
-    # equally long up to that, and tests by rank would find a pattern in it.
-    is_time = quantity in ("duration", "slip_start", "slip_duration")
-    scale = horizon if is_time else np.max(np.abs(values), initial=0.0)
-    if error := scale * float(np.finfo(given.numbers.dtype).eps):
-        grid = math.ldexp(1.0, math.frexp(256 * error)[1])
-        values = grid * np.round(values / grid)
-    count = np.bincount(sticks.sample[used], minlength=len(sticks.count))
-    remark = f"Used {len(values)} {plural(quantity)}"
-    if left := int(exists.sum()) - len(values):
-        late = "" if before == math.inf else f"begin at {max(before, 0):.4g} s or later, or "
-        remark += f"; left out {left}, which {late}are cut by the end of the simulation"
-    return Sequences(values, np.cumsum(count) - count, count, remark + ".")
-
-
-def plural(quantity: str) -> str:
-    """A tested quantity in sentences: "stick durations"."""
-    label = TESTED[quantity].label
-    return f"values of the {label}" if label.endswith("the stick") else f"{label}s"
-
-
 # The first stick of every sample.
 
 
@@ -254,11 +164,248 @@ def first_stick(ensemble: EnsembleLike, *, count_initial_rest: bool = False) -> 
         sticks = sticks.without_initial_rest()
     mask = sticks.count > 0
     at = sticks.first[mask]
+    first = FlatSticks(mask.astype(int), sticks.numbers[:, at], sticks.ending[at]).padded()
+    columns = (first.start, first.duration, first.position, first.ending)
+    start, duration, position, ending = (np.asarray(column)[:, 0] for column in columns)
+    return FirstSticks(start, duration, position, ending, mask)
 
-    def fill(values, padding):
-        filled = np.full(len(mask), padding, values.dtype)
-        filled[mask] = values[at]
-        return filled
 
-    start, duration, position = (fill(values, np.nan) for values in (sticks.start, sticks.duration, sticks.position))
-    return FirstSticks(start, duration, position, fill(sticks.ending, -1), mask)
+# Sums and histograms of sticks and of the slips between them, by compiled loops over the sticks of a part.
+
+
+BINS_BY_ORDER = 1024
+
+_NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)
+_SLIP = len(_NAMES)  # the column of slips, after those of the sticks
+_OTHERS = [NUMBERS.index(name) for name in _NAMES[3:]]  # rows of `StickStream.numbers`
+_X, _Y = ([_NAMES.index(pair[axis]) for pair in STREAMED_PAIRS] for axis in (0, 1))
+
+
+def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1: float) -> dict[str, Any]:
+    """Sums and histograms of the numbered sticks of finished samples, simulated up to `t1`, s, and of all slips.
+
+    By their names in the `StickAccumulator`. `skipped`: how many sticks of each sample come before its first numbered
+    one, 0 or 1.
+
+    Raises:
+        ValueError: Where a number of a stick is NaN: the loops check no bounds, and it would have no bin.
+    """
+    d, compiled = _SLIP + 1, sums.compiled()
+    skip_rest = bool(np.any(skipped))
+    # A sample that begins with a stick has no slip there.
+    all_slips = skip_rest or not np.any(sticks.begins_at_zero)
+    columns = (
+        sticks.start, sticks.end, sticks.position, sticks.slip, sticks.numbers[_OTHERS], skip_rest, all_slips
+    )  # fmt: skip
+    number, low, high, total = np.zeros(d, np.int64), np.full(d, np.inf), np.full(d, -np.inf), np.zeros(d)
+    compiled.survey(*columns, number, low, high, total)
+    if np.any(np.isnan(total)):
+        raise ValueError("Sticks must have finite starts, ends and positions, but some are NaN.")
+    fine = [_bins_within(*ends, BINS) for ends in zip(low, high, strict=True)]
+    coarse = [_bins_within(*ends, BINS_OF_PAIRS) for ends in zip(low[:_SLIP], high[:_SLIP], strict=True)]
+    axes = [*((one,) for one in fine), *((coarse[x], coarse[y]) for x, y in zip(_X, _Y, strict=True))]
+    shapes = [tuple(axis.number for axis in own) for own in axes]
+    counts, begin = _buffer(shapes)
+    mean, scatter, third = total / np.maximum(number, 1), np.zeros((d, d)), np.zeros(d)
+    bin_of = begin[:d] - [one.first for one in fine]
+    shift = np.array([wide.exponent - one.exponent for wide, one in zip(coarse, fine, strict=False)] + [0])
+    pair_bin_of = np.array([one.first for one in coarse] + [0])
+    pairs = np.array([_X, _Y, [coarse[y].number for y in _Y], begin[d:-1]]).T
+    compiled.count(*columns, mean, _scales(fine), bin_of, shift, pair_bin_of, pairs, counts, scatter, third)
+    scatter += np.tril(scatter, -1).T
+    of_sticks, of_slips = (
+        PowerSums(np.array(number[at][0]), mean[at], scatter[at, at], third[at], low[at], high[at])
+        for at in (slice(_SLIP), slice(_SLIP, d))
+    )
+    found = zip(axes, shapes, np.split(counts, begin[1:-1]), [*number, *(number[0] for _ in _X)], strict=True)
+    bins = []
+    for own, shape, part, values in found:
+        most = BINS if len(own) == 1 else BINS_OF_PAIRS
+        one = DyadicCounts.with_counts(own, part.reshape(shape), most) if values else DyadicCounts.none(len(own), most)
+        bins.append(one)
+    after = sticks.slip_after(t1).astype(np.float64)
+    after = after[after > 0]
+    return {
+        "sticks": of_sticks,
+        "stick_bins": tuple(bins[:_SLIP]),
+        "slips": of_slips.merge(PowerSums.of(after)),
+        "slip_bins": bins[_SLIP].merge(DyadicCounts.of(after, BINS)),
+        "pair_bins": tuple(bins[d:]),
+    }
+
+
+def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], orders: int) -> dict[str, Any]:
+    """Sums and histograms of the 1st to the `orders`-th numbered stick, by their names in the `StickAccumulator`.
+
+    `skipped`: how many sticks of each sample come before its first numbered one.
+    """
+    # No more orders than there are sticks, but the first two in any case.
+    most = max(2, min(orders, int(sticks.count.max(initial=0))))
+    d, samples, compiled = _SLIP, len(sticks.count), sums.compiled()
+    columns, found = np.empty((d, most, samples)), np.zeros(most, np.int64)
+    earlier, pair = np.empty(samples), np.empty((2, samples))
+    of_sticks = (sticks.start, sticks.end, sticks.position, sticks.numbers[_OTHERS], sticks.owner, sticks.order)
+    compiled.numbered(*of_sticks, skipped, columns, found, earlier, pair)
+    first_two, present = (pair[0, : found[1]], pair[1, : found[1]]), found[:orders]
+    pair_bins = DyadicCounts.of_columns(first_two, BINS_OF_PAIRS)
+    of_pairs = {"first_two": PowerSums.of(*first_two), "first_two_bins": pair_bins}
+    if not np.any(present):
+        no_bins = DyadicCounts.none(1, BINS_BY_ORDER, groups=orders)
+        return {"by_order": PowerSums.stacked([PowerSums.none(d)] * orders), "order_bins": (no_bins,) * d, **of_pairs}
+    number = np.zeros(orders, np.int64)
+    number[: len(present)] = present
+    low, high, total = (np.full((orders, d), value) for value in (np.inf, -np.inf, 0.0))
+    compiled.survey_orders(columns, present, low, high, total)
+    axes = [_bins_within(*ends, BINS_BY_ORDER) for ends in zip(low.min(axis=0), high.max(axis=0), strict=True)]
+    shapes = [(orders, axis.number) for axis in axes]
+    counts, begin = _buffer(shapes)
+    mean, scatter, third = total / np.maximum(number, 1)[:, None], np.zeros((orders, d, d)), np.zeros((orders, d))
+    bin_of, bins = begin[:-1] - [axis.first for axis in axes], np.array([axis.number for axis in axes])
+    compiled.count_orders(columns, present, mean, _scales(axes), bin_of, bins, counts, scatter, third)
+    scatter += np.tril(scatter, -1).swapaxes(1, 2)
+    parts = zip(axes, np.split(counts, begin[1:-1]), shapes, strict=True)
+    return {
+        "by_order": PowerSums(number, mean, scatter, third, low, high),
+        "order_bins": tuple(
+            DyadicCounts.with_counts((axis,), one.reshape(shape), BINS_BY_ORDER) for axis, one, shape in parts
+        ),
+        **of_pairs,
+    }
+
+
+def _bins_within(low: float, high: float, bins: int) -> CommonBins:
+    """The bins for numbers from `low` to `high`; any bins if there are none (then ``low > high``)."""
+    ends = (float(low), float(high)) if low <= high else (0.0, 0.0)
+    return CommonBins.within(*ends, bins)
+
+
+def _scales(axes: Sequence[CommonBins]) -> Float[np.ndarray, " axes"]:
+    """Bins per unit of each quantity."""
+    return np.array([math.ldexp(1.0, -axis.exponent) for axis in axes])
+
+
+def _buffer(shapes: Sequence[tuple[int, ...]]) -> tuple[Int[np.ndarray, " counts"], Int[np.ndarray, " ends"]]:
+    """One array of zeros for the counts of several histograms, and where each of them begins and the last one ends."""
+    begin = np.cumsum([0, *(math.prod(shape) for shape in shapes)])
+    return np.zeros(begin[-1], np.int64), begin
+
+
+# The accumulator of an ensemble: sums and histograms of its sticks, updated while they stream by.
+#
+# Accumulators of parts of an ensemble are merged exactly: sums of deviations by the formulas of Chan, Golub and LeVeque
+# (1983) and Pebay (2008), histograms by adding. Apart from round-off the result does not depend on how the samples were
+# cut into parts.
+
+
+MOST_ORDERS = 1000  # each has histograms of its own, of 24 kB
+
+
+class Numbering(NamedTuple):
+    """Numbering of the sticks of a sample; there are statistics of the 1st to the `orders`-th.
+
+    `count_initial_rest`: whether a stick that begins at t = 0 is the first; else the next one is.
+    """
+
+    orders: int
+    count_initial_rest: bool
+
+    @classmethod
+    def checked(cls, orders: int, count_initial_rest: bool) -> "Numbering":
+        """The numbering with these options of `simulate_ensemble`. Raises ValueError for options out of bounds."""
+        checks.truth("count_initial_rest", count_initial_rest)
+        return cls(checks.whole_number("orders", orders, maximum=MOST_ORDERS), bool(count_initial_rest))
+
+    def order_of(self, sticks: FlatSticks) -> Int[np.ndarray, " sticks"]:
+        """The number of each stick in its sample, from 1; 0 for one that is not numbered."""
+        before = sticks.first + self.skipped(sticks)
+        return np.arange(len(sticks.start)) - np.repeat(before, sticks.count) + 1
+
+    def rest(
+        self, sticks: FlatSticks | StickStream
+    ) -> tuple[Float[np.ndarray, " samples"], Int[np.ndarray, " samples"]]:
+        """Duration (s) and number (0 or 1) of the sticks of each sample that are not numbered."""
+        skipped = self.skipped(sticks)
+        time = np.zeros(len(skipped))
+        if np.any(skipped):
+            at_zero = np.flatnonzero(sticks.start == 0)
+            owner = sticks.owner if isinstance(sticks, StickStream) else sticks.sample
+            time[owner[at_zero]] = sticks.end[at_zero]
+        return time, skipped
+
+    def skipped(self, sticks: FlatSticks | StickStream) -> Int[np.ndarray, " samples"]:
+        """How many sticks of each sample come before its first numbered one: 0 or 1."""
+        begins = sticks.begins_at_zero
+        return np.zeros_like(begins, int) if self.count_initial_rest else begins.astype(int)
+
+
+class StickAccumulator(NamedTuple):
+    """Sums and histograms of the sticks and slips of finished samples. Times in s. Quantities as in `quantities.py`.
+
+    A stick that begins at t = 0 is left out of all but the numbers and the stick fractions of samples, unless it is
+    numbered (see `Numbering`).
+
+    - `sticks`, `stick_bins`: of all sticks, by `STICK_QUANTITIES`. `slips`, `slip_bins`: of the durations of all slips.
+    - `samples`, `sample_bins`: of all samples, by `SAMPLE_QUANTITIES`. `own_mean`, `own_mean_bins`: of the mean stick
+      duration of each sample that has sticks.
+    - `by_order`, `order_bins`: of the 1st, 2nd, ... stick of each sample that has it, with one entry for each order.
+    - `pair_bins`: of `STREAMED_PAIRS`. `first_two`, `first_two_bins`: of the durations of the first and second stick.
+    - `endings`: number of sticks by `Ending`.
+    """
+
+    sticks: PowerSums
+    stick_bins: tuple[DyadicCounts, ...]
+    slips: PowerSums
+    slip_bins: DyadicCounts
+    samples: PowerSums
+    sample_bins: tuple[DyadicCounts, ...]
+    own_mean: PowerSums
+    own_mean_bins: DyadicCounts
+    by_order: PowerSums
+    order_bins: tuple[DyadicCounts, ...]
+    pair_bins: tuple[DyadicCounts, ...]
+    first_two: PowerSums
+    first_two_bins: DyadicCounts
+    endings: np.ndarray
+
+    @classmethod
+    def of(
+        cls, sticks: StickStream, stick_time: np.ndarray, slips: np.ndarray, t1: float, numbering: Numbering
+    ) -> "StickAccumulator":
+        """The accumulator of finished samples, simulated up to `t1` (s).
+
+        `stick_time`: the total of each sample, s. `slips`: the number of each sample. (samples,)
+        """
+        fraction = np.asarray(stick_time, np.float64) / t1
+        rest, skipped = numbering.rest(sticks)
+        numbered = sticks.count - skipped
+        has = numbered > 0
+        own_mean = (fraction[has] * t1 - rest[has]) / numbered[has]
+        at_zero = np.flatnonzero(sticks.start == 0)[: int(np.sum(skipped))]
+        endings = [np.count_nonzero(sticks.ending == code) - np.sum(sticks.ending[at_zero] == code) for code in Ending]
+        counts = (sticks.count, np.asarray(slips, np.int64))
+        return cls(
+            **sums_of_sticks(sticks, skipped, t1),
+            **sums_of_orders(sticks, skipped, numbering.orders),
+            samples=PowerSums.of(*counts, fraction),
+            sample_bins=(*(DyadicCounts.of(one, BINS, finest=0) for one in counts), DyadicCounts.of(fraction, BINS)),
+            own_mean=PowerSums.of(own_mean),
+            own_mean_bins=DyadicCounts.of(own_mean, BINS),
+            endings=np.array(endings),
+        )
+
+    def merge(self, other: "StickAccumulator") -> "StickAccumulator":
+        """The accumulator of both parts together. Raises ValueError for one that a version with other sums stored."""
+        if len(self.stick_bins) != len(other.stick_bins):
+            raise ValueError(
+                f"Ensembles must have sums of the same quantities, but {len(self.stick_bins)} and "
+                f"{len(other.stick_bins)} quantities of sticks were summed; simulate the older one again."
+            )
+        return StickAccumulator(*(_merged(*pair) for pair in zip(self, other, strict=True)))
+
+
+def _merged(one: Any, other: Any) -> Any:
+    if hasattr(one, "merge"):
+        return one.merge(other)
+    if isinstance(one, tuple):
+        return tuple(_merged(*pair) for pair in zip(one, other, strict=True))
+    return one + other

@@ -9,18 +9,8 @@ from jaxtyping import Float, Int
 
 from .._foundation import checks
 from .._numerics.sums import Moments
-from .estimate import (
-    DEFAULT_LEVEL,
-    EnsembleLike,
-    Estimate,
-    RatioOfMeans,
-    Statistic,
-    by_totals,
-    check_level,
-    origin_of,
-    quantile_of_t,
-    require_ensemble,
-)
+from . import estimate
+from .estimate import DEFAULT_LEVEL, EnsembleLike, Estimate, RatioOfMeans, Statistic
 from .quantities import StickValue
 
 # Statistics of totals: ratios of means over the samples, of stick time and of the numbers of sticks and slips.
@@ -96,11 +86,11 @@ class StatisticOfTotals:
 
         Raises ValueError if `ensemble` is not the result of `simulate_ensemble`.
         """
-        moments = require_ensemble(ensemble).moments
+        moments = estimate.require_ensemble(ensemble).moments
         above, below = self.weights(ensemble.t1)
         denominator = below[-1] + float(below[:-1] @ moments.mean)
         if moments.number == 0 or not denominator > 0:
-            return Estimate(self.label, math.nan, math.nan, self.unit, moments.number, origin_of(ensemble))
+            return Estimate(self.label, math.nan, math.nan, self.unit, moments.number, estimate.origin_of(ensemble))
         value = float(above[-1] + float(above[:-1] @ moments.mean)) / float(denominator)
         gradient = (above[:-1] - value * below[:-1]) / denominator
         covariance = moments.covariance_of_mean
@@ -111,7 +101,7 @@ class StatisticOfTotals:
             kind = None
         elif kind.variance > (1 - _IN_ONE):  # as large as can be: one sample has all of the events
             error = math.nan
-        return Estimate(self.label, value, error, self.unit, moments.number, origin_of(ensemble), kind)
+        return Estimate(self.label, value, error, self.unit, moments.number, estimate.origin_of(ensemble), kind)
 
     def __repr__(self) -> str:
         return self.name
@@ -183,8 +173,8 @@ class Convergence:
         Raises:
             ValueError: Unless ``0 < level < 1``.
         """
-        check_level(level)
-        half_width = quantile_of_t(np.maximum(self.numbers - 1, 1), level) * self.errors
+        estimate.check_level(level)
+        half_width = estimate.quantile_of_t(np.maximum(self.numbers - 1, 1), level) * self.errors
         return self.values - half_width, self.values + half_width
 
     def samples_for(self, relative_error: float) -> int | None:
@@ -219,7 +209,7 @@ def convergence(statistic: Statistic, ensemble: EnsembleLike, points: int = 40) 
     Raises:
         ValueError: For other arguments and for an ensemble of fewer than 2 retained samples.
     """
-    totals, final, estimate_from = by_totals(statistic, ensemble)
+    totals, final, estimate_from = estimate.by_totals(statistic, ensemble)
     if len(totals) < 2:
         raise ValueError(f"Argument ensemble must hold 2 finished samples or more, but it has {len(totals)}.")
     checks.whole_number("points", points, minimum=2, maximum=10**6)
@@ -280,7 +270,7 @@ def histogram_convergence(
     Raises:
         ValueError: For arguments outside these bounds, and for an ensemble of fewer than 4 retained samples.
     """
-    joint = require_ensemble(ensemble).statistics.joint(x, y)
+    joint = estimate.require_ensemble(ensemble).statistics.joint(x, y)
     realizations = joint.x.realizations
     if realizations < 4:
         raise ValueError(f"Argument ensemble must hold 4 finished samples or more, but it has {realizations}.")

@@ -12,22 +12,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .._dynamics.simulation import source
-from .._ensemble.dataset import as_netcdf, read_netcdf, verified
-from .._ensemble.encoding import DamagedFileError, SweepError, cannot_write, sum_of
+from .._ensemble.encoding import DamagedFileError, SweepError, as_netcdf, cannot_write, read_netcdf, sum_of, verified
+from .._ensemble.ensemble import Ensemble
 from .._ensemble.points import POINT, label_and_unit
-from .._ensemble.result import Ensemble
 from .._foundation.extras import Entries, labeled_dataset, require, variable
 from .._foundation.files import write_whole
 from .._foundation.types import Status
 from .._numerics.sums import CommonBins
-from .._statistics.distribution import DEFAULT_BINS, Distribution, default_bins
+from .._statistics.distribution import DEFAULT_BINS, LEVELS, Distribution, default_bins
 from .._statistics.estimate import Estimate
 from .._statistics.quantities import BY_NAME as STICK_BY_NAME
 from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import require_system
-from .batches import derivatives_of, head_of, joined, packed, unpacked
-from .plan import Plan, Task
+from .batches import Plan, Task, derivatives_of, head_of, joined, packed, unpacked
 from .store import DATA, Batch, Store, derivative_name
 
 if TYPE_CHECKING:
@@ -69,10 +67,6 @@ class Work:
         """The batches of samples of a point, without those of derivatives."""
         return [batch for batch in self._batches_at(point) if not batch.derivative]
 
-    def _batch_of(self, task: Task) -> Batch:
-        """The file for the result of a task."""
-        return self.store.batch_of(self.identities[task.point], task, self.plan)
-
     def tasks(self) -> Iterator[Task]:
         """What is left to do. With wanted standard errors, the next batch of each point that misses them."""
         for point in range(self.plan.points.number):
@@ -110,7 +104,7 @@ class Work:
 
     def finish(self, task: Task, data: bytes | None) -> list[Task]:
         """Store the result of a task (None: the worker has stored it); returns the tasks that follow from it."""
-        batch = self._batch_of(task)
+        batch = self.store.batch_of(task, self.plan)
         if data is not None:
             self.store.write(batch.path, data)
         batches = self._batches.setdefault(self.identities[task.point], [])
@@ -208,7 +202,7 @@ class Work:
         whole = self.ensemble(point)
         if whole is None or whole.samples != batches[-1].end:  # a damaged batch, which is done again
             return
-        joint = self._batch_of(Task(point, 0, whole.samples))
+        joint = self.store.batch_of(Task(point, 0, whole.samples), self.plan)
         self.store.write(joint.path, packed(whole))
         there = self._batches_at(point)
         there[:] = [joint, *(batch for batch in there if batch.derivative)]
@@ -262,8 +256,6 @@ class ReadCache:
 
 # The result of a sweep as one labelled data set.
 
-
-LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of quantiles
 
 _BY_NAME: dict[str, SampledQuantity] = {quantity.name: quantity for quantity in DISTRIBUTIONS}
 
@@ -321,14 +313,14 @@ def dataset_of(work: Work) -> "xarray.Dataset":
     bins = _common_bins(work)
     for point in range(plan.points.number):
         ensemble = work.ensemble(point)
-        samples, near, spent = 0, 0, np.nan
+        samples, near, spent, counts = 0, 0, np.nan, dict.fromkeys(Status, 0)
         if ensemble is not None:
             samples, near, spent = ensemble.samples, ensemble.near_grazing_samples, ensemble.run_seconds
+            counts = ensemble.status_counts
         variables.put(point, "samples", samples, "number of samples")
-        for status in Status:
-            count = 0 if ensemble is None else ensemble.status_counts[status]
-            name = status.name
-            variables.put(point, f"samples_{name.lower()}", count, f"number of samples with status {name}")
+        for one in Status:
+            label = f"number of samples with status {one.name}"
+            variables.put(point, f"samples_{one.name.lower()}", counts[one], label)
         variables.put(point, "samples_near_grazing", near, "number of samples with an event decided by round-off")
         variables.put(point, "run_seconds", spent, "time spent simulating, summed over threads", "s")
         if ensemble is not None:
@@ -431,11 +423,10 @@ def _put_statistics(
             variables.put(point, f"{name}_of_order{ending}", values, text, unit, dimensions=("order",))
     # Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held.
     for name in ("start", "end") if plan.realizations else ():
-        sticks, held = ensemble.finished_sticks(), 256
+        held = 256
         times = np.full((plan.realizations, held), np.nan)
-        for sample in range(min(plan.realizations, len(sticks.count))):
-            own = getattr(sticks, name)[sticks.first[sample] :][: sticks.count[sample]][:held]
-            times[sample, : len(own)] = own
+        own = getattr(ensemble.finished_sticks().head(plan.realizations).padded(), name)[:, :held]
+        times[: len(own), : own.shape[1]] = own
         label = f"{name} of the first {held} sticks of some samples"
         variables.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
 

@@ -16,7 +16,7 @@ import time
 import uuid
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -28,15 +28,13 @@ import jax
 import jax.numpy as jnp
 
 from .._ensemble.encoding import SweepError, cannot_write, with_header
-from .._ensemble.parts import Progress, progress_bar
 from .._foundation import checks
-from .._foundation.extras import require
+from .._foundation.extras import Progress, progress_bar, require
 from .._foundation.files import write_whole
 from .._foundation.processes import cores
 from . import batches
-from .batches import Failed, NoMemory, Outcome, Performer, Sent, outcome_of, perform_sent, sent
+from .batches import SETTINGS, Failed, NoMemory, Outcome, Performer, Plan, Sent, Task, outcome_of, perform_sent, sent
 from .dataset import Work, dataset_of, require_packages, write_dataset
-from .plan import Plan, Task
 from .store import LOG, Store, opened
 
 if TYPE_CHECKING:
@@ -63,19 +61,24 @@ class Executor:
     """Does tasks in a pool, as many at a time as it has `workers`, and is closed at the end of a ``with`` block.
 
     - `new_pool`: makes it, a `ThreadPoolExecutor` or one of processes of loky. `perform`: does a task there.
+    - `tasks`: those under way, by future, with the time when each began. `most`: how many at a time are allowed, if
+      fewer than it takes.
     """
 
-    def __init__(self, workers: int, new_pool: Callable[[], Any], perform: Callable[[Task], Outcome]):
+    def __init__(self, workers: int, new_pool: Callable[[], Any], perform: Callable[..., object]):
         self._workers, self._new_pool, self._perform = workers, new_pool, perform
+        self.tasks: dict[Any, tuple[Task, float]] = {}
+        self.most, self._narrowed = math.inf, 0.0
+        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._pool = new_pool()
 
     @property
-    def at_once(self) -> int:
+    def at_once(self) -> int | float:
         """How many tasks are worth submitting before the first is done."""
-        return 2 * self._workers
+        return min(self.most, 2 * self._workers)
 
     def submit(self, task: Task) -> Any:
-        """Begin a task; its future, of the standard library or of dask."""
+        """The future of a task that begins, of the standard library or of dask."""
         try:
             with _no_interrupts():
                 return self._pool.submit(self._perform, task)
@@ -83,6 +86,39 @@ class Executor:
             future: Future[Outcome] = Future()
             future.set_exception(error)
             return future
+
+    def begin(self, task: Task) -> None:
+        """Begin a task."""
+        future = self.submit(task)
+        self.tasks[future] = task, time.monotonic()
+        future.add_done_callback(lambda _: self._ended.put(future))
+
+    def ended(self) -> Any:
+        """The future of a task that is done; None if none is within a tenth of a second, in which signals come."""
+        try:
+            future = self._ended.get(timeout=0.1)
+        except queue.Empty:
+            return None
+        return future if future in self.tasks else None  # else lost, and begun again
+
+    def forgotten(self) -> list[Task]:
+        """All tasks that are under way, which are no longer."""
+        tasks = [task for task, _ in self.tasks.values()]
+        self.tasks.clear()
+        return tasks
+
+    def narrow(self, began: float) -> None:
+        """Allow fewer tasks at a time, because there was no memory for one that `began` then.
+
+        Half of those that were worked on: as many again wait in the executor. Tasks that were under way together
+        narrow it once.
+        """
+        if began >= self._narrowed:
+            self.most, self._narrowed = max(1, (len(self.tasks) + 1) // 4), time.monotonic()
+
+    def was_alone(self, began: float) -> bool:
+        """Whether a task that `began` then was under way without others."""
+        return self.most == 1 and began >= self._narrowed
 
     def result(self, task: Task, future: Any) -> Outcome | int:
         """The outcome of a task that is done; the size (bytes) of a batch that the worker has written into the folder.
@@ -114,25 +150,6 @@ class Executor:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close(wait=kind is None)
-
-
-def _threads(plan: Plan, number: int) -> Executor:
-    """Threads of this process."""
-    new_pool = functools.partial(ThreadPoolExecutor, number, thread_name_prefix="stickslip sweep")
-    return Executor(number, new_pool, Performer(plan).perform)
-
-
-def _processes(plan: Plan, number: int) -> Executor:
-    """Processes of this machine, each with one thread. They are spawned: JAX does not survive a fork.
-
-    Those of loky do not run the user's program again, as those of the standard library and of dask do.
-    """
-    start, prepare = batches.start_of_process(plan), batches.prepare_process
-    require("Argument workers needs", "study", "loky")
-    from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
-
-    options: dict[str, Any] = {"initializer": prepare, "initargs": start, "env": _ENVIRONMENT}
-    return Executor(number, functools.partial(ProcessPoolExecutor, number, **options), batches.perform_in_process)
 
 
 @contextmanager
@@ -175,15 +192,13 @@ class DaskCluster(Executor):
                 "Argument executor must be a dask.distributed.Client that waits for answers, but one with "
                 "asynchronous=True was given; make it without, outside of coroutines."
             )
-        self._workers = 1
         self._client: Any = client  # whose annotations are those of its coroutines
         self._checked, self._sent = plan, sent(plan)
         self._store, self._shared = store, shared_folder
-        self._futures: dict[Task, distributed.Future] = {}
         self._counted = -_COUNTED
         self._printed: set[str] = set()
         self._came = time.monotonic()  # when the last result did
-        self._plan = self._send()
+        super().__init__(1, self._send, _perform)
 
     def _send(self) -> "distributed.Future":
         """The future of the plan in the cluster."""
@@ -198,22 +213,20 @@ class DaskCluster(Executor):
         return self._client.submit(function, *arguments, key=key, pure=False, retries=_RETRIES)
 
     @property
-    def at_once(self) -> int:
+    def at_once(self) -> int | float:
         """Two tasks for each thread that there is now; workers come and go."""
         self.check()
         return super().at_once
 
     def submit(self, task: Task) -> "distributed.Future":
         self.check()
-        shared = (str(self._path_of(task).resolve()), self._store.sweep_id) if self._shared else ()
-        future = self._begun("-".join(map(str, task)), _perform, self._plan, tuple(task), *shared)
-        self._futures[task] = future
-        return future
+        path = self._store.batch_of(task, self._checked).path.resolve()
+        shared = (str(path), self._store.sweep_id) if self._shared else ()
+        return self._begun("-".join(map(str, task)), self._perform, self._pool, tuple(task), *shared)
 
     def result(self, task: Task, future: "distributed.Future") -> Outcome | int:
         from distributed import KilledWorker  # noqa: PLC0415 - an extra, of which a client is there
 
-        del self._futures[task]
         self._came = time.monotonic()
         try:
             found = future.result()
@@ -239,11 +252,8 @@ class DaskCluster(Executor):
         finally:
             future.release()
         if isinstance(found, int):
-            self._check_visible(self._path_of(task), found)
+            self._check_visible(self._store.batch_of(task, self._checked).path, found)
         return found
-
-    def _path_of(self, task: Task) -> Path:
-        return self._store.batch_of(self._checked.points.identity(task.point), task, self._checked).path
 
     def _check_visible(self, path: Path, size: int) -> None:
         """Raises SweepError if a file that a worker wrote does not appear here; network folders take a moment."""
@@ -281,7 +291,7 @@ class DaskCluster(Executor):
         if not threads:
             start = f"start one with `dask worker {self._client.scheduler.address}`, or stop with Ctrl-C."
             message = f"The cluster has no workers, and the sweep waits for them; {start}"
-        elif self._futures and time.monotonic() > self._came + _LONG and self._are_paused():
+        elif self.tasks and time.monotonic() > self._came + _LONG and self._are_paused():
             message = (
                 "The workers of the cluster are paused, because their memory is nearly full, and the sweep waits for "
                 "them; give them more memory, or stop with Ctrl-C."
@@ -296,15 +306,11 @@ class DaskCluster(Executor):
         workers = self._client.scheduler_info()["workers"].values()
         return bool(workers) and all(worker.get("status") == "paused" for worker in workers)
 
-    def restart(self) -> None:
-        self._plan = self._send()
-
     def close(self, *, wait: bool) -> None:
         """Release what is under way; the client is the caller's, and stays open."""
         if self._client.status == "running":
-            for future in (*self._futures.values(), self._plan):
+            for future in (*self.tasks, self._pool):
                 future.release()
-        self._futures.clear()
 
 
 # --- in the workers
@@ -391,22 +397,22 @@ def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Pr
     last digits. Stops after the tasks under way when `stopping` asks for it. Raises SweepError if the folder cannot be
     written, or the workers keep dying.
     """
-    waiting, under_way, lost = deque(work.tasks()), _UnderWay(executor), Counter[Task]()
+    waiting, lost = deque(work.tasks()), Counter[Task]()
     bar.advance(sum(work.done))
-    while (waiting and not stopping.is_set()) or under_way.tasks:
-        while waiting and not stopping.is_set() and len(under_way.tasks) < min(under_way.most, executor.at_once):
-            under_way.begin(waiting.popleft())
-        future = under_way.ended()
+    while (waiting and not stopping.is_set()) or executor.tasks:
+        while waiting and not stopping.is_set() and len(executor.tasks) < executor.at_once:
+            executor.begin(waiting.popleft())
+        future = executor.ended()
         if future is None:
             executor.check()
             continue
-        task, began = under_way.tasks.pop(future)
+        task, began = executor.tasks.pop(future)
         try:
             found = executor.result(task, future)
         except WorkerDiedError as error:
-            again = [task, *(under_way.forgotten() if error.others else ())]
+            again = [task, *(executor.forgotten() if error.others else ())]
             if _note_lost(work, again, lost, error) > 1:
-                under_way.narrow(began)
+                executor.narrow(began)
             if error.others:
                 executor.restart()
             waiting.extendleft(reversed(again))
@@ -415,12 +421,12 @@ def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Pr
             raise
         except Exception as error:
             found = outcome_of(error)
-        if isinstance(found, NoMemory) and not under_way.was_alone(began):
-            under_way.narrow(began)
+        if isinstance(found, NoMemory) and not executor.was_alone(began):
+            executor.narrow(began)
             waiting.appendleft(task)
             work.store.log(
                 f"no memory for {described(work.plan, task)} ({found.reason}); it is done again, with at most "
-                f"{under_way.most} at a time"
+                f"{executor.most} at a time"
             )
         elif isinstance(found, NoMemory):
             work.without_memory[task] = found.reason
@@ -433,51 +439,6 @@ def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Pr
             work.store.log(f"done {described(work.plan, task)} in {time.monotonic() - began:.2f} s")
             bar.advance(task.samples if task.derivative is None else 0)
             bar.note(f"{work.complete} of {work.plan.points.number} points")
-
-
-class _UnderWay:
-    """The tasks that an executor has been given, by future, with the time when each began.
-
-    `most`: how many at a time are allowed, if fewer than the executor takes.
-    """
-
-    def __init__(self, executor: Executor):
-        self._executor = executor
-        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self.tasks: dict[Any, tuple[Task, float]] = {}
-        self.most, self._narrowed = math.inf, 0.0
-
-    def begin(self, task: Task) -> None:
-        future = self._executor.submit(task)
-        self.tasks[future] = task, time.monotonic()
-        future.add_done_callback(lambda _: self._ended.put(future))
-
-    def ended(self) -> Any:
-        """The future of a task that is done; None if none is within a tenth of a second, in which signals come."""
-        try:
-            future = self._ended.get(timeout=0.1)
-        except queue.Empty:
-            return None
-        return future if future in self.tasks else None  # else lost, and begun again
-
-    def forgotten(self) -> list[Task]:
-        """All tasks that are under way, which are no longer."""
-        tasks = [task for task, _ in self.tasks.values()]
-        self.tasks.clear()
-        return tasks
-
-    def narrow(self, began: float) -> None:
-        """Allow fewer tasks at a time, because there was no memory for one that `began` then.
-
-        Half of those that were worked on: as many again wait in the executor. Tasks that were under way together
-        narrow it once.
-        """
-        if began >= self._narrowed:
-            self.most, self._narrowed = max(1, (len(self.tasks) + 1) // 4), time.monotonic()
-
-    def was_alone(self, began: float) -> bool:
-        """Whether a task that `began` then was under way without others."""
-        return self.most == 1 and began >= self._narrowed
 
 
 def _note_lost(work: Work, again: list[Task], lost: Counter[Task], error: WorkerDiedError) -> int:
@@ -508,20 +469,6 @@ def described(plan: Plan, task: Task) -> str:
 _ROUNDS = 3  # after which batches that keep coming back damaged are an error of the disk
 
 
-def _check_choice(choice: Mapping[str, object], shared_folder: object, *, has_folder: bool) -> None:
-    """Raises ValueError for arguments of `Sweep.run` that exclude each other."""
-    names = [name for name, given in choice.items() if given is not None]
-    if len(names) > 1:
-        raise ValueError(f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate.")
-    checks.truth("shared_folder", shared_folder)
-    if shared_folder and (choice["executor"] is None or not has_folder):
-        missing = "a folder" if choice["executor"] is not None else "executor"
-        raise ValueError(
-            f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it lets "
-            "the workers of a cluster write into the folder of the sweep."
-        )
-
-
 def _executor_for(
     plan: Plan, store: Store, threads: int | None, workers: int | None, client: Any, shared_folder: bool
 ) -> Executor:
@@ -529,9 +476,19 @@ def _executor_for(
     if client is not None:
         return DaskCluster(plan, client, store, shared_folder)
     if workers is not None:
-        return _processes(plan, checks.whole_number("workers", workers))
+        # Spawned processes: JAX does not survive a fork. Those of loky do not run the user's program again, as those of
+        # the standard library and of dask do.
+        number = checks.whole_number("workers", workers)
+        start = (sent(plan), {name: getattr(jax.config, name) for name in SETTINGS}, os.getpid())
+        require("Argument workers needs", "study", "loky")
+        from loky import ProcessPoolExecutor  # noqa: PLC0415 - an extra, loaded when asked for
+
+        options: dict[str, Any] = {"initializer": batches.prepare_process, "initargs": start, "env": _ENVIRONMENT}
+        return Executor(number, functools.partial(ProcessPoolExecutor, number, **options), batches.perform_in_process)
     usual = max(cores(), len(jax.local_devices()))
-    return _threads(plan, usual if threads is None else checks.whole_number("threads", threads))
+    number = usual if threads is None else checks.whole_number("threads", threads)
+    new_pool = functools.partial(ThreadPoolExecutor, number, thread_name_prefix="stickslip sweep")
+    return Executor(number, new_pool, Performer(plan).perform)
 
 
 def run_sweep(
@@ -541,7 +498,16 @@ def run_sweep(
     """Do what is left of a sweep, and return its result; see `Sweep.run`."""
     require_packages()
     choice = {"threads": threads, "workers": workers, "executor": executor}
-    _check_choice(choice, shared_folder, has_folder=folder is not None)
+    names = [name for name, given in choice.items() if given is not None]
+    if len(names) > 1:
+        raise ValueError(f"Arguments {names[0]} and {names[1]} must not both be given; each says where to simulate.")
+    checks.truth("shared_folder", shared_folder)
+    if shared_folder and (executor is None or folder is None):
+        missing = "executor" if executor is None else "a folder"
+        raise ValueError(
+            f"Argument shared_folder must be True only with folder and executor, but {missing} was not given; it lets "
+            "the workers of a cluster write into the folder of the sweep."
+        )
     if str(jnp.result_type(float)) != plan.dtype:
         raise SweepError(
             f"This sweep is in {plan.dtype}, and JAX is set to {jnp.result_type(float)}; call "

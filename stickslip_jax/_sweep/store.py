@@ -12,43 +12,19 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, TypeVar, cast, get_origin
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from .._dynamics.simulate import Output
+from .._ensemble import encoding
 from .._ensemble.data import Unknown
-from .._ensemble.encoding import (
-    ID_LENGTH,
-    LONGEST_HEADER,
-    DamagedFileError,
-    Decoder,
-    Encoder,
-    ForeignFileError,
-    SweepError,
-    cannot_write,
-    id_of,
-    locked,
-    parts_of_file,
-    sum_of,
-    versions,
-    with_header,
-    without_header,
-)
+from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, ForeignFileError, SweepError
 from .._ensemble.points import Dimension, Points, SweepSetting, points_of, setting_of
-from .._foundation import checks
-from .._foundation.files import (
-    NotAFileError,
-    append_regular,
-    finished_name,
-    read_regular,
-    remove_unfinished,
-    sync_folder,
-    write_whole,
-)
-from .._statistics.accumulator import Numbering
-from . import plan as plans
-from .plan import Plan, Task
+from .._foundation import checks, files
+from .._foundation.files import NotAFileError
+from .._statistics.quantities import Numbering
+from .batches import Plan, Task, checked_derivatives, checked_errors, checked_keep, checked_statistics
 
 # The manifest of a sweep's folder, and its copy there: everything that decides the numbers, and what was asked for.
 
@@ -64,32 +40,24 @@ _ARGUMENTS = {"key_data": "key", "numbering": "orders and count_initial_rest", "
 ASKED = ("samples", "statistics", "derivatives", "standard_errors", "realizations")
 
 
-class Manifest(TypedDict):
-    """What a manifest holds.
+Manifest: TypeAlias = dict[str, Any]
+"""What a manifest holds.
 
-    - `objects`: system, law, start and method, of which long arrays stand in `floats` and `integers`.
-    - `deciding`: the other arguments that decide the numbers. `asked`: those that may change from run to run.
-    - `dimensions`: of the points: name, parameters, values.
-    """
-
-    format: str
-    format_version: int
-    versions: dict[str, str]
-    objects: dict[str, Any]
-    deciding: dict[str, Any]
-    asked: dict[str, Any]
-    dimensions: list[dict[str, Any]]
-    floats: list[str]
-    integers: list[int]
+- `objects`: system, law, start and method, of which long arrays stand in `floats` and `integers`.
+- `deciding`: the other arguments that decide the numbers. `asked`: those that may change from run to run.
+- `dimensions`: of the points: name, parameters, values.
+"""
+_KINDS: dict[str, type] = {"format_version": int} | dict.fromkeys(("versions", "objects", "deciding", "asked"), dict)
+_KINDS |= dict.fromkeys(("dimensions", "floats", "integers"), list)
 
 
 def manifest_text(plan: Plan) -> str:
     """The manifest of a sweep as JSON."""
     encoder = Encoder()
-    body: Manifest = {
+    body = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "versions": versions(),
+        "versions": encoding.versions(),
         "objects": {name: encoder.encoded(getattr(plan.setting, name)) for name in OBJECTS},
         "deciding": {name: getattr(plan, name) for name in DECIDING},
         "asked": {name: getattr(plan, name) for name in ASKED},
@@ -104,7 +72,7 @@ def manifest_text(plan: Plan) -> str:
 
 
 def _text(body: Mapping[str, object]) -> str:
-    return json.dumps({"body": body, "sha256": sum_of(body)}, indent=1)
+    return json.dumps({"body": body, "sha256": encoding.sum_of(body)}, indent=1)
 
 
 def body_of(text: str | bytes) -> Manifest:
@@ -116,14 +84,14 @@ def body_of(text: str | bytes) -> Manifest:
     try:
         whole = json.loads(text)
         is_ours = isinstance(whole, dict) and bool({"body", "sha256"} & whole.keys())
-        is_whole = is_ours and isinstance(whole.get("body"), dict) and sum_of(whole["body"]) == whole.get("sha256")
+        body: Any = whole.get("body") if is_ours else None
+        is_whole = isinstance(body, dict) and encoding.sum_of(body) == whole.get("sha256")
     except (ValueError, RecursionError) as error:
         raise DamagedFileError(str(error)) from error
     if not is_ours:
         raise ForeignFileError("it is of another program")
     if not is_whole:
         raise DamagedFileError("its check sum is wrong")
-    body = whole["body"]
     if body.get("format") not in (FORMAT, _OLDER_FORMAT):
         raise ForeignFileError("it is of another program")
     version, writers = body.get("format_version"), body.get("versions")
@@ -135,15 +103,15 @@ def body_of(text: str | bytes) -> Manifest:
             f"it has format {version}, written by stickslip_jax {writer}, and this version reads {FORMAT_VERSION}; "
             f"{todo}."
         )
-    for name, kind in Manifest.__annotations__.items():
-        if type(body.get(name)) is not (get_origin(kind) or kind):
+    for name, kind in _KINDS.items():
+        if type(body.get(name)) is not kind:
             raise DamagedFileError(f"its {name} is missing")
-    wanted = {"versions": tuple(versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
+    wanted = {"versions": tuple(encoding.versions()), "objects": OBJECTS, "deciding": DECIDING, "asked": ASKED}
     for part, names in wanted.items():
         there = body[part]
         for name in (*(name for name in names if name not in there), *(name for name in there if name not in names)):
             raise DamagedFileError(f"its {part}.{name} is {'missing' if name in names else 'not known'}")
-    return cast(Manifest, body)
+    return body
 
 
 def differences(stored: Manifest, new: Manifest) -> list[str]:
@@ -187,7 +155,7 @@ def _brief(value: object) -> str:
 
 def sweep_id_of(body: Manifest) -> bytes:
     """The identity of a sweep: of everything that decides the numbers at a point."""
-    return id_of({name: body[name] for name in _FINGERPRINT})
+    return encoding.id_of({name: body[name] for name in _FINGERPRINT})
 
 
 def has_manifest(folder: Path) -> bool:
@@ -211,7 +179,7 @@ def body_in(folder: Path, *, to_write: bool = False) -> Manifest:
     for name in (MANIFEST, COPY):
         path = folder / name
         try:
-            found[name] = body_of(read_regular(path))
+            found[name] = body_of(files.read_regular(path))
         except (FileNotFoundError, NotADirectoryError):
             continue
         except SweepError as error:
@@ -232,7 +200,7 @@ def body_in(folder: Path, *, to_write: bool = False) -> Manifest:
         ids = set()  # with which the batches begin that are there
         for name in filter(_NAME.fullmatch, _names_in(folder)):
             with contextlib.suppress(OSError):
-                ids.add(read_regular(folder / BATCHES / name, ID_LENGTH))
+                ids.add(files.read_regular(folder / BATCHES / name, encoding.ID_LENGTH))
         right = [name for name, body in found.items() if sweep_id_of(body) in ids]
         if len(right) != 1:
             raise SweepError(
@@ -254,7 +222,6 @@ def body_in(folder: Path, *, to_write: bool = False) -> Manifest:
 # The sweep that a manifest describes: checked as a `Sweep` checks its arguments, for a file may have been edited.
 
 
-_Known = TypeVar("_Known")
 _UNFIT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
@@ -262,9 +229,9 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
     fields = body["deciding"] | body["asked"]
     if fields["dtype"] not in ("float64", "float32"):
         raise ValueError(f"dtype is {checks.show(fields['dtype'])}")
-    keep = plans.checked_keep(fields["keep"])
+    keep = checked_keep(fields["keep"])
     derivatives = [(name, tuple(wrt)) for name, wrt in fields["derivatives"]]
-    statistics = _known(fields["statistics"], lambda name: plans.checked_statistics([name], keep))
+    statistics = _known(fields["statistics"], lambda name: checked_statistics([name], keep))
     fields["numbering"] = Numbering.checked(*fields["numbering"])
     words, outputs = fields["key_data"], fields.pop("output_code")
     is_key = isinstance(words, list) and all(type(word) is int and 0 <= word < 2**32 for word in words)
@@ -273,8 +240,8 @@ def _plan(body: Manifest, to_run: bool) -> Plan:
     fields |= {
         "key_data": None if words is None else tuple(words),
         "statistics": statistics,
-        "derivatives": _known(derivatives, lambda one: plans.checked_derivatives([one])),
-        "standard_errors": plans.checked_errors(fields["standard_errors"] or None, statistics),
+        "derivatives": _known(derivatives, lambda one: checked_derivatives([one])),
+        "standard_errors": checked_errors(fields["standard_errors"] or None, statistics),
         "outputs": {name: Output(_not_stored, name, unit) for name, unit, _ in outputs},
     }
     if outputs and to_run:
@@ -304,7 +271,7 @@ def _not_stored(one: object) -> float:
     raise SweepError("the functions of outputs are not stored")
 
 
-def _known(names: object, check: Callable[[Any], tuple[_Known, ...]]) -> tuple[_Known, ...]:
+def _known(names: object, check: Callable[[Any], tuple[Any, ...]]) -> tuple[Any, ...]:
     """Those of the `names` that this version knows; a warning tells of the others."""
     if not isinstance(names, list):
         raise TypeError(f"statistics are {checks.show(names)}")
@@ -445,7 +412,7 @@ class Store:
         that is gone, and SweepError for one of another sweep and one that cannot be read.
         """
         try:
-            return without_header(self.sweep_id, batch.path.name, read_regular(batch.path))
+            return encoding.without_header(self.sweep_id, batch.path.name, files.read_regular(batch.path))
         except FileNotFoundError:
             raise
         except ForeignFileError:
@@ -462,7 +429,7 @@ class Store:
         foreign, is_any_ours = None, False
         for batch in itertools.chain.from_iterable(self._all().values()):
             try:
-                sweep_id, name, _ = parts_of_file(read_regular(batch.path, LONGEST_HEADER))
+                sweep_id, name, _ = encoding.parts_of_file(files.read_regular(batch.path, encoding.LONGEST_HEADER))
                 if sweep_id != self.sweep_id:
                     self.read(batch)  # raises an error for any
                 is_any_ours = True
@@ -496,29 +463,29 @@ class Store:
                 with contextlib.suppress(OSError):  # they do no harm
                     batch.path.unlink()
 
-    def batch_of(self, identity: str, task: Task, plan: Plan) -> Batch:
+    def batch_of(self, task: Task, plan: Plan) -> Batch:
         """The file for the result of a task."""
         derivative = "" if task.derivative is None else derivative_name(plan, task.derivative)
         ending = f"-{derivative}.json" if derivative else ".zip"
-        path = self.folder / BATCHES / f"{identity}-{task.first}-{task.end}{ending}"
+        path = self.folder / BATCHES / f"{plan.points.identity(task.point)}-{task.first}-{task.end}{ending}"
         return Batch(path, task.first, task.end, derivative)
 
     def write(self, path: Path, data: bytes) -> None:
         """Write the bytes of a batch. Raises SweepError if that fails."""
         self.check_kept()
         try:
-            write_whole(path, with_header(self.sweep_id, path.name, data))
+            files.write_whole(path, encoding.with_header(self.sweep_id, path.name, data))
         except FileNotFoundError as error:  # while the folder is being removed, the rest may still be there
             self.check_kept()
             raise self._taken_away(path.name) from error
         except OSError as error:
             self.check_kept()
-            raise cannot_write(self.folder, error) from error
+            raise encoding.cannot_write(self.folder, error) from error
 
     def log(self, text: str) -> None:
         """Add a line to the log, with the time."""
         with contextlib.suppress(OSError):
-            append_regular(self.folder / LOG, f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+            files.append_regular(self.folder / LOG, f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
 def _names_in(folder: Path) -> set[str]:
@@ -570,12 +537,13 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
     except NotADirectoryError:
         raise SweepError(f"{folder} cannot hold a sweep, because it lies below a file; choose another.") from None
     except OSError as error:
-        raise cannot_write(folder, error) from error
+        raise encoding.cannot_write(folder, error) from error
     if others and not has_sweep:
         raise SweepError(
             f"{folder} is not empty and holds no sweep (it has {others[0]}); choose an empty or a new folder."
         )
-    with locked(folder / LOCK, f"{folder} is in use by another run; wait for it to end, or choose another folder."):
+    in_use = f"{folder} is in use by another run; wait for it to end, or choose another folder."
+    with encoding.locked(folder / LOCK, in_use):
         text = manifest_text(plan)
         if has_manifest(folder):
             stored = body_in(folder, to_write=True)
@@ -598,15 +566,15 @@ def opened(folder: Path, plan: Plan) -> Iterator[tuple[Store, Plan]]:
         store = Store(folder, body_of(text), can_write=True)
         store.check_batches()
         try:
-            remove_unfinished(folder)
-            remove_unfinished(folder / BATCHES)
+            files.remove_unfinished(folder)
+            files.remove_unfinished(folder / BATCHES)
             (folder / BATCHES).mkdir(exist_ok=True)
             for path in (folder / MANIFEST, folder / COPY):
-                if not path.exists() or read_regular(path) != text.encode():
-                    write_whole(path, text.encode())
-            sync_folder(folder.parent)
+                if not path.exists() or files.read_regular(path) != text.encode():
+                    files.write_whole(path, text.encode())
+            files.sync_folder(folder.parent)
         except OSError as error:
-            raise cannot_write(folder, error) from error
+            raise encoding.cannot_write(folder, error) from error
         yield store, plan
 
 
@@ -614,7 +582,7 @@ def _is_begun(path: Path) -> bool:
     """Whether `opened` makes such a file before the manifest is complete."""
     if path.name == BATCHES:
         return path.is_dir() and not os.listdir(path)
-    return path.name == LOCK or finished_name(path.name) in (MANIFEST, COPY)
+    return path.name == LOCK or files.finished_name(path.name) in (MANIFEST, COPY)
 
 
 def _without_overlap(batches: list[Batch]) -> list[Batch]:

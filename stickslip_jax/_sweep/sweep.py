@@ -11,26 +11,25 @@ from jaxtyping import Array
 
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.simulate import Outputs, checked_outputs
-from .._ensemble.call import simulate_ensemble
 from .._ensemble.data import Keep
 from .._ensemble.encoding import SweepError
+from .._ensemble.ensemble import Ensemble, simulate_ensemble
 from .._ensemble.points import points_of, setting_of
-from .._ensemble.result import Ensemble
 from .._ensemble.setup import MOST_SAMPLES, TAKEN
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.types import InitialState
-from .._statistics.accumulator import Numbering
-from .._statistics.quantities import SampledQuantity
+from .._statistics.quantities import Numbering, SampledQuantity
 from .._statistics.totals import StatisticOfTotals
 from .._systems.system import System
 from .._uncertainty.design import Design
-from . import plan as plans
-from .plan import Plan
+from . import batches
+from .batches import Plan
 
 if TYPE_CHECKING:
     import distributed
     import xarray
+
 
 _Values = Sequence[object] | np.ndarray
 Over = Mapping[str, _Values] | Mapping[tuple[str, ...], _Values] | Mapping[str | tuple[str, ...], _Values] | Design
@@ -116,23 +115,23 @@ class Sweep:
         outputs: Outputs | None = None,
     ):
         points, samples = points_of(over), checks.whole_number("samples", samples, maximum=MOST_SAMPLES)
-        keep = plans.checked_keep(keep)
+        keep = batches.checked_keep(keep)
         taken = (*points.parameters, *(one.name for one in points.dimensions))
-        names = plans.checked_statistics(statistics, keep)
+        names = batches.checked_statistics(statistics, keep)
         self._plan = Plan(
             setting_of(system, law, y0, method),
             points,
             t1=t1,
             samples=samples,
-            key_data=plans.key_data_in(key),
+            key_data=batches.key_data_in(key),
             keep=keep,
             numbering=Numbering.checked(orders, count_initial_rest),
             statistics=names,
-            derivatives=plans.checked_derivatives(sensitivities),
+            derivatives=batches.checked_derivatives(sensitivities),
             independent=independent,
-            standard_errors=plans.checked_errors(standard_error, names),
+            standard_errors=batches.checked_errors(standard_error, names),
             realizations=realizations,
-            batch=plans.usual_batch(points.number, samples) if batch is None else batch,
+            batch=batches.usual_batch(points.number, samples) if batch is None else batch,
             dtype=str(jnp.result_type(float)),
             outputs=checked_outputs(outputs, TAKEN | dict.fromkeys(taken, "a parameter")),
         )

@@ -25,19 +25,10 @@ from jaxtyping import Array
 from .._dynamics.common.method import Exact
 from .._dynamics.simulate import code_of
 from .._dynamics.sticks import Sticks
-from .._ensemble.encoding import (
-    Encoder,
-    ForeignFileError,
-    SweepError,
-    cannot_write,
-    id_of,
-    locked,
-    versions,
-    with_header,
-    without_header,
-)
-from .._ensemble.parts import progress_bar
+from .._ensemble import encoding
+from .._ensemble.encoding import ForeignFileError, SweepError
 from .._foundation import checks
+from .._foundation.extras import progress_bar
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory
@@ -72,24 +63,20 @@ class Kept:
         try:
             whole = read_regular(path)
             # They are not compressed.
-            arrays = unpacked_arrays(without_header(self.identity, path.name, whole), 2 * len(whole))
+            arrays = unpacked_arrays(encoding.without_header(self.identity, path.name, whole), 2 * len(whole))
+            return kind(*(arrays[f"arr_{number}"] for number in range(len(arrays))))
         except (FileNotFoundError, ValueError, zipfile.BadZipFile):
-            arrays = None  # what is damaged is done again, and replaced
+            pass  # what is damaged is done again, and replaced
         except (ForeignFileError, OSError) as error:
             raise SweepError(f"{path} cannot be read, or is of another call; move it elsewhere.") from error
-        if arrays is not None:
-            return kind(*(arrays[f"arr_{number}"] for number in range(len(arrays))))
-        found = run()
-        self._write(path, found)
-        return found
-
-    def _write(self, path: Path, results: Any) -> None:
-        data = io.BytesIO()
+        found, data = run(), io.BytesIO()
+        results: Any = found
         np.savez(data, *results)
         try:
-            write_whole(path, with_header(self.identity, path.name, data.getvalue()))
+            write_whole(path, encoding.with_header(self.identity, path.name, data.getvalue()))
         except OSError as error:
-            raise cannot_write(path.parent, error) from error
+            raise encoding.cannot_write(path.parent, error) from error
+        return found
 
 
 @contextlib.contextmanager
@@ -108,17 +95,17 @@ def kept_in(folder: Folder | None, cases: Cases, what: Mapping[str, int | str]) 
         try:
             path.mkdir(parents=True, exist_ok=True)
             _check_holds(path, body)
-            stack.enter_context(locked(path / _LOCK, in_use))
+            stack.enter_context(encoding.locked(path / _LOCK, in_use))
             remove_unfinished(path)
             write_whole(path / _DESCRIPTION, json.dumps(body, indent=1).encode())
         except OSError as error:
-            raise cannot_write(path, error) from error
-        yield Kept(path, id_of(body))
+            raise encoding.cannot_write(path, error) from error
+        yield Kept(path, encoding.id_of(body))
 
 
 def _description(cases: Cases, what: Mapping[str, int | str]) -> dict[str, Any]:
     """What decides the numbers of a call, each under the name of the argument."""
-    setting, points, encoder = cases.setter.setting, cases.points, Encoder()
+    setting, points, encoder = cases.setter.setting, cases.points, encoding.Encoder()
     named = {"system": setting.system, "base": setting.law, "method": setting.method}
     encoded = {name: encoder.encoded(value) for name, value in named.items()}
     leaves = [leaf for leaf in jax.tree.leaves(cases.cycle) if hasattr(leaf, "shape")]
@@ -140,7 +127,7 @@ def _description(cases: Cases, what: Mapping[str, int | str]) -> dict[str, Any]:
         _NUMBERS: _sum(encoder.floats, encoder.integers, *leaves),
         "code of your classes": hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16] if lines else "",
         "precision": str(np.dtype(cases.dtype)),
-        "versions": versions(),
+        "versions": encoding.versions(),
     }
 
 

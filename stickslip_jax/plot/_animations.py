@@ -22,9 +22,9 @@ from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 from .._dynamics.simulation import Simulation
-from .._ensemble.parts import progress_bar
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
+from .._foundation.extras import progress_bar
 from .._foundation.files import file_for_user, file_to_write
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
 from . import _style

@@ -13,13 +13,12 @@ from matplotlib.colors import LogNorm, Normalize, to_rgba
 from matplotlib.patches import StepPatch
 
 from .._dynamics.simulation import Simulation
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble
 from .._excitation.motion import Signal
 from .._foundation import checks
 from .._foundation.types import Ending, Status
-from .._statistics.distribution import DEFAULT_BINS, Distribution, bin_of
+from .._statistics.distribution import DEFAULT_BINS, Distribution, JointDistribution, bin_of
 from .._statistics.estimate import DEFAULT_LEVEL, check_level
-from .._statistics.joint import JointDistribution
 from .._statistics.quantities import SLIP_QUANTITIES, STICK_QUANTITIES, FirstSticks
 from .._statistics.totals import Convergence, HistogramConvergence
 from .._systems.motor_cart import MotorCart, stick_duration_bound

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from .._dynamics.simulation import Simulation
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble
 from .._statistics.distribution import Distribution
 from ._ensembles import histogram, stick_raster
 from ._trajectory import time_history

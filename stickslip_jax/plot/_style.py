@@ -22,7 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 
 from .._dynamics.simulation import Simulation
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble
 from .._excitation.motion import RandomPhase, SourceVoltage
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write

@@ -18,7 +18,7 @@ from .._excitation.motion import RandomPhase
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.checks import one_of
 from .._foundation.fields import described
-from .._statistics.accumulator import MOST_ORDERS
+from .._statistics.quantities import MOST_ORDERS
 from .._systems.structure import LinearStructure
 from .._systems.system import System
 from .._uncertainty.families import Uniform

@@ -31,9 +31,9 @@ import xarray as xr
 
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
-from .._ensemble.call import simulate_ensemble
-from .._ensemble.dataset import as_netcdf, compression
-from .._ensemble.result import Ensemble
+from .._ensemble.conversions import compression
+from .._ensemble.encoding import as_netcdf
+from .._ensemble.ensemble import Ensemble, simulate_ensemble
 from .._excitation.motion import SourceVoltage
 from .._foundation.files import write_whole, writing
 from .._foundation.types import Ending, Status

@@ -15,7 +15,7 @@ import stickslip_jax as ss
 from stickslip_jax._dynamics.common import lanes
 from stickslip_jax._dynamics.interval.engine import IntervalEngine
 from stickslip_jax._dynamics.sticks import NUMBERS, slips_between
-from stickslip_jax._ensemble import parts
+from stickslip_jax._ensemble import data
 from stickslip_jax._numerics.sums import Moments
 from stickslip_jax._statistics.totals import TOTALS
 
@@ -42,10 +42,10 @@ def kept():
 def test_much_memory_is_told_before_it_is_taken(monkeypatch):
     """From the first part on: twice what its sticks take, for all samples."""
     wanted = {"samples": 150, "keep": "sticks", **RUN}
-    monkeypatch.setattr(parts, "_MUCH", 1000.0)
+    monkeypatch.setattr(data, "_MUCH", 1000.0)
     with pytest.warns(RuntimeWarning, match=r'sticks of 150 samples takes about 0.0 GB of it; keep="statistics"'):
         ss.simulate_ensemble(SYSTEM, POISSON, **wanted)
-    monkeypatch.setattr(parts, "available_memory", lambda: 1000.0)
+    monkeypatch.setattr(data, "available_memory", lambda: 1000.0)
     with pytest.raises(ValueError, match=r'Argument keep must be "statistics" .* of 150 samples takes'):
         ss.simulate_ensemble(SYSTEM, POISSON, **wanted)
     assert ss.simulate_ensemble(SYSTEM, POISSON, **wanted | {"keep": "statistics"}).samples == 150

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax._ensemble import parts
+from stickslip_jax._ensemble import data
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -65,7 +65,7 @@ def test_cut_at_other_samples_only_round_off_differs(keep):
 
 @pytest.mark.parametrize("limit", [700, 1500, 10])
 def test_the_same_first_samples_are_retained(monkeypatch, limit):
-    monkeypatch.setattr(parts, "RETAINED", limit)
+    monkeypatch.setattr(data, "RETAINED", limit)
     longer, whole = simulate(64, "statistics").extended(samples=124, chunk=64), simulate(188, "statistics")
     compare(longer, whole, 0)
     assert len(whole.retained.totals) < 188

@@ -8,8 +8,8 @@ import types
 
 import pytest
 
-from stickslip_jax._ensemble import parts
-from stickslip_jax._ensemble.parts import in_notebook, progress_bar
+from stickslip_jax._foundation import extras
+from stickslip_jax._foundation.extras import in_notebook, progress_bar
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_in_notebooks_it_shows_by_default_and_goes_away(notebook, monkeypatch, c
     assert in_notebook()
     run(None)
     assert capfd.readouterr() == ("", "")  # too short for a bar
-    monkeypatch.setattr(parts, "_DELAY", 0)
+    monkeypatch.setattr(extras, "_DELAY", 0)
     run(None)
     shown = capfd.readouterr().err
     assert "/10.0" in shown

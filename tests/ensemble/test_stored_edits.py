@@ -11,7 +11,8 @@ import xarray as xr
 
 import stickslip_jax as ss
 from stickslip_jax._dynamics.sticks import FlatSticks
-from stickslip_jax._ensemble import dataset
+from stickslip_jax._ensemble import conversions
+from stickslip_jax._ensemble.encoding import CONTENT_SUM
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +152,7 @@ def test_an_edited_file_is_one_sentence(stored, case):
 def test_a_file_without_its_sum(stored):
     data = xr.load_dataset(stored)
     assert np.array_equal(ss.Ensemble.from_xarray(data).flat_sticks.end, ss.load(stored).flat_sticks.end)
-    del data.attrs[dataset.SUM]
+    del data.attrs[CONTENT_SUM]
     data.to_netcdf(stored, engine="h5netcdf")
     with pytest.raises(ValueError, match="it lacks its check sum"):
         ss.load(stored)
@@ -191,9 +192,9 @@ def test_many_sticks_of_single_precision_sum_to_their_stick_time():
     sticks = FlatSticks.of(np.array([number]), start, end, np.zeros(number, np.int8))
     time = np.sum(end.astype(float) - start)
     finished = np.array([True])
-    dataset.check_sticks(sticks, np.array([time + 1e-4 * t1]), finished, t1)
+    conversions.check_sticks(sticks, np.array([time + 1e-4 * t1]), finished, t1)
     with pytest.raises(ValueError, match="do not last for its stick times"):
-        dataset.check_sticks(sticks, np.array([time + 2e-3 * t1]), finished, t1)
+        conversions.check_sticks(sticks, np.array([time + 2e-3 * t1]), finished, t1)
     few = FlatSticks(np.array([10]), sticks.numbers[:, :10], sticks.ending[:10])
     with pytest.raises(ValueError, match="do not last for its stick times"):
-        dataset.check_sticks(few, np.array([np.sum(end[:10] - start[:10]) + 1e-4 * t1]), finished, t1)
+        conversions.check_sticks(few, np.array([np.sum(end[:10] - start[:10]) + 1e-4 * t1]), finished, t1)

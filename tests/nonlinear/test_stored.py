@@ -9,7 +9,6 @@ import xarray as xr
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
 from stickslip_jax.nonlinear import _following
-from stickslip_jax.nonlinear._following import Kept
 
 SYSTEM = ss.MassSpring(1.0, 1.0, 1.0, ss.Stribeck(mu=0.4, mu_static=0.6, stribeck_speed=0.5), damping=0.05)
 BASE = ss.Harmonic(amplitude=0.8, angular_frequency=1.3)
@@ -52,7 +51,7 @@ def test_what_is_stored_is_not_simulated_again(name, tmp_path, monkeypatch):
     def fail(*_):
         raise AssertionError("it is simulated again")
 
-    monkeypatch.setattr(Kept, "_write", fail)
+    monkeypatch.setattr(_following, "_with_enough_steps", fail)
     xr.testing.assert_identical(CALLS[name](folder=tmp_path / "kept"), first)
 
 

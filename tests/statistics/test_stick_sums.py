@@ -14,7 +14,7 @@ import stickslip_jax as ss
 from stickslip_jax._dynamics.sticks import NUMBERS, QUANTITIES, StickCollector, StickStream, with_columns
 from stickslip_jax._numerics import numba_loops, sums
 from stickslip_jax._numerics.sums import DyadicCounts, PowerSums
-from stickslip_jax._statistics import accumulator
+from stickslip_jax._statistics import quantities
 from stickslip_jax._statistics.distribution import BINS
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
@@ -157,7 +157,7 @@ def test_sums_and_histograms_are_those_of_plain_python(compiled, dtype, rest, or
     assert np.any(skipped) != rest
     numbered = [one[skip:] for one, skip in zip(rows, skipped, strict=True)]
     every = joined(numbered)
-    sums = accumulator.sums_of_sticks(stream, skipped, T1)
+    sums = quantities.sums_of_sticks(stream, skipped, T1)
     assert_sums(sums["sticks"], every)
     for a, bins in enumerate(sums["stick_bins"]):
         assert_bins(bins, [(row[a],) for row in every])
@@ -167,7 +167,7 @@ def test_sums_and_histograms_are_those_of_plain_python(compiled, dtype, rest, or
     assert_sums(sums["slips"], [(slip,) for slip in slips])
     assert_bins(sums["slip_bins"], [(slip,) for slip in slips])
 
-    sums = accumulator.sums_of_orders(stream, skipped, orders)
+    sums = quantities.sums_of_orders(stream, skipped, orders)
     by_order = [[one[order] for one in numbered if len(one) > order] for order in range(orders)]
     for order, mine in enumerate(by_order):
         assert_sums(sums["by_order"].one(order), mine)
@@ -201,11 +201,11 @@ def test_many_sticks_and_none(samples, dtype):
             numbered = one.without_initial_rest() if np.any(skipped) else one
             duration = numbered.end.astype(float) - numbered.start
             columns = [np.asarray(values, float) for values in (numbered.start, duration, numbered.position)]
-            sums = accumulator.sums_of_sticks(stream, skipped, T1)
+            sums = quantities.sums_of_sticks(stream, skipped, T1)
             assert_same(sums["sticks"], PowerSums.of(*columns))
             assert_same(sums["stick_bins"], tuple(DyadicCounts.of(values, BINS) for values in columns))
             pairs = ((columns[1], columns[2]), (columns[0], columns[1]))
-            expected = tuple(DyadicCounts.of_columns(pair, accumulator.BINS_OF_PAIRS) for pair in pairs)
+            expected = tuple(DyadicCounts.of_columns(pair, quantities.BINS_OF_PAIRS) for pair in pairs)
             assert_same(sums["pair_bins"], expected)
             slips = np.concatenate([np.asarray(by, float) for by in (stream.slip, stream.slip_after(T1))])
             slips = slips[slips > 0]
@@ -218,7 +218,7 @@ def test_numbers_that_are_nan_are_refused():
     sticks = made_up_sticks(np.random.default_rng(0), 3)
     stream = StickStream.of(with_columns(sticks, position=np.full_like(sticks.position, np.nan)))
     with pytest.raises(ValueError, match="must have finite starts, ends and positions"):
-        accumulator.sums_of_sticks(stream, np.zeros(3, int), T1)
+        quantities.sums_of_sticks(stream, np.zeros(3, int), T1)
 
 
 @pytest.mark.parametrize("rest", [False, True])
@@ -227,11 +227,11 @@ def test_a_further_quantity_needs_no_loop_of_its_own(rest, monkeypatch):
     (values, ending, sample), found = records(np.random.default_rng(1), np.float64)
     stream = collected([(values, ending, sample)], 9)
     skipped = np.array([bool(one) and one[0][0] == 0 and not rest for one in found], int)
-    before = accumulator.sums_of_sticks(stream, skipped, T1), accumulator.sums_of_orders(stream, skipped, 3)
+    before = quantities.sums_of_sticks(stream, skipped, T1), quantities.sums_of_orders(stream, skipped, 3)
     at = NUMBERS.index(next(iter(QUANTITIES)))
-    monkeypatch.setattr(accumulator, "_OTHERS", [at])
-    monkeypatch.setattr(accumulator, "_SLIP", 4)
-    sums, orders = accumulator.sums_of_sticks(stream, skipped, T1), accumulator.sums_of_orders(stream, skipped, 3)
+    monkeypatch.setattr(quantities, "_OTHERS", [at])
+    monkeypatch.setattr(quantities, "_SLIP", 4)
+    sums, orders = quantities.sums_of_sticks(stream, skipped, T1), quantities.sums_of_orders(stream, skipped, 3)
     assert_same(sums["stick_bins"][:3], before[0]["stick_bins"])
     for name in ("slips", "slip_bins", "pair_bins"):
         assert_same(sums[name], before[0][name])

@@ -13,7 +13,7 @@ from support.statistics import T1, made_up_sticks, statistics_of
 import stickslip_jax as ss
 from stickslip_jax._dynamics.sticks import NUMBERS as COLUMNS
 from stickslip_jax._dynamics.sticks import StickCollector
-from stickslip_jax._ensemble import parts as ensemble_parts
+from stickslip_jax._ensemble import data as ensemble_data
 from stickslip_jax._numerics.sums import DyadicCounts, PowerSums
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
@@ -144,7 +144,7 @@ def test_sticks_from_the_start_are_numbered_on_request(rest):
 
 
 def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeypatch):
-    monkeypatch.setattr(ensemble_parts, "RETAINED", 1500)
+    monkeypatch.setattr(ensemble_data, "RETAINED", 1500)
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", chunk=64, **RUN)
     sticks = streamed.finished_sticks()
     assert len(sticks.start) + len(sticks.count) <= 1500 < len(sticks.start) + len(sticks.count) + 40
@@ -160,9 +160,9 @@ def test_only_the_first_samples_are_retained_and_errors_are_scaled(kept, monkeyp
 
 
 def test_some_samples_are_retained_however_many_sticks_they_have(monkeypatch):
-    monkeypatch.setattr(ensemble_parts, "RETAINED", 10)
+    monkeypatch.setattr(ensemble_data, "RETAINED", 10)
     streamed = ss.simulate_ensemble(SYSTEM, POISSON, samples=300, keep="statistics", chunk=37, **RUN)
-    assert len(streamed.retained.totals) == len(streamed.finished_sticks().count) == ensemble_parts.FEWEST
+    assert len(streamed.retained.totals) == len(streamed.finished_sticks().count) == ensemble_data.FEWEST
     assert streamed.statistics.duration.mean.standard_error > 0
 
 

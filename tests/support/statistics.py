@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from stickslip_jax._dynamics.sticks import FlatSticks, StickStream
-from stickslip_jax._statistics.accumulator import Numbering, StickAccumulator
 from stickslip_jax._statistics.ensemble_statistics import EnsembleStatistics
+from stickslip_jax._statistics.quantities import Numbering, StickAccumulator
 
 T1 = 100.0
 

@@ -21,8 +21,7 @@ from support.sweep import POINTS, assert_same, small_sweep
 
 import stickslip_jax as ss
 from stickslip_jax._ensemble.encoding import versions
-from stickslip_jax._sweep.batches import Failed, perform_sent, sent, warnings_by_thread
-from stickslip_jax._sweep.plan import Task
+from stickslip_jax._sweep.batches import Failed, Task, perform_sent, sent, warnings_by_thread
 
 SUPPORT = Path(__file__).parents[1]
 

@@ -247,9 +247,9 @@ def test_other_precision(whole):
 
 @pytest.mark.parametrize("program", ["stickslip_jax", "jax", "jaxlib"])
 def test_other_version_of_a_program(whole, program, monkeypatch):
-    versions = store_module.versions()
+    versions = store_module.encoding.versions()
     changed = versions | {program: "99.0"}
-    monkeypatch.setattr(store_module, "versions", lambda: changed)
+    monkeypatch.setattr(store_module.encoding, "versions", lambda: changed)
     refused(sweep_of(), whole[0], f'{program}: "{versions[program]}" there, "99.0" here', "choose another folder")
 
 

@@ -12,9 +12,8 @@ from support.faults import TESTS, assert_same, log_of, one_sentence, run, sweep_
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import batches
-from stickslip_jax._sweep.batches import Failed, NoMemory, outcome_of, perform_sent, sent
+from stickslip_jax._sweep.batches import Failed, NoMemory, Task, outcome_of, perform_sent, sent
 from stickslip_jax._sweep.dataset import status_of
-from stickslip_jax._sweep.plan import Task
 
 
 def no_memory(message: str = "") -> MemoryError:

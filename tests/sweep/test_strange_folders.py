@@ -101,9 +101,11 @@ def test_batches_taken_away_while_one_is_written(tmp_path, monkeypatch):
     def taken(path, data):
         raise FileNotFoundError(2, "No such file or directory", str(path))
 
-    write = store_module.write_whole
+    write = store_module.files.write_whole
     monkeypatch.setattr(
-        store_module, "write_whole", lambda path, data: (taken if path.parent.name == "batches" else write)(path, data)
+        store_module.files,
+        "write_whole",
+        lambda path, data: (taken if path.parent.name == "batches" else write)(path, data),
     )
     with pytest.raises(ss.SweepError, match=r"was removed, or changed, while the sweep ran in it \(.*\.zip is gone\)"):
         run(sweep_of(), folder)

@@ -1,7 +1,11 @@
-"""`Ensemble`, the result of many samples: sums for the statistics and, if kept, every stick."""
+"""`Ensemble`, the result of many samples, and what makes one: `simulate_ensemble`, `simulate_contacts`, `concatenate`,
+`load`.
+"""
 
 import dataclasses
+import itertools
 import os
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,25 +14,30 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from .._dynamics.common.method import Exact, Regularized
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._dynamics.simulate import Output, Outputs, checked_outputs
 from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import Slips, Sticks, in_slots, stick_columns, time_columns, write_table
-from .._excitation.excitation import is_random
+from .._excitation.excitation import BaseMotion, is_random
 from .._foundation import checks, html
-from .._foundation.files import file_to_write
+from .._foundation.extras import require
+from .._foundation.files import file_for_user, file_to_write
+from .._foundation.types import InitialState, Status
 from .._numerics.sums import DyadicCounts, PowerSums
-from .._statistics.accumulator import Numbering
-from .._statistics.distribution import BINS, Clusters, Distribution, Summary, shown, table_of
-from .._statistics.ensemble_statistics import EnsembleStatistics, statistics_of_ensemble
+from .._statistics.distribution import BINS, Clusters, Distribution
+from .._statistics.ensemble_statistics import EnsembleStatistics, Summary, shown, table_of
 from .._statistics.estimate import origin_of
+from .._statistics.quantities import Numbering
 from .._statistics.totals import STATISTICS, TOTALS
-from .._uncertainty.inputs import StochasticModel
-from .data import EnsembleData, GivenMotions, Realization, Unknown, UnknownSystem, require_known, single
-from .dataset import dataset_of, fields_of_dataset, write_dataset
-from .given import fields_of_simulations, fields_of_sticks
-from .parts import EnsembleAccumulator
-from .setup import MOST_SAMPLES, EnsembleSetup, found_by, outputs_of
+from .._systems.system import System, WithContacts
+from .._uncertainty.design import Design
+from .._uncertainty.inputs import GaussianCopula, StochasticModel
+from . import conversions, data
+from .data import EnsembleAccumulator, EnsembleData, Fields, GivenMotions, Keep, Origin, Unknown, UnknownSystem
+from .encoding import as_netcdf
+from .setup import MOST_SAMPLES, NO_OUTPUTS, TAKEN, EnsembleSetup, fields_of_outputs, found_by, found_here, outputs_of
 
 if TYPE_CHECKING:
     import xarray
@@ -83,7 +92,7 @@ class Ensemble(EnsembleData):
         Raises:
             ValueError: For anything else.
         """
-        return cls(**fields_of_simulations(result, Numbering.checked(orders, count_initial_rest)))
+        return cls(**conversions.fields_of_simulations(result, Numbering.checked(orders, count_initial_rest)))
 
     @classmethod
     def from_sticks(
@@ -121,7 +130,7 @@ class Ensemble(EnsembleData):
                 length.
         """
         numbering = Numbering.checked(orders, count_initial_rest)
-        return cls(**fields_of_sticks(table, t1, samples, position_unit, period, numbering))
+        return cls(**conversions.fields_of_sticks(table, t1, samples, position_unit, period, numbering))
 
     @classmethod
     def from_xarray(cls, dataset: "xarray.Dataset") -> "Ensemble":
@@ -130,7 +139,7 @@ class Ensemble(EnsembleData):
         Raises:
             ValueError: For a data set that holds no ensemble, one that was changed, and one of a newer format.
         """
-        return cls(**fields_of_dataset(dataset))
+        return cls(**conversions.fields_of_dataset(dataset))
 
     def extended(
         self, *, samples: int, threads: int | None = None, chunk: int | None = None, progress: bool | None = None
@@ -172,7 +181,7 @@ class Ensemble(EnsembleData):
         parts = self._parts
         for part in parts:
             part._require_whole()
-            require_known("system", part.system)
+            data.require_known("system", part.system)
         if len({part.inputs.names for part in parts}) > 1:
             raise ValueError(
                 f"This ensemble was joined from {len(parts)} parts in which different numbers differ from sample to "
@@ -183,7 +192,13 @@ class Ensemble(EnsembleData):
     @cached_property
     def statistics(self) -> EnsembleStatistics:
         """All statistics of the sticks and slips. Raises ValueError if ``keep="totals"``."""
-        return statistics_of_ensemble(self)
+        sticks = self.finished_sticks()  # refuses an ensemble that has none
+        assert self.retained is not None
+        assert self.accumulator is not None
+        position = self.system.stick_position.unit
+        return EnsembleStatistics(
+            self.accumulator, sticks, self.retained.totals, self.t1, position, self.numbering, origin_of(self)
+        )
 
     @cached_property
     def outputs(self) -> dict[str, Distribution]:
@@ -258,7 +273,7 @@ class Ensemble(EnsembleData):
         mask, filled = in_slots(np.bincount(slips.sample, minlength=self.samples), columns)
         return Slips(**filled, mask=mask)
 
-    def realization(self, number: int) -> Realization:
+    def realization(self, number: int) -> data.Realization:
         """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it::
 
             system, base, y0 = many.realization(3)
@@ -278,16 +293,16 @@ class Ensemble(EnsembleData):
             samples = part.samples
 
             def own(leaf):
-                return single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == samples else leaf
+                return data.single(leaf[number]) if np.ndim(leaf) == 1 and len(leaf) == samples else leaf
 
             y0 = tuple(float(np.asarray(value)[number] if np.ndim(value) else value) for value in part.y0)
-            return Realization(jax.tree.map(own, part.system), part.law.base(number), y0)
+            return data.Realization(jax.tree.map(own, part.system), part.law.base(number), y0)
 
         if part.key_data is not None:
             self._check_dtype()
         system, law, y0 = part.inputs.of_sample(number, jnp.dtype(self.dtype))
         base = part.inputs.realization_of(number, law, self.t1) if is_random(law) else law
-        return Realization(system, base, y0)
+        return data.Realization(system, base, y0)
 
     def to_xarray(self) -> "xarray.Dataset":
         """The ensemble as an ``xarray.Dataset`` with units and long names, from which `from_xarray` makes it again.
@@ -301,7 +316,7 @@ class Ensemble(EnsembleData):
         Raises:
             ImportError: Without the extra ``study``.
         """
-        return dataset_of(self)
+        return conversions.dataset_of(self)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the ensemble to a NetCDF 4 file, from which `load` makes it again.
@@ -324,7 +339,12 @@ class Ensemble(EnsembleData):
             ImportError: Without the extra ``study``.
         """
         path = file_to_write(path, (".nc",), overwrite=overwrite)
-        return write_dataset(self.to_xarray(), path)
+        dataset = self.to_xarray()
+        require("Files of ensembles need", "study", "xarray", "h5netcdf")
+        content = as_netcdf(dataset, conversions.compression(dataset))
+        with file_for_user(path) as file:
+            file.write(content)
+        return path
 
     def write_sticks(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write all sticks as a table, one row each: sample, order, start, end, duration, position and ending.
@@ -371,12 +391,11 @@ class Ensemble(EnsembleData):
         return html.titled(title) + html.table(rows) + figure
 
     def __repr__(self) -> str:
-        sticks = self.moments.mean[TOTALS.index("stick_count")] * self.moments.number
         lines = [
             f"Ensemble of {self.samples} samples on [0, {self.t1:g}] s",
             f"  system    {_brief(self.system)}",
             f"  law       {_brief(self.law)}",
-            f"  sticks    {round(sticks)} found" + ("" if self.flat_sticks is None else ", all kept"),
+            f"  sticks    {_sticks(self)} found" + ("" if self.flat_sticks is None else ", all kept"),
         ]
         if self.run_seconds:
             lines.append(f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile")
@@ -391,3 +410,338 @@ def _brief(module: object) -> str:
         return str(module)
     text = " ".join(eqx.tree_pformat(module, short_arrays=False).split())
     return text if len(text) <= 110 else text[:107] + "..."
+
+
+# `simulate_ensemble`: many samples of a random excitation, in chunks and threads, with streamed statistics.
+
+
+def simulate_ensemble(
+    system: System,
+    law: BaseMotion,
+    *,
+    t1: float,
+    samples: int | Design,
+    key: Array | None = None,
+    correlation: GaussianCopula | None = None,
+    y0: InitialState | None = None,
+    method: Exact | Regularized = EXACT,
+    keep: Keep = "statistics",
+    orders: int = 10,
+    count_initial_rest: bool = False,
+    threads: int | None = None,
+    chunk: int | None = None,
+    progress: bool | None = None,
+    first_sample: int = 0,
+    outputs: Outputs | None = None,
+) -> Ensemble:
+    """Simulate `samples` independent realisations of the excitation `law`.
+
+    Sample i is ``simulate(system, law.sample(jax.random.fold_in(key, i), t1), ...)``, whatever the number of samples,
+    the chunk size or the threads; ``system, base, y0 = many.realization(i)`` returns what it is simulated with. Any
+    single number of `system`, `law` or `y0` may differ from sample to sample: an array (samples,), or a distribution
+    (see docs/uncertain.md); ``many.input_values`` gives what was drawn.
+
+    Args:
+        system: A `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
+        law: A random excitation, any that `simulate` takes, or an object with ``sample(key, t1)`` that returns one.
+        t1: Duration, s.
+        samples: Their number, or a design (`stickslip_jax.design`) with a row for each.
+        key: From ``jax.random.key(seed)``; None where nothing is random.
+        correlation: Of random numbers; by default they are independent.
+        y0: Initial state as in `simulate`, or an array (samples, coordinates).
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
+        keep: "totals" (fastest): ``many.totals`` of each sample, and their statistics; "statistics": all of these, in
+            memory that does not grow with `samples`; "sticks" keeps every stick and the totals too.
+        orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
+        count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
+        threads: Worker threads (default: all cores).
+        chunk: Samples simulated per call (default: chosen for speed).
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+        first_sample: The number i of the first, where several machines share one ensemble (see `concatenate`).
+        outputs: Numbers of your own: a dict from names to functions of a `Simulation` that return one number, or to
+            `Output` objects, which have a unit, such as ``{"peak": lambda one: one.peak("position")}``. For them every
+            sample is simulated once more and recorded, batch by batch. ``many.outputs["peak"]`` is their distribution,
+            ``many.output_values["peak"]`` the number of each sample.
+
+    Returns:
+        An `Ensemble`. Samples that did not reach ``t1`` are counted in ``many.status_counts`` and in no statistic.
+
+    Raises:
+        ValueError: For arguments outside these bounds.
+
+    >>> system = ss.MassSpring(
+    ...     mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0)
+    ... )
+    >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
+    >>> many = ss.simulate_ensemble(
+    ...     system, law, t1=50.0, samples=1000, key=jax.random.key(0), y0=(0.0, 1.0)
+    ... )
+    >>> print(ss.mean_stick_duration(many))
+    mean stick duration (pooled): 0.2540 +- 0.0011 s
+    """
+    checks.require_threads_of_jax()
+    numbering, model = Numbering.checked(orders, count_initial_rest), StochasticModel(system, law, y0)
+    wanted = checked_outputs(outputs, TAKEN)
+    setup = EnsembleSetup.checked(model, t1, samples, first_sample, key, correlation, method, keep, numbering)
+    samples, first = setup.inputs.samples - int(first_sample), int(first_sample)
+    (found,) = found_by(setup, first, (EnsembleAccumulator(samples, keep),), threads, chunk, progress, wanted)
+    return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(wanted))
+
+
+def simulate_batch(
+    setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int,
+    outputs: Mapping[str, Output] = NO_OUTPUTS,
+) -> Ensemble:  # fmt: skip
+    """Samples `first`, ``first + 1``, ... of a larger whole, simulated in this thread.
+
+    `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any batch of the whole
+    has; programs compiled for one batch fit all others with the same `fewest`.
+    """
+    found = found_here(setup, first, EnsembleAccumulator(samples, keep, retained), fewest, outputs)
+    return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(outputs))
+
+
+# `simulate_contacts`: many samples of a system with several contacts, with the statistics of each contact.
+
+
+@dataclasses.dataclass(frozen=True, repr=False, eq=False)
+class ContactEnsembles:
+    """The result of `simulate_contacts`: an `Ensemble` for each contact, and one for all contacts at once.
+
+    - `system`: as it was given. `contacts`: how many it has. `samples`: their number. `t1`: s.
+    - `status_counts`, `near_grazing_samples`: as of an `Ensemble`.
+    """
+
+    system: System
+    contacts: int
+    samples: int
+    t1: float
+    status_counts: dict[Status, int]
+    near_grazing_samples: int
+    _ensembles: tuple[Ensemble, ...]
+
+    def of_contact(self, number: int) -> Ensemble:
+        """The ensemble in which the sticks of one contact are counted, that of ``system.of_contact(number)``.
+
+        Args:
+            number: Of the contact, from 0.
+
+        Raises:
+            ValueError: For a number that is not one of its contacts.
+        """
+        return self._ensembles[checks.whole_number("number", number, minimum=0, maximum=self.contacts - 1)]
+
+    def of_all_contacts(self) -> Ensemble:
+        """The ensemble in which the times are counted when every closed contact sticks."""
+        return self._ensembles[-1]
+
+    @property
+    def input_values(self) -> dict[str, np.ndarray]:
+        """The values of the numbers that differ from sample to sample, by name, arrays (samples,)."""
+        return self._ensembles[0].input_values
+
+    def realization(self, number: int) -> data.Realization:
+        """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it."""
+        system, base, y0 = self._ensembles[0].realization(number)
+        assert isinstance(system, WithContacts)
+        return data.Realization(system._counting(None), base, y0)
+
+    def __repr__(self) -> str:
+        first, *lines = repr(dataclasses.replace(self._ensembles[0], system=self.system)).split("\n")
+        counts = ", ".join(f"{_sticks(one):,}" for one in self._ensembles[:-1])
+        found = f"  sticks    {counts} of the contacts, {_sticks(self._ensembles[-1]):,} of all at once"
+        return "\n".join([first, *(found if line.startswith("  sticks") else line for line in lines)])
+
+
+def _sticks(ensemble: Ensemble) -> int:
+    return round(float(ensemble.moments.mean[TOTALS.index("stick_count")] * ensemble.moments.number))
+
+
+def simulate_contacts(
+    system: System,
+    law: BaseMotion,
+    *,
+    t1: float,
+    samples: int | Design,
+    key: Array | None = None,
+    correlation: GaussianCopula | None = None,
+    y0: InitialState | None = None,
+    method: Exact | Regularized = EXACT,
+    keep: Keep = "statistics",
+    orders: int = 10,
+    count_initial_rest: bool = False,
+    threads: int | None = None,
+    chunk: int | None = None,
+    progress: bool | None = None,
+    first_sample: int = 0,
+    outputs: Outputs | None = None,
+) -> ContactEnsembles:
+    """Simulate many samples of a system with a list of contacts, and count the sticks of every contact.
+
+    The samples are simulated once. ``many.of_contact(0)`` is the same `Ensemble` to the last bit as
+    ``simulate_ensemble(system.of_contact(0), ...)``: statistics, tests, figures, files and tables take it.
+
+    Args:
+        system: A `LinearStructure`, or a `SwitchedSystem` of your own with `contacts`.
+        law: As in `simulate_ensemble`.
+        t1: As in `simulate_ensemble`.
+        samples: As in `simulate_ensemble`.
+        key: As in `simulate_ensemble`.
+        correlation: As in `simulate_ensemble`.
+        y0: As in `simulate_ensemble`.
+        method: As in `simulate_ensemble`.
+        keep: As in `simulate_ensemble`.
+        orders: As in `simulate_ensemble`.
+        count_initial_rest: As in `simulate_ensemble`.
+        threads: As in `simulate_ensemble`.
+        chunk: As in `simulate_ensemble`.
+        progress: As in `simulate_ensemble`.
+        first_sample: As in `simulate_ensemble`.
+        outputs: As in `simulate_ensemble`.
+
+    Returns:
+        A `ContactEnsembles`.
+
+    Raises:
+        ValueError: For a system with one contact, and as `simulate_ensemble`.
+
+    >>> row = ss.block_row(
+    ...     2, mass=1.0, between=1.0, to_ground=0.5, normal_force=1.0, friction=ss.Coulomb(0.3)
+    ... )
+    >>> law = ss.PoissonSwitching(speed=0.5, rate=0.5)
+    >>> many = ss.simulate_contacts(
+    ...     row, law, t1=20.0, samples=200, key=jax.random.key(0), y0=(0.5, -0.5, 0.0, 0.0)
+    ... )
+    >>> print(ss.stick_fraction(many.of_contact(1)))
+    stick fraction: 0.1151 +- 0.0048
+    >>> print(ss.stick_fraction(many.of_all_contacts()))
+    stick fraction: 0.0555 +- 0.0037
+    """
+    checks.require_threads_of_jax()
+    numbering, model = Numbering.checked(orders, count_initial_rest), StochasticModel(system, law, y0)
+    wanted = checked_outputs(outputs, TAKEN)
+    setup = EnsembleSetup.checked(
+        model, t1, samples, first_sample, key, correlation, method, keep, numbering, of_every_contact=True
+    )
+    if setup.tracks == (None,) or not isinstance(system, WithContacts):
+        raise checks.refused("system", "have a list of contacts, of which all are counted", system)
+    number, first = setup.inputs.samples - int(first_sample), int(first_sample)
+    accumulators = [EnsembleAccumulator(number, keep) for _ in setup.tracks]
+    found = found_by(setup, first, accumulators, threads, chunk, progress, wanted)
+    contacts = len(setup.tracks) - 1
+    counted = [*(system.of_contact(number) for number in range(contacts)), system.of_all_contacts()]
+    shared: Fields = setup.fields() | {"samples": number, "first_sample": first} | fields_of_outputs(wanted)
+    ensembles = [Ensemble(**{**shared, "system": one, **fields}) for one, fields in zip(counted, found, strict=True)]
+    one = ensembles[0]
+    return ContactEnsembles(
+        system, contacts, number, one.t1, one.status_counts, one.near_grazing_samples, tuple(ensembles)
+    )
+
+
+# `concatenate` joins ensembles, `load` reads one from a file.
+
+
+def load(path: str | os.PathLike[str]) -> Ensemble:
+    """Read an ensemble that `Ensemble.save` or ``stickslip study`` wrote.
+
+    Args:
+        path: The file, or the folder of a study.
+
+    Returns:
+        The `Ensemble` with the statistics it had, to the last bit; figures, ``realization(i)`` and ``extended`` work as
+        before. Objects of your own classes (systems, laws, distributions) come back as stand-ins that hold their name
+        and how they printed: statistics and figures of the sticks still work, what needs the object raises ValueError.
+
+    Raises:
+        FileNotFoundError: For a missing file.
+        ValueError: For one that is damaged or cut short, of another program, or of a newer format.
+        ImportError: Without the extra ``study``.
+    """
+    return Ensemble(**conversions.fields_of_file(checks.path("path", path, "a file name")))
+
+
+def concatenate(ensembles: Sequence[Ensemble]) -> Ensemble:
+    """Join ensembles into one, whose samples are those of the first, then of the second, and so on.
+
+    Where samples follow each other (the same system, law, method, start and key, and ``first_sample`` of one is the
+    number after the last of the one before), the result is that of one run. Otherwise `origins` holds where each part
+    came from, and ``realization(i)`` looks there; what differs from part to part is `Unknown` in the result, so that it
+    cannot be extended. Sticks and counts are those of the parts to the last bit; means and other sums differ from those
+    of one run by round-off only, since they are merged from sums.
+
+    Args:
+        ensembles: At least one, of the same duration, `keep`, `orders`, `count_initial_rest`, dtype, and kind of
+            position. Their systems, laws, keys, methods and starts may differ.
+
+    Raises:
+        ValueError: For anything else, and for parts that hold the same random samples twice.
+    """
+    if not isinstance(ensembles, Sequence) or not ensembles or not all(isinstance(one, Ensemble) for one in ensembles):
+        raise checks.refused("ensembles", "be a list of results of simulate_ensemble", ensembles)
+    for what, of in _SAME.items():
+        for number, one in enumerate(ensembles):
+            if of(one) != of(ensembles[0]):
+                raise ValueError(
+                    f"Argument ensembles must have the same {what}, but the first has {checks.show(of(ensembles[0]))} "
+                    f"and ensembles[{number}] has {checks.show(of(one))}."
+                )
+    accumulator = EnsembleAccumulator(sum(one.samples for one in ensembles), ensembles[0].keep)
+    for one in ensembles:
+        accumulator.add_ensemble(one)
+    origins = _joined([origin for one in ensembles for origin in one._origins])
+    # What its origins give; `Unknown` for what differs among them.
+    given: Fields = {**origins[0]._asdict(), "origins": ()}
+    if len(origins) > 1:
+        given |= {"origins": origins, "key_data": None, "first_sample": 0, "design": None, "copula": None}
+        for name in ("system", "law", "method", "y0"):
+            if not all(data.same_object(getattr(origin, name), given[name]) for origin in origins):
+                unknown = Unknown(f"differs among the {len(origins)} parts")
+                position = origins[0].system.stick_position
+                stands_for = {"system": UnknownSystem(unknown.name, "", position), "y0": (unknown,)}
+                given[name] = stands_for.get(name, unknown)
+    functions, *others = (one.output_functions for one in ensembles)
+    return Ensemble(
+        **{name: getattr(ensembles[0], name) for name in ("t1", "numbering", "dtype")},
+        **{**given, "samples": accumulator.samples},
+        **accumulator.found(),
+        output_units=dict(ensembles[0].output_units),
+        output_functions={
+            name: function for name, function in functions.items() if all(one.get(name) is function for one in others)
+        },
+        threads=max(one.threads for one in ensembles),
+        compile_seconds=sum(one.compile_seconds for one in ensembles),
+        run_seconds=sum(one.run_seconds for one in ensembles),
+    )
+
+
+_SAME: dict[str, Callable[[Ensemble], object]] = {
+    "duration t1": lambda one: one.t1,
+    "keep": lambda one: one.keep,
+    "numbering": lambda one: one.numbering,
+    "dtype": lambda one: one.dtype,
+    "names and units of outputs": lambda one: dict(sorted(one.output_units.items())),
+    "contact whose sticks are counted": lambda one: getattr(one.system, "counted_contact", None),
+    "unit and period of the position": lambda one: one.system.stick_position[1::2],
+}
+"""In what ensembles that are joined must be the same, in words."""
+
+
+def _joined(origins: list[Origin]) -> tuple[Origin, ...]:
+    """The origins, those that follow each other made one. Raises ValueError if one holds samples of another."""
+    for one, other in itertools.combinations(origins, 2):
+        apart = one.first_sample + one.samples <= other.first_sample
+        apart = apart or other.first_sample + other.samples <= one.first_sample
+        if one.key_data is not None and not apart and one.same_run(other):
+            raise ValueError(
+                "Argument ensembles must hold different samples, but two parts have the same key and samples "
+                f"{max(one.first_sample, other.first_sample)} and on; simulate them with different keys, or with "
+                "first_sample=... after one another."
+            )
+    joined = origins[:1]
+    for origin in origins[1:]:
+        last = joined[-1]
+        if origin.follows(last):
+            joined[-1] = last._replace(samples=last.samples + origin.samples)
+        else:
+            joined.append(origin)
+    return tuple(joined)

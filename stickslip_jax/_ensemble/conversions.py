@@ -1,158 +1,42 @@
-"""An ensemble as labelled arrays (``xarray``), in NetCDF files, and read from them with all that it had."""
+"""Ensembles and what they are made of and become: labelled arrays (``xarray``) and NetCDF files, tables of measured
+sticks, results of `simulate` under ``vmap``.
+"""
 
-import hashlib
 import json
-import sys
-from collections.abc import Hashable, Iterator, Mapping
-from contextlib import contextmanager
+import math
+import re
+from collections.abc import Callable, Mapping
 from enum import IntEnum
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.simulation import method_attributes
-from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks, slip_variables, stick_variables
+from .._dynamics.simulation import Simulation, method_attributes, source
+from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks, slip_variables, slips_among, stick_variables
 from .._foundation import checks
-from .._foundation.extras import flags, labeled_dataset, require, variable
-from .._foundation.files import file_for_user
-from .._foundation.processes import require_memory
+from .._foundation.extras import Entries, flags, labeled_dataset, require, variable
 from .._foundation.types import Ending, Status
 from .._numerics.sums import Moments
-from .._statistics.accumulator import Numbering, StickAccumulator
+from .._statistics.quantities import Numbering, StickAccumulator
 from .._statistics.totals import TOTALS
 from .._systems.system import Coordinate, System
 from .._uncertainty.families import RandomNumber
-from .data import EnsembleData, Fields, Retained, Unknown, UnknownSystem
-from .encoding import DamagedFileError, Decoder, Encoder
+from . import data
+from .data import EnsembleAccumulator, EnsembleData, EnsemblePart, Fields, GivenMotions, Unknown, UnknownSystem
+from .encoding import DamagedFileError, Decoder, Encoder, read_netcdf, verified
 from .setup import MOST_SAMPLES
 
 if TYPE_CHECKING:
     import xarray
 
 
-# Data sets in NetCDF 4 files that show whether they are as they were written.
-#
-# A SHA-256 sum over all names, numbers and attributes is an attribute itself. HDF5 keeps check sums of the arrays
-# besides, for other programs.
-
-
-SUM = "content_sha256"
-"""The attribute that holds the sum."""
-
-
-def as_netcdf(
-    dataset: "xarray.Dataset",
-    packing: Mapping[Any, Mapping[str, object]],
-    groups: "Mapping[str, xarray.Dataset] | None" = None,
-) -> memoryview:
-    """The bytes of a NetCDF 4 file of a data set, and of others in groups.
-
-    They are made in memory: HDF5 ends the process where a disk is full. `packing`: how to compress variables.
-    """
-    buffer = BytesIO()
-    with _without_cluster():
-        for group, part in {None: dataset, **(groups or {})}.items():
-            arrays = {name: one for name, one in part.variables.items() if one.ndim and one.size}
-            options = {name: {"fletcher32": True} for name, one in arrays.items() if one.dtype.kind in "biuf"}
-            if group is None:
-                options = {name: {**options.get(name, {}), **packing.get(name, {})} for name in {*options, *packing}}
-            part.assign_attrs({SUM: sum_of(part)}).to_netcdf(
-                buffer, mode="w" if group is None else "a", group=group, engine="h5netcdf", encoding=options
-            )
-    return buffer.getbuffer()
-
-
-def read_netcdf(path: Path) -> "xarray.Dataset":
-    """The data set in a file, not `verified`.
-
-    Raises:
-        DamagedFileError: For what cannot be read.
-        ValueError: For what is larger than the memory.
-        ImportError: Without the extra.
-    """
-    import h5py  # noqa: PLC0415 - an extra, loaded when asked for
-    import xarray as xr  # noqa: PLC0415
-
-    if not path.is_file():
-        raise DamagedFileError("it is no ordinary file")
-    size = 0.0
-
-    def look(_: str, part: Any) -> None:
-        nonlocal size
-        dict(part.attrs)
-        size += float(getattr(part, "nbytes", 0))  # of an array
-
-    try:
-        with h5py.File(path) as file:  # all names and attributes: where h5netcdf fails, it prints a traceback besides
-            dict(file.attrs)
-            file.visititems(look)
-    except Exception as error:  # of h5py, h5netcdf and xarray, which raise any kind for a damaged file
-        raise _damaged(error) from error
-    require_memory("path", size, f"what {str(path)!r} holds")  # packed, or never written: the file may be small
-    try:
-        return xr.load_dataset(path, engine="h5netcdf")
-    except ImportError:
-        raise
-    except Exception as error:
-        raise _damaged(error) from error
-
-
-def _damaged(error: Exception) -> DamagedFileError:
-    return DamagedFileError(" ".join(str(error).split()) or type(error).__name__)
-
-
-def verified(dataset: "xarray.Dataset", *, is_file: bool = True) -> "xarray.Dataset":
-    """The data set without its sum. Raises DamagedFileError where the content has another, or none in a file."""
-    stated = dataset.attrs.get(SUM)
-    if stated is None:
-        if is_file:
-            raise DamagedFileError("it lacks its check sum")
-        return dataset
-    rest = dataset.copy(deep=False)
-    del rest.attrs[SUM]
-    if sum_of(rest) != stated:
-        raise DamagedFileError("its content is not what was written: the check sum is another")
-    return rest
-
-
-def sum_of(dataset: "xarray.Dataset") -> str:
-    """The SHA-256 sum of the content of a data set, the same before it is written and after it is read."""
-    found = hashlib.sha256(_text(dataset.attrs))
-    for name in sorted(map(str, dataset.variables)):
-        variable = dataset.variables[name]
-        values = np.asarray(variable.values)
-        numbers = values.dtype.kind in "biufc"
-        about = [name, list(map(str, variable.dims)), list(values.shape), values.dtype.str if numbers else "text"]
-        found.update(_text(variable.attrs) + json.dumps(about).encode())
-        found.update(values.tobytes() if numbers else json.dumps(values.astype(str).tolist()).encode())
-    return found.hexdigest()
-
-
-def _text(attributes: Mapping[Hashable, Any]) -> bytes:
-    """Attributes as text, lists of one number as the number, which they become in a file."""
-    plain = {str(name): np.atleast_1d(np.asarray(value)).tolist() for name, value in attributes.items()}
-    return json.dumps(plain, sort_keys=True).encode()
-
-
-@contextmanager
-def _without_cluster() -> Iterator[None]:
-    """Where this process has a client of dask, xarray would ask the cluster for a lock to write memory (and fail)."""
-    if "dask.base" not in sys.modules:
-        yield
-        return
-    with sys.modules["dask"].config.set(scheduler="synchronous"):
-        yield
-
-
 # An ensemble as labelled arrays (``xarray``), with all that makes an ensemble of them again (see below).
 
-
-Variables: TypeAlias = dict[str, Any]
-"""Variables of a data set by name, as `variable` makes them."""
 
 FORMAT, FORMAT_VERSION = "stickslip_jax ensemble", 2
 STATE, FLOATS, INTEGERS = "ensemble_state", "ensemble_state_floats", "ensemble_state_integers"
@@ -179,9 +63,7 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     Raises:
         ImportError: As `Ensemble.to_xarray`.
     """
-    from .. import __version__  # noqa: PLC0415 - the package imports this module
-
-    variables: Variables = {}
+    variables: Entries = {}
     totals, retained, first = ensemble.sample_totals, ensemble.retained, ensemble.first_sample
     samples = variable("sample", first + np.arange(ensemble.samples), "number of the sample")
     if ensemble.flat_sticks is not None:
@@ -230,10 +112,9 @@ def dataset_of(ensemble: EnsembleData) -> "xarray.Dataset":
     # What was simulated, how, and how it ended. Numbers are in SI units; of long arrays the size is told.
     shown = Encoder()
     attributes: dict[str, object] = {
-        "source": f"stickslip_jax {__version__}",
+        **source(),
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "stickslip_jax_version": __version__,
         "keep": ensemble.keep,
         "system": json.dumps(shown.encoded(ensemble.system)),
         "law": json.dumps(shown.encoded(ensemble.law)),
@@ -255,7 +136,7 @@ def compression(dataset: "xarray.Dataset") -> dict[str, dict[str, object]]:
     return {name: {"zlib": True, "complevel": 1} for name in names if name in dataset and dataset[name].size}
 
 
-def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Variables:
+def _sticks(ensemble: EnsembleData, sticks: FlatSticks, sample: str) -> Entries:
     first = ensemble.first_sample if sample == "sample" else 0
     return {
         sample: variable(sample, first + np.arange(len(sticks.count)), f"number of the {sample.replace('_', ' ')}"),
@@ -298,13 +179,8 @@ def check_fields(fields: Mapping[str, Any]) -> None:
     for value in y0 if isinstance(y0, tuple) else (None,):
         if not isinstance(value, (RandomNumber, Unknown)) and not np.all(np.isfinite(np.asarray(value, float))):
             raise ValueError(f"its trajectories start at {checks.show(y0)}")
-    _check_sums(fields)
-    _check_samples(fields)
-
-
-def _check_sums(fields: Mapping[str, Any]) -> None:
-    """The sums over all samples."""
-    samples, counts, near = fields["samples"], fields["status_counts"], fields["near_grazing_samples"]
+    # The sums over all samples.
+    counts, near = fields["status_counts"], fields["near_grazing_samples"]
     total = sum(counts.values())
     _demand(min(counts.values()) >= 0 and total == samples, f"it tells the endings of {total} of {samples} samples")
     _demand(0 <= near <= samples, f"it has {near} samples near grazing")
@@ -320,11 +196,7 @@ def _check_sums(fields: Mapping[str, Any]) -> None:
         number = int(accumulator.samples.number)
         fits = np.all(np.asarray(accumulator.endings) >= 0) and number == finished
         _demand(fits, f"its histograms are of {number} samples, of which {finished} finished")
-
-
-def _check_samples(fields: Mapping[str, Any]) -> None:
-    """What is held of each sample."""
-    samples, counts = fields["samples"], fields["status_counts"]
+    # What is held of each sample.
     retained, flat, totals = fields["retained"], fields["flat_sticks"], fields["sample_totals"]
     if retained is not None:
         check_sticks(retained.sticks, retained.totals[:, 0], np.ones(len(retained.totals), bool), fields["t1"])
@@ -378,15 +250,6 @@ def _codes(values: np.ndarray, kind: type[IntEnum], name: str) -> np.ndarray:
 
 
 _STUDY = "study.nc"  # the file of a study's data in its folder
-
-
-def write_dataset(dataset: "xarray.Dataset", path: Path) -> Path:
-    """Write the data set of an ensemble to `path`, from `file_to_write`; see `Ensemble.save`."""
-    require("Files of ensembles need", "study", "xarray", "h5netcdf")
-    data = as_netcdf(dataset, compression(dataset))
-    with file_for_user(path) as file:
-        file.write(data)
-    return path
 
 
 def fields_of_file(path: Path) -> Fields:
@@ -464,12 +327,12 @@ def _fields(dataset: "xarray.Dataset") -> Fields:
         totals = _stored_totals(dataset, found)
         own = (totals.stick_time, totals.sticks, totals.slips, *numbering.rest(sticks))
         finished = np.asarray(totals.status) == Status.FINISHED
-        retained = Retained(sticks.only(finished), np.stack(own, axis=1, dtype=np.float64)[finished])
+        retained = data.Retained(sticks.only(finished), np.stack(own, axis=1, dtype=np.float64)[finished])
         kept = {"sample_totals": totals, "flat_sticks": sticks, "retained": retained}
     elif keep == "statistics":
         sticks = _flat_sticks(dataset, SAMPLE[keep])
         own = (dataset[name].to_numpy() for name in ("stick_time", "stick_count", "slip_count"))
-        kept["retained"] = Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
+        kept["retained"] = data.Retained(sticks, np.stack([*own, *numbering.rest(sticks)], axis=1, dtype=np.float64))
     elif "stick_count" in dataset:
         kept["sample_totals"] = _stored_totals(dataset, dataset["stick_count"].to_numpy())
     return {
@@ -507,3 +370,278 @@ def _stored_totals(dataset: "xarray.Dataset", sticks: np.ndarray) -> SampleTotal
     """The totals of each sample; `sticks`: their numbers."""
     names = ("slip_count", "stick_time", "status", "near_grazing_count")
     return SampleTotals(sticks, *(dataset[name].to_numpy() for name in names))
+
+
+# Tables of measured sticks, checked and put in order.
+
+
+_OPTIONAL = NUMBERS[2:]  # numbers of a stick that need not be measured
+_READ = ("sample", "start", "end", "duration", *_OPTIONAL, "ending")
+_ROUND_OFF = 1e-9  # of the duration of the measurement: ends within it of the next start, or of t1, are on time
+_MOST_SAMPLES = 10**8
+_ROUNDED = 1e-5  # of the duration of the measurement: by so much columns of few digits may contradict each other
+
+
+def measured_sticks(table: object, t1: float, samples: int | None) -> tuple[FlatSticks, str | None]:
+    """The sticks of a table, in order of sample and time, and the unit in the name of its column of positions.
+
+    Arguments and errors of `Ensemble.from_sticks`.
+    """
+    columns, unit = _columns(table)
+    number, samples = _numbers_of_samples(columns["sample"], samples)
+    start = _numbers("start", columns)
+    end = _numbers("end", columns) if "end" in columns else start + _numbers("duration", columns)
+    order = np.lexsort((start, number))
+    number, start, end = number[order], start[order], end[order]
+    end = np.where(np.abs(end - t1) <= _ROUND_OFF * t1, t1, end)
+    duration = _numbers("duration", columns)[order] if "duration" in columns else end - start
+    # Sticks lie in [0, t1], have a duration, and do not overlap.
+    same, again = number[1:] == number[:-1], np.zeros(len(start), bool)
+    again[1:] = same & (start[1:] < end[:-1] - _ROUND_OFF * t1)
+
+    def stick(at: int) -> str:
+        return f"its row {order[at]} has a stick from {start[at]:g} to {end[at]:g} s"
+
+    _refuse(start < 0, "starts of 0 s or later", stick)
+    _refuse(end > t1, f"ends of at most t1 = {t1:g} s", stick)
+    _refuse(~(end > start), "sticks that end after they start", stick)
+    _refuse(again, "sticks of a sample that do not overlap", stick)
+    _refuse(
+        np.abs(start + duration - end) > _ROUNDED * t1,
+        "ends that are start + duration",
+        lambda at: f"{stick(at)} with a duration of {duration[at]:g} s; leave out the column that is wrong",
+    )
+    # An end within round-off of the next start is that start.
+    late = np.flatnonzero(same & (end[:-1] > start[1:]))
+    end[late] = start[late + 1]
+    others = {name: _numbers(name, columns)[order] for name in _OPTIONAL if name in columns}
+    ending = np.where(end == t1, Ending.HORIZON, 0)
+    if "ending" in columns:  # codes or names
+        known = {str(key): int(ending) for ending in Ending for key in (ending.name, int(ending))}
+        given = columns["ending"]
+        codes = np.array([known.get(str(entry), -1) for entry in given.tolist()], np.int8)
+        allowed = f"{checks.one_of(Ending.__members__)} in the column ending"
+        _refuse(codes < 0, allowed, lambda at: f"its row {at} has {checks.show(given[at])}")
+        ending = codes[order]
+    return FlatSticks.of(np.bincount(number, minlength=samples), start, end, ending.astype(np.int8), **others), unit
+
+
+def _unfit(demand: str, found: str) -> ValueError:
+    """The error of a table that lacks what it must have."""
+    return ValueError(f"Argument table must have {demand}, but {found}.")
+
+
+def _refuse(wrong: np.ndarray, demand: str, found: Callable[[int], str]) -> None:
+    """Raises ValueError where an entry is `wrong`, with what is `found` at the first."""
+    if np.any(wrong):
+        raise _unfit(demand, found(int(np.argmax(wrong))))
+
+
+def _columns(table: Any) -> tuple[dict[str, np.ndarray], str | None]:
+    """The columns of the table by name, and the unit of the position if its column's name says it."""
+    try:
+        given = {str(name): _column(table[name]) for name in (table if isinstance(table, Mapping) else table.columns)}
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise checks.refused(
+            "table", "be a pandas DataFrame or a dict of arrays with columns sample, start, and end or duration", table
+        ) from None
+    found, unit = {}, None
+    for name, column in given.items():
+        short = next((one for one in _READ if name == one or name.startswith(f"{one}_")), None)
+        if short is None or (short in found and name != short):
+            continue
+        if short in ("start", "end", "duration") and name not in (short, f"{short}_s"):
+            raise _unfit("times in s", f"it has a column {name!r}; convert it")
+        if short == "position" and name != short:
+            unit = name.removeprefix("position_")
+        found[short] = column
+    missing = [name for name in ("sample", "start") if name not in found]
+    if missing or not {"end", "duration"} & set(found):
+        names = ", ".join(map(repr, given)) or "none"
+        raise _unfit("the columns sample, start (s), and end (s) or duration (s)", f"its columns are {names}")
+    lengths = {name: np.shape(column) for name, column in found.items()}
+    if any(len(shape) != 1 for shape in lengths.values()) or len(set(lengths.values())) > 1:
+        shown = ", ".join(f"{name} {shape}" for name, shape in lengths.items())
+        raise _unfit("columns of the same length", f"their shapes are {shown}")
+    for name in _OPTIONAL:  # all empty: not measured
+        if name in found and found[name].dtype.kind == "f" and len(found[name]) and np.all(np.isnan(found[name])):
+            del found[name]
+    return found, unit
+
+
+def _column(given: Any) -> np.ndarray:
+    """A column of the table; masked entries are not numbers. Raises ValueError for rows of different lengths."""
+    checks.tree("table", given)
+    checks.tree("table", [given])  # as a row: of a masked number in it NumPy would make NaN
+    if np.ma.is_masked(given):
+        return given.astype(object).filled(None)
+    if isinstance(given, range):
+        return checks.numbers("table", given)
+    try:
+        return np.asarray(given)
+    except Exception as error:  # the object is anybody's
+        raise ValueError(str(error)) from error
+
+
+def _numbers(name: str, columns: dict[str, np.ndarray]) -> np.ndarray:
+    column = columns[name]
+    if column.dtype.kind not in "iuf":
+        raise _unfit(f"numbers in the column {name}", f"its type is {column.dtype}")
+    todo = "leave out the row, or a column that was not measured"
+    finite = f"finite numbers in the column {name}"
+    _refuse(~np.isfinite(column), finite, lambda at: f"its row {at} has {column[at]}; {todo}")
+    return column.astype(np.float64)
+
+
+def _numbers_of_samples(labels: np.ndarray, samples: int | None) -> tuple[np.ndarray, int]:
+    """The number of each stick's sample, from 0, and how many samples there are."""
+    if samples is not None:
+        samples = checks.whole_number("samples", samples, maximum=_MOST_SAMPLES)
+    if labels.dtype.kind == "f" and np.all(np.abs(labels) < 2**53) and np.all(labels == np.round(labels)):
+        labels = labels.astype(np.int64)
+    if labels.dtype.kind not in "iu":
+        if labels.dtype.kind not in "OUST":
+            raise _unfit("whole numbers or names in the column sample", f"its type is {labels.dtype}")
+        if any(label is None or (isinstance(label, float) and math.isnan(label)) for label in labels.tolist()):
+            raise _unfit("a number or name in every row of the column sample", "one is empty; leave out the row")
+        present, number = np.unique(labels.astype(str), return_inverse=True)
+        if samples is not None and samples < len(present):
+            raise checks.refused("samples", f"be at least the {len(present)} samples in the table", samples)
+        return number, len(present) if samples is None else samples
+    least, most = (int(labels.min()), int(labels.max())) if len(labels) else (0, -1)
+    if samples is not None:
+        if least < 0 or most >= samples:
+            allowed = f"sample numbers from 0 to {samples - 1}, because samples = {samples}"
+            raise _unfit(allowed, f"they are from {least} to {most}; renumber them from 0")
+        return labels.astype(np.int64), samples
+    if not len(labels):
+        raise ValueError(
+            "Argument samples must be given for a table without sticks: how many samples were measured; None was given."
+        )
+    present = np.unique(labels)
+    if least not in (0, 1) or len(present) != most - least + 1:
+        raise ValueError(
+            "Argument samples must be given where sample numbers have gaps or begin beyond 1, because samples without "
+            f"a stick count too; the table has {len(present)} samples, numbered from {least} to {most}."
+        )
+    return labels.astype(np.int64) - least, len(present)
+
+
+# Ensembles of what `simulate_ensemble` did not simulate: results of `simulate` under ``vmap``, and measured sticks.
+
+
+_UNIT = re.compile(r"[^\W\d_][^\s_,;]{0,15}|%|°|1")  # letters first, as in "m", "mm", "µm", "rad" or "m/s"
+
+
+def fields_of_simulations(result: object, numbering: Numbering) -> Fields:
+    """The fields of the `Ensemble` of a batch of simulations; see `Ensemble.from_simulations`."""
+    if not isinstance(result, Simulation) or np.ndim(result.status) != 1:
+        shown = f"one of shape {np.shape(result.status)}" if isinstance(result, Simulation) else checks.show(result)
+        raise ValueError(
+            "Argument result must be a batch of simulations, jax.vmap(lambda ...: simulate(...))(...) over one axis, "
+            f"but {shown} was given."
+        )
+    if checks.holds_traced(result):
+        raise ValueError(
+            "Argument result must hold numbers, but JAX is tracing them; make the ensemble outside jit, vmap and grad."
+        )
+    if result.sticks.contact is not None:
+        raise ValueError(
+            "Argument result must hold the sticks of one contact, but a batch with those of "
+            f"{result.totals.sticks.shape[-1]} contacts was given; take result.of_contact(number) or "
+            "result.of_all_contacts()."
+        )
+    samples = len(result.status)
+    horizons = np.unique(np.asarray(result.t1, float))
+    if len(horizons) != 1:
+        raise ValueError(
+            "Argument result must hold simulations of the same duration t1, but durations from "
+            f"{horizons.min():g} to {horizons.max():g} s were given; make one ensemble of each."
+        )
+    start = jax.vmap(lambda path: path.state(jnp.zeros((), result.sticks.start.dtype)))(result._path)
+    y0 = tuple(np.asarray(value) + 0.0 for value in start[: len(result.final_state)])  # and no -0.0
+
+    def differs(leaf: Any) -> bool:
+        return bool(np.ndim(leaf)) and not np.all(np.asarray(leaf) == np.asarray(leaf)[:1])
+
+    def shared(leaf: Any) -> Any:  # what is the same in all simulations stands once; the rest stays (samples,)
+        if not np.ndim(leaf) or len(leaf) != samples:
+            return leaf
+        return np.asarray(leaf) if differs(leaf) else data.single(np.asarray(leaf)[0])
+
+    system, law, method = (jax.tree.map(shared, part) for part in (result.system, result.base, result.method))
+    leaves = jax.tree.leaves(result.base)
+    if any(np.ndim(leaf) and len(leaf) == samples for leaf in leaves) and any(map(differs, leaves)):
+        law = GivenMotions(jax.tree.map(np.asarray, result.base))
+    # The sticks without padding, and the totals of each simulation.
+    mask = np.asarray(result.sticks.mask)
+    columns = {name: np.asarray(getattr(result.sticks, name))[mask] for name in (*NUMBERS, "ending")}
+    sticks = FlatSticks.of(mask.sum(axis=1), **columns)
+    parts = (result.totals.sticks, result.totals.censored, result.totals.stick_time)
+    number, censored, time = (np.asarray(part) for part in parts)
+    slips = number + 1 - sticks.begins_at_zero - censored
+    results = SampleTotals(number, slips, time, np.asarray(result.status), np.asarray(result.near_grazing_count))
+    return {
+        **_summed(results, sticks, float(horizons[0]), numbering, system.stick_position.period),
+        "system": system,
+        "law": law,
+        "method": method,
+        "y0": tuple(float(values[0]) if np.all(values == values[0]) else values for values in y0),
+        "dtype": str(sticks.start.dtype),
+    }
+
+
+def fields_of_sticks(
+    table: object, t1: float, samples: int | None, position_unit: str | None, period: float | None, numbering: Numbering
+) -> Fields:
+    """The fields of the `Ensemble` of measured sticks; see `Ensemble.from_sticks`."""
+    checks.positive("t1", t1, "s")
+    if period is not None:
+        checks.positive("period", period)
+        period = float(period)
+    if position_unit is not None:
+        if not isinstance(position_unit, str) or not _UNIT.fullmatch(position_unit):
+            raise checks.refused("position_unit", "be a unit such as 'm', 'mm' or 'rad'", position_unit)
+        position_unit = str(position_unit)
+    sticks, unit = measured_sticks(table, float(t1), samples)
+    if position_unit is not None and unit not in (None, position_unit):
+        wanted = f"be {unit!r}, because the table has the column 'position_{unit}'"
+        raise checks.refused("position_unit", wanted, position_unit, "leave it out, or rename the column")
+    position = Coordinate("position when the stick starts", position_unit or unit or "m", period=period)
+    count = sticks.count
+    time = np.bincount(sticks.sample, weights=sticks.duration, minlength=len(count))
+    none = np.zeros(len(count), np.int32)
+    slips = np.bincount(slips_among(sticks, float(t1)).sample, minlength=len(count))
+    results = SampleTotals(count.astype(np.int32), slips, time, none, none)
+    about = "measured sticks"
+    return {
+        **_summed(results, sticks, float(t1), numbering, position.period),
+        "system": UnknownSystem(about, "", position),
+        "law": Unknown(about),
+        "method": None,
+        "y0": (),
+        "dtype": "float64",
+    }
+
+
+def _summed(results: SampleTotals, sticks: FlatSticks, t1: float, numbering: Numbering, period: float | None) -> Fields:
+    """The fields of an `Ensemble` that follow from its sticks, and those that say how long it took."""
+    samples = len(results.status)
+    # Columns that are not known must not spoil the sums of the rest; `EnsembleStatistics` gives no number of them.
+    unknown = np.all(np.isnan(sticks.numbers), axis=1)
+    counted = sticks._replace(numbers=np.where(unknown[:, None], 0, sticks.numbers))
+    part = EnsemblePart.of(results, counted, t1, numbering, True, period)
+    if part.sticks is not None:
+        part.sticks.numbers[unknown] = np.nan
+    accumulator = EnsembleAccumulator(samples, "sticks")
+    accumulator.add(part)
+    return {
+        "t1": t1,
+        "numbering": numbering,
+        "samples": samples,
+        "key_data": None,
+        **accumulator.found(),
+        "threads": 1,
+        "compile_seconds": 0.0,
+        "run_seconds": 0.0,
+    }
