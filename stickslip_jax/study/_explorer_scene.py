@@ -19,8 +19,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from .._dynamics.common.method import EXACT, Exact, Regularized, slowest_time
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
-from .._ensemble.call import simulate_ensemble
-from .._ensemble.result import Ensemble
+from .._ensemble.ensemble import Ensemble, simulate_ensemble
 from .._excitation.excitation import is_random, law_of
 from .._excitation.gaussian import GaussianProcess, KanaiTajimi, KanaiTajimiSpectrum
 from .._excitation.motion import Harmonic, RandomPhase, SourceVoltage
