@@ -27,6 +27,8 @@ from jax.extend import core
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
+from ._programs import kept_jit
+
 # The switch that turns all of this off.
 
 
@@ -305,8 +307,8 @@ class CompiledNatively(Generic[_Arguments, _Result]):
     """
 
     def __init__(self, function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), **options: Any):
-        self.native = jax.jit(native_loop(function, static_argnames), static_argnames=static_argnames, **options)
-        self.usual = jax.jit(function, static_argnames=static_argnames, **options)
+        self.native = kept_jit(native_loop(function, static_argnames), static_argnames=static_argnames, **options)
+        self.usual = kept_jit(function, static_argnames=static_argnames, **options)
         self._refused: set[Hashable] = set()
 
     def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:

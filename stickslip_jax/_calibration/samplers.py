@@ -23,6 +23,7 @@ from .._foundation import checks
 from .._foundation.fields import Quantity
 from .._foundation.types import FloatArray, InitialState, Status
 from .._numerics.derivatives import as_arrays
+from .._programs import kept_jit
 from .._systems.system import System
 from .._uncertainty.design import table
 from .._uncertainty.numbers import matching, numbers_in, parameters_of, quantity_at
@@ -147,7 +148,7 @@ class LogLikelihood(eqx.Module):
 
 
 # So that single calls are fast too, and the record is no constant of the program.
-_density = eqx.filter_jit(LogLikelihood._density)
+_density = kept_jit(LogLikelihood._density, filtered=True)
 
 
 def log_likelihood(

@@ -20,6 +20,7 @@ from .._excitation.segments import first_segment, segment_at
 from .._foundation.fields import Quantity, modules_in
 from .._foundation.types import BoolArray, FloatArray, Scalar
 from .._numerics.derivatives import as_arrays
+from .._programs import kept_jit
 from .._systems.friction import FrictionLaw
 from .._systems.system import System
 from .._uncertainty.numbers import NumberPath, Parameter, with_numbers
@@ -156,7 +157,7 @@ def _(primals: Any, tangents: Any) -> tuple[FloatArray, FloatArray]:
     return seen, jnp.einsum("wctp,wp->wct", slopes, changes)
 
 
-@eqx.filter_jit
+@kept_jit(filtered=True)
 def slip_speeds(setting: EstimatedNumbers, solver: Any, times: FloatArray, states: FloatArray) -> FloatArray:
     """The sizes of the relative velocities of contacts in `states` (times, coordinates) at `times` (s), (times, modes)
     or (times,); infinite for modes that are no contacts.
@@ -328,7 +329,7 @@ def matrix_of(seen: Residuals, free: Free) -> np.ndarray | sparse.coo_matrix:
     return sparse.hstack([sparse.coo_matrix(of_x), sparse.block_diag(list(own))])  # pyright: ignore[reportReturnType]
 
 
-_with_slopes = eqx.filter_jit(with_slopes)
+_with_slopes = kept_jit(with_slopes, filtered=True)
 
 
 # Where windows of a record begin: in slips, where there are any, so that it is clear how the motion goes on.

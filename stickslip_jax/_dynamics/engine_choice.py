@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, cast
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -15,6 +14,7 @@ from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import AnyArray, DType, Number, Scalar
 from .._numerics.derivatives import largest
+from .._programs import kept_jit
 from .._systems.mass_spring import MassSpring
 from .._systems.system import System, is_built_in
 from .._uncertainty.inputs import Inputs
@@ -57,15 +57,15 @@ def compiled_for(engine: Engine, *, with_records: bool = False) -> CompiledLanes
 
 
 # filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.
-solve_chunk = eqx.filter_jit(solve_batch)
+solve_chunk = kept_jit(solve_batch, filtered=True)
 
 
 def _compiled(is_built_in: bool) -> CompiledLanes:
     options = {**WIDE_VECTORS, **COMPILED_QUICKLY} if is_built_in else {}
-    compiled = partial(CompiledNatively, compiler_options=options) if is_built_in else jax.jit
+    compiled = partial(CompiledNatively, compiler_options=options) if is_built_in else kept_jit
     return CompiledLanes(
         compiled(lanes.summarize, static_argnames=("lanes", "rows", "dtype")),
-        jax.jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
+        kept_jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
         compiled(lanes.record, static_argnames=("layout", "lanes", "blocks", "dtype")),
     )
 

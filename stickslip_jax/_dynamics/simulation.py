@@ -3,7 +3,6 @@
 import math
 import os
 import warnings
-from functools import partial
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -18,6 +17,7 @@ from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
+from .._programs import kept_jit
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
@@ -100,7 +100,7 @@ def _sum(terms: Terms) -> FloatScalar:
     return jnp.stack(list(terms.values())).sum(axis=0)
 
 
-@jax.jit
+@kept_jit
 def _forces(
     model: OneContactModel | InnerStates,
     path: MotionPath,
@@ -140,7 +140,7 @@ def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatSca
     return jnp.where(sticks, model.holding_coefficient(forcing, none, y), slip)
 
 
-@jax.jit
+@kept_jit
 def _energies(
     model: OneContactModel, beginnings: StepBeginnings, last: FloatScalar, times: Times, rule: _Rule
 ) -> Energies:
@@ -632,13 +632,13 @@ class Simulation(WithMethods):
         )
 
 
-@partial(jax.jit, static_argnums=1)
+@kept_jit(static_argnames="number")
 def _largest(one: Simulation, number: int, sign: Scalar) -> FloatArray:
     """The largest value of `sign` times one number of the state."""
     return one._path.largest(number, sign, one.time_reached, one.final_state[number])
 
 
-@partial(jax.jit, static_argnums=2)
+@kept_jit(static_argnames="size")
 def _evaluate(one: Simulation, times: FloatArray, size: int) -> tuple[FloatArray, ...]:
     def at(time):
         inside = (time >= 0) & (time <= one.time_reached)

@@ -19,6 +19,7 @@ from .._foundation import checks
 from .._foundation.fields import Checked, Module, Quantity, is_of_package
 from .._foundation.types import AnyArray, FloatArray, KeyData, Number, Scalar
 from .._numerics.elementary import key_data_of, random_words, sincos, uniform
+from .._programs import kept_jit
 
 # The base class of all that drives a system: laws, signals and realisations.
 
@@ -162,7 +163,7 @@ class _Tones(Signal):
         return self.mean * h + added_up(one, self.tones)[0]
 
 
-@jax.jit
+@kept_jit
 def _motion(tones: Tones, t: FloatArray) -> tuple[FloatArray, ...]:
     """Value, rate and curvature of the sum of `tones`."""
 

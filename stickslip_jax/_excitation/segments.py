@@ -19,6 +19,7 @@ from .._foundation.fields import Checked
 from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, IntArray, KeyData, Scalar, Word
 from .._numerics.derivatives import NotKnown
 from .._numerics.elementary import key_data_of, random_words, uniform
+from .._programs import kept_jit
 from .motion import Motion
 
 # Intervals that a user's law gives: impossible ones are marked, equal neighbours joined.
@@ -403,7 +404,7 @@ def known_number(
         ) from None
 
 
-@partial(jax.jit, static_argnames=("number", "dtype"))
+@kept_jit(static_argnames=("number", "dtype"))
 def drawn_segments(law: SegmentLaw, key_data: Array, number: int, dtype: DTypeLike) -> Drawn:
     """Durations, values and slopes of the first segments of the realisation that `key_data` draw."""
     words = (key_data[0], key_data[1])

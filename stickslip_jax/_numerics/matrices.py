@@ -13,6 +13,7 @@ from jaxtyping import Array
 
 from .._foundation import checks
 from .._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray
+from .._programs import kept_jit
 from .derivatives import without_derivatives
 
 # Products of small matrices, solutions of their linear equations and what of their eigenvalues is needed: in lanes.
@@ -111,7 +112,7 @@ def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
     return jnp.stack(solution)
 
 
-@jax.jit
+@kept_jit
 def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
     """The largest size of an eigenvalue, where all are real: Gelfand's formula.
 
@@ -134,14 +135,14 @@ def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
     return jnp.where(jnp.any(matrix != 0), jnp.exp(logarithm), 0)
 
 
-@jax.jit
+@kept_jit
 def is_positive_definite(matrix: FloatArray) -> BoolScalar:
     """Whether a symmetric matrix is: all pivots are positive."""
     pivots = jnp.diagonal(_cleared(matrix))
     return jnp.all(pivots > 0)
 
 
-@jax.jit
+@kept_jit
 def _solution_of_many(matrix: FloatArray, target: FloatArray) -> FloatArray:
     """The derivative is that of the solution, not of the elimination, of which reverse mode would store each step."""
 

@@ -22,6 +22,7 @@ from .._ensemble.ensemble import simulate_batch
 from .._ensemble.setup import EnsembleSetup, OutputRunner
 from .._foundation.types import AnyArray, DType, IntArray, Status
 from .._numerics.sums import Moments
+from .._programs import kept_jit
 from .._statistics.quantities import Numbering
 from .._systems.system import is_built_in
 from .._uncertainty.inputs import StochasticModel
@@ -220,9 +221,9 @@ _COUNT_STATIC = ("leaves", "lanes", "rows", "dtype")
 # Native loops and wide vectors only where all compiled functions are the package's own (see `engine_choice.py`).
 count_chunk = {
     True: CompiledNatively(_count, _COUNT_STATIC, compiler_options=WIDE_VECTORS),
-    False: jax.jit(_count, static_argnames=_COUNT_STATIC),
+    False: kept_jit(_count, static_argnames=_COUNT_STATIC),
 }
-sequence_chunk = jax.jit(_sequence, static_argnames=("statistics", "leaves", "lanes", "buffer", "dtype"))
+sequence_chunk = kept_jit(_sequence, static_argnames=("statistics", "leaves", "lanes", "buffer", "dtype"))
 
 
 # Sensitivities by event parts: from engines that count, and from recorded stick sequences.

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -26,6 +25,7 @@ from .._foundation import checks
 from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
+from .._programs import kept_jit
 from .._systems.system import System, require_system
 from .._uncertainty.inputs import Input, Inputs, StochasticModel
 from .._uncertainty.numbers import NumberPath, Parameter, leaves_of_numbers, number_at, parameters_of
@@ -367,7 +367,7 @@ def _first_segment(base: BaseMotion, dtype: DType) -> FirstSegment:
     return FirstSegment(bool(is_fixed), bool(end_is_fixed))
 
 
-@partial(jax.jit, static_argnames="dtype")
+@kept_jit(static_argnames="dtype")
 def _first_segments(law: SegmentLaw, *, dtype: DType) -> Float[Array, "draws 3"]:
     """Duration, value and slope of the first segment, drawn often."""
 
@@ -483,7 +483,7 @@ def _zeros(problem: SensitivityProblem, function: _Function) -> tuple[Bool[np.nd
     return zero, moved
 
 
-@partial(jax.jit, static_argnames=("function", "leaves", "dtype"))
+@kept_jit(static_argnames=("function", "leaves", "dtype"))
 def _with_slopes(
     engine: Engine, key_data: tuple[Array, Array], *, function: _Function, leaves: tuple[int, ...], dtype: DType
 ) -> tuple[Array, Array]:

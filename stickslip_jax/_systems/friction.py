@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, PyTree
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity, varies_within
 from .._foundation.types import AnyArray, BoolArray, FloatArray, Number, Scalar
+from .._programs import kept_jit
 from .prescribed import force_of_law
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class TabulatedCurve(Checked):
         return self.scale * (begin + along * (first + along * (second + along * third)))
 
 
-@jax.jit
+@kept_jit
 def _cubics(x: PerPoint, y: PerPoint) -> Float[Array, "4 intervals"]:
     """Value and derivatives at the beginning of each interval, divided by factorials: coefficients of its cubic."""
     length = jnp.diff(x)

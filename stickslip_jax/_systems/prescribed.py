@@ -19,6 +19,7 @@ from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import require_single
 from .._foundation.types import DType, FloatArray, FloatScalar, Number, Scalar
 from .._numerics.derivatives import NotKnown, largest, primal_of, smallest, without_derivatives
+from .._programs import kept_jit
 
 # Friction with an inner state behind a spring with free play, as one law of the motion of the spring's end.
 #
@@ -153,7 +154,7 @@ def force_of_dynamic(
     return normal * jax.vmap(law.coefficient)(states, velocities)
 
 
-@jax.jit
+@kept_jit
 def _velocities(motion: Any, times: Array) -> FloatArray:
     return jax.vmap(lambda t: jnp.asarray(_velocity_at(motion, t), times.dtype))(times)
 
@@ -163,7 +164,7 @@ def _velocity_at(motion: Any, t: FloatArray) -> FloatArray:
     return jnp.interp(t, *motion) if isinstance(motion, tuple) else motion.value(t)
 
 
-@jax.jit(static_argnames=("most", "adjoint"))
+@kept_jit(static_argnames=("most", "adjoint"))
 def _states(
     law: Any,
     times: Array,
@@ -266,7 +267,7 @@ def _pieces(motion: Signal, times: Array) -> Array:
     return jnp.where(_FEWEST * (last - first) <= number * period, within, jnp.nan)
 
 
-@jax.jit
+@kept_jit
 def _moves(motion: Any, points: Array) -> Array:
     """The displacements between two points before and after the instant where a velocity passes zero,
     (points - 1, 2).
@@ -279,7 +280,7 @@ def _moves(motion: Any, points: Array) -> Array:
     return jnp.stack([before, jnp.where(turns, last / 2 * (1 - share) * h, 0)], axis=1)
 
 
-@jax.jit
+@kept_jit
 def _moves_of_signal(motion: Signal, points: Array) -> Array:
     """The same of a signal, (points - 1, 4): before and after its velocity is extreme, it passes zero once at most."""
     still = without_derivatives(motion)
@@ -308,7 +309,7 @@ def _moves_of_signal(motion: Signal, points: Array) -> Array:
     return jax.vmap(of_one)(points[:-1], jnp.diff(points))
 
 
-@jax.jit
+@kept_jit
 def _behind_a_spring(
     moves: Array, most: FloatArray, least: FloatArray, stiffness: FloatArray, play: FloatArray
 ) -> FloatArray:

@@ -29,6 +29,7 @@ from .._foundation.types import (
     Solver,
     State,
 )
+from .._programs import kept_jit
 from .dynamic_friction import DynamicFriction
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, with_ages
 from .structure import MOST_CONTACTS, is_singular
@@ -601,7 +602,7 @@ def _numbers(
     return found, near, jax.vmap(forces)(*columns)
 
 
-_compiled_velocities, _compiled_numbers = jax.jit(_velocities), jax.jit(_numbers)
+_compiled_velocities, _compiled_numbers = kept_jit(_velocities), kept_jit(_numbers)
 
 
 def check_ground(system: Any) -> None:

@@ -5,7 +5,6 @@ are correlated.
 import dataclasses
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -20,6 +19,7 @@ from .._foundation import checks
 from .._foundation.fields import Checked, Module, Quantity, described, is_distribution, varies
 from .._foundation.types import AnyArray, DType, FloatArray, Number
 from .._numerics.elementary import key_data_of, random_words, uniform
+from .._programs import kept_jit
 from .design import Design
 from .families import RandomNumber
 from .numbers import NumberPath, check_realizations, matching, number_at, numbers_in, shown, with_numbers
@@ -486,15 +486,15 @@ class Inputs:
                         raise ValueError(f"Sample {first + sample} does not fit: {error}") from error
 
 
-@jax.jit
+@kept_jit
 def _of_distribution(distribution: RandomNumber, u: Array) -> Array:
     return jnp.asarray(distribution.icdf(u), u.dtype)
 
 
-_correlated = jax.jit(lambda copula, u: copula.correlated(u))
+_correlated = kept_jit(lambda copula, u: copula.correlated(u))
 
 
-@partial(jax.jit, static_argnames=("number", "dtype"))
+@kept_jit(static_argnames=("number", "dtype"))
 def _uniforms(key_data: Array, first: Array, streams: Array, *, number: int, dtype: DType) -> Array:
     """Uniform numbers (streams, number) of samples ``first, first + 1, ...``."""
     own = random_words(key_data, first + jnp.arange(number, dtype=jnp.uint32))

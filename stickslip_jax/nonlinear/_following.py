@@ -33,6 +33,7 @@ from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory
 from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
+from .._programs import kept_jit
 from ._cases import MOST_PERIODS, Cases, Cycle, Followed, Turns, checked_numbers
 from ._orbits import periodic_orbit
 
@@ -263,10 +264,10 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
     return SeenCases(states, largest, number, time, longest, status, close)
 
 
-_follow = eqx.filter_jit(_followed)
+_follow = kept_jit(_followed, filtered=True)
 
 
-@eqx.filter_jit
+@kept_jit(filtered=True)
 def _follow_along(cycle: Cycle, begin: Array, starts: Array, transient: IntArray, *, kept: int) -> SeenCases:
     """As `_followed`, of arrays (values, cases, ...), each value of a parameter from where the one before ended; the
     first from `begin` (cases, coordinates), and what was not followed to the end from `starts`.

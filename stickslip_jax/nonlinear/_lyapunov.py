@@ -17,6 +17,7 @@ from .._foundation import checks
 from .._foundation.extras import Dataset, Entries, variable
 from .._foundation.types import BoolScalar, FloatArray, IntArray, Scalar, Status
 from .._numerics.matrices import orthogonal_factors
+from .._programs import kept_jit
 from .._systems.system import System
 from ._cases import CYCLE, START, Cycle, Over, cases_of, checked_numbers
 from ._following import RECURS, UNSETTLED, Folder, in_blocks, kept_in, recurrence, warn_of_unfinished
@@ -137,7 +138,7 @@ def lyapunov_exponents(
     return cases.dataset(variables, coordinates)
 
 
-@eqx.filter_jit
+@kept_jit(filtered=True)
 def _stretch(
     cycle: Cycle, starts: Array, before: IntArray, aligned: IntArray, every: IntArray, *, checkpoints: int, number: int
 ) -> Stretched:

@@ -26,6 +26,7 @@ from .._foundation.fields import WithMethods
 from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar, Status
 from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
+from .._programs import kept_jit
 from .._systems.system import System
 from .._uncertainty.numbers import NumberPath, with_numbers
 from ._cases import Cycle, changes_by_itself, check_repeats, check_signals, drive_period, steps_in, without_turns
@@ -368,7 +369,7 @@ def periodic_orbit(
     return PeriodicOrbit(state, duration, matrix, converged, residuals, system, base, method, driven)
 
 
-@eqx.filter_jit
+@kept_jit(filtered=True)
 def _search(
     cycle: Cycle, guess: FloatArray, tolerance: FloatScalar, iterations: int, driven: bool
 ) -> tuple[FloatArray, FloatScalar, FloatArray, FloatArray, BoolScalar]:
@@ -575,7 +576,7 @@ class Equations:
         return half, None
 
 
-@eqx.filter_jit
+@kept_jit(filtered=True)
 def _evaluate(
     setting: SweepSetting, unknowns: FloatArray, plane: Plane | None, *, path: NumberPath, driven: bool,
     by_itself: bool, periods: int, drive: float | None, steps: int | None, capacity: int | None,

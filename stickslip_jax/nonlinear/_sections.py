@@ -18,6 +18,7 @@ from .._foundation.extras import Dataset, Entries
 from .._foundation.fields import Checked, Quantity
 from .._foundation.processes import require_memory
 from .._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
+from .._programs import kept_jit
 from .._systems.switched_model import SwitchedModel
 from .._systems.system import System
 from ._cases import CYCLE, Cases, Cycle, Over, cases_of, checked_numbers
@@ -350,7 +351,7 @@ def event_section(
     return cases.dataset(variables, {EVENT: (EVENT, numbers, {"long_name": "number of the event"})})
 
 
-@eqx.filter_jit
+@kept_jit(filtered=True)
 def _find(
     cycle: Cycle, starts: Array, transient: IntArray, most: IntArray, *, kept: int, of: ModeEvent | Crossing,
     contact: int, slots: int,

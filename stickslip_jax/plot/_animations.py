@@ -9,7 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias, cast
 
-import jax
 import matplotlib as mpl
 import numpy as np
 from matplotlib.animation import FFMpegWriter
@@ -26,6 +25,7 @@ from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.extras import progress_bar
 from .._foundation.files import file_for_user, file_to_write
+from .._programs import kept_jit
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
 from . import _style
 from ._style import Window, legend_above
@@ -171,7 +171,7 @@ def velocity_at(one: Simulation, times: np.ndarray) -> np.ndarray:
     return np.asarray(_velocity(one, padded(one, times)), float)[: len(times)]
 
 
-_velocity = jax.jit(Simulation.base_velocity)
+_velocity = kept_jit(Simulation.base_velocity)
 
 
 # The parts of a mechanism as artists of matplotlib that move from frame to frame.

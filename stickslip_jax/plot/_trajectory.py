@@ -17,6 +17,7 @@ from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.types import Ending, Status
+from .._programs import kept_jit
 from . import _style
 from ._style import SeveralAxes, Window, legend_above
 
@@ -202,7 +203,7 @@ def padded(one: Simulation, times: np.ndarray) -> jax.Array:
     return jnp.asarray(np.concatenate([times, np.full(buffer - len(times), times[-1])]), one.sticks.start.dtype)
 
 
-@jax.jit
+@kept_jit
 def _follow_base(one: Simulation, times: jax.Array, state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
     """The base velocity (m/s), and the ends of the stick band: NaN for a system without one."""
     velocity, acceleration = jax.jvp(one.base_velocity, (times,), (jnp.ones_like(times),))

@@ -20,6 +20,7 @@ from ..._excitation.motion import Signal
 from ..._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from ..._excitation.segments import Segment, marked
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
+from ..._programs import kept_jit
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..common.lanes import Engine, SampleTotals
@@ -412,7 +413,7 @@ class IntervalPath(MotionPath):
         return jnp.clip(jnp.searchsorted(self.beginnings.t, time, side="right") - 1, 0)
 
 
-@partial(jax.jit, static_argnames="dtype")
+@kept_jit(static_argnames="dtype")
 def follow_intervals(system: MassSpring, base: VelocitySteps, t1: Scalar, y0: tuple[Number, ...], dtype) -> Run:
     """One trajectory in closed form, interval by interval."""
     scales = scales_of(system, t1, dtype)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import cache, partial, reduce
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +24,7 @@ from ..._foundation.types import AnyArray, AnyInteger, BoolArray, DType, FloatAr
 from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, with_slopes
 from ..._numerics.elementary import random_words
 from ..._numerics.matrices import any_of
+from ..._programs import kept_jit
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..common.lanes import SampleTotals, with_leaves
@@ -733,7 +733,7 @@ def follow_regularized(
     return dataclasses.replace(method, max_steps=steps), run
 
 
-@eqx.filter_jit
+@kept_jit(filtered=True)
 def _follow(
     system: System,
     excitation: Excitation,

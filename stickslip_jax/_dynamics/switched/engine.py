@@ -3,7 +3,7 @@ trajectory.
 """
 
 import math
-from functools import partial, reduce
+from functools import reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +22,7 @@ from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar,
 from ..._numerics.derivatives import NotKnown, OwnDerivative, largest, smallest, with_slopes, without_derivatives
 from ..._numerics.matrices import any_of, largest_of, sum_of
 from ..._numerics.steps import look_ahead
+from ..._programs import kept_jit
 from ..._systems.switched_model import NOISE_ULPS, Question, Segments, State, SwitchedModel, chosen_state
 from ..._systems.system import System
 from ..common.lanes import SampleTotals
@@ -728,7 +729,7 @@ def follow_steps(system: System, base: Any, method: Exact, t1: Scalar, y0: tuple
     return run
 
 
-@partial(jax.jit, static_argnames=("steps", "dtype"))
+@kept_jit(static_argnames=("steps", "dtype"))
 def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> Run:
     engine = SwitchedEngine(system, excitation, t1, y0, step, steps, solver, quantities=ALL)
     return engine.run(*with_slopes(lambda engine: engine.follow(dtype), engine, most=_MOST_SLOPES))
