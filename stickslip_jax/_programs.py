@@ -442,7 +442,7 @@ class KeptJit(Generic[_Arguments, _Result]):
         return getattr(self.usual, name)  # trace, lower, eval_shape
 
     def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
-        if not jax_core.trace_state_clean() or any(jax.config.values[name] for name in _NOT_WITH):
+        if is_transforming() or any(jax.config.values[name] for name in _NOT_WITH):
             return self.usual(*args, **named)
         given = self.signature.bind(*args, **named).arguments
         static = {name: given[name] for name in given if name in self.static}
@@ -512,6 +512,11 @@ def kept_jit(function: Any = None, *, static_argnames: Any = (), filtered: bool 
         return functools.partial(kept_jit, static_argnames=static_argnames, filtered=filtered, **options)
     names = (static_argnames,) if isinstance(static_argnames, str) else static_argnames
     return KeptJit(function, frozenset(names), filtered, options)
+
+
+def is_transforming() -> bool:
+    """Whether JAX transforms or compiles the code that calls this: results are traced then, whatever the arguments."""
+    return not jax_core.trace_state_clean()
 
 
 @jax_util.cache(trace_context_in_key=False)

@@ -3,8 +3,10 @@
 import math
 import os
 import warnings
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -17,7 +19,7 @@ from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
-from .._programs import kept_jit
+from .._programs import is_transforming, kept_jit
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
@@ -51,6 +53,9 @@ if TYPE_CHECKING:
 
 Times: TypeAlias = Float[Array, " times"]
 
+T = TypeVar("T")
+
+_ROOMS = (16, *(1 << power for power in range(10, 17)))  # numbers of times that programs are made for; more: exactly
 _MOST_HALVES = 40  # of a step: it then resolves what dies out in 1e-12 of its length
 
 
@@ -142,7 +147,7 @@ def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatSca
 
 @kept_jit
 def _energies(
-    model: OneContactModel, beginnings: StepBeginnings, last: FloatScalar, times: Times, rule: _Rule
+    model: OneContactModel, beginnings: StepBeginnings, last: FloatScalar, rule: _Rule, times: Times
 ) -> Energies:
     def worked(begun: StepBeginnings, h: FloatScalar) -> Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
@@ -363,13 +368,11 @@ class Simulation(WithMethods):
             Position (m) and velocity (m/s), for a `MotorCart` angle (rad), angular velocity (rad/s) and current (A);
             NaN outside ``[0, time_reached]``.
         """
-        times = self._checked(times)
-        return _evaluate(self, times, len(self.final_state))
+        return self._at(partial(_evaluate, self, size=len(self.final_state)), self._checked(times))
 
     def base_velocity(self, times: AnyArray | float) -> FloatArray:
         """The base velocity at `times` (s, any shape), m/s; at a jump, the one after it. 0 for a `MotorCart`."""
-        times = self._checked(times)
-        return jax.vmap(self._path.base_velocity)(times.reshape(-1)).reshape(times.shape)
+        return self._at(partial(_base_velocities, self._path), self._checked(times))
 
     def maximum(self, coordinate: str | None = None) -> FloatArray:
         """The largest value of a coordinate over ``[0, time_reached]``, as exact as the simulation: not on a grid.
@@ -439,8 +442,7 @@ class Simulation(WithMethods):
             model = one_contact_model(self.system, self._path.smooth, None)
             known, _ = model.without_age(())
         require_energy_model(known, "friction_force")
-        found = _forces(model, self._path, self.method, self.sticks, self.time_reached, times.reshape(-1))
-        return found.reshape(times.shape)
+        return self._at(partial(_forces, model, self._path, self.method, self.sticks, self.time_reached), times)
 
     def energies(self, times: AnyArray | float) -> Energies:
         """Stored, supplied and dissipated energies at `times` (s, any shape), J: an `Energies`.
@@ -475,8 +477,7 @@ class Simulation(WithMethods):
         known.check_energy()
         lengths = jnp.append(path.beginnings.t[1:], last) - path.beginnings.t
         rule = _rule_for(known.fastest_decay, jnp.max(lengths))
-        found = _energies(model, path.beginnings, last, times.reshape(-1), rule)
-        return jax.tree.map(lambda values: values.reshape(times.shape), found)
+        return self._at(partial(_energies, model, path.beginnings, last, rule), times)
 
     def to_pandas(self) -> "pandas.DataFrame":
         """The sticks as a table of pandas, one row each; names of columns include the units.
@@ -572,6 +573,15 @@ class Simulation(WithMethods):
                 stacklevel=4,
             )
 
+    def _at(self, compute: Callable[[Array], T], times: Array) -> T:
+        """What `compute` gives at times (n,), at these `times` of any shape; few numbers of times are compiled."""
+        shape, size = times.shape, times.size
+        if is_transforming():
+            return jax.tree.map(lambda values: values.reshape(shape), compute(times.reshape(-1)))
+        room = next((room for room in _ROOMS if size <= room), size)
+        found = compute(jnp.asarray(np.resize(np.asarray(times), room)))
+        return jax.tree.map(lambda values: jnp.asarray(np.asarray(values)[:size].reshape(shape)), found)
+
     def _checked(self, times: AnyArray | float) -> Array:
         checks.numeric("times", times, ndim=None)
         self._require_one()
@@ -639,10 +649,14 @@ def _largest(one: Simulation, number: int, sign: Scalar) -> FloatArray:
 
 
 @kept_jit(static_argnames="size")
-def _evaluate(one: Simulation, times: FloatArray, size: int) -> tuple[FloatArray, ...]:
+def _evaluate(one: Simulation, times: FloatArray, *, size: int) -> tuple[FloatArray, ...]:
     def at(time):
         inside = (time >= 0) & (time <= one.time_reached)
         return tuple(jnp.where(inside, value, jnp.nan) for value in one._path.state(time))
 
-    states = jax.vmap(at)(times.reshape(-1))
-    return tuple(value.reshape(times.shape) for value in states[:size])
+    return jax.vmap(at)(times)[:size]
+
+
+@kept_jit
+def _base_velocities(path: MotionPath, times: FloatArray) -> FloatArray:
+    return jax.vmap(path.base_velocity)(times)

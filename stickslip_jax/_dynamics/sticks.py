@@ -17,6 +17,7 @@ from .._foundation.extras import Entries, flags, require, variable
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray
 from .._numerics import sums
+from .._programs import kept_jit
 from .._systems.system import Coordinate
 
 if TYPE_CHECKING:
@@ -283,6 +284,7 @@ def sticks_of(ordered: StickRecord) -> Sticks:
     return Sticks(**ordered.columns, ending=ordered.ending, mask=ordered.ending >= 0)
 
 
+@kept_jit
 def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips:
     """The slips of one trajectory or of many: before the first stick, between sticks, after the last.
 

@@ -243,7 +243,7 @@ class SegmentLaw(Checked, Motion):
     def key_data(self, key: Array | None) -> UInt32[Array, "2"]:
         """The two 32-bit words of `key`; zeros for a law without randomness. Raises ValueError for a missing key."""
         if not self.is_random:
-            return jnp.zeros(2, jnp.uint32)
+            return jnp.asarray(np.zeros(2, np.uint32))
         if key is None:
             raise no_key(self)
         return key_data_of(key)

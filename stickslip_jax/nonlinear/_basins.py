@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.stats import binomtest
@@ -284,7 +283,4 @@ def _curve(cases: Cases, state: np.ndarray, kept: int, tolerance: float) -> np.n
     t1, setting = kept * float(np.asarray(cases.cycle.duration)[0]), cases.setter.setting
     one = simulate(cases.system, setting.law, t1=t1, y0=tuple(map(float, state)), method=setting.method)
     times = np.unique(np.concatenate([np.linspace(0, t1, _SEEN), np.asarray(one.step_starts)]))
-    # Compiled, since a batch of instants is evaluated for each attractor.
-    columns = eqx.filter_jit(lambda one, times: one.evaluate(times))(one, np.resize(times, max(len(times), _SEEN)))
-    curve = np.stack([np.asarray(column)[: len(times)] for column in columns], axis=1)
-    return dense(curve, tolerance)
+    return dense(np.stack([np.asarray(column) for column in one.evaluate(times)], axis=1), tolerance)

@@ -25,11 +25,10 @@ from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.extras import progress_bar
 from .._foundation.files import file_for_user, file_to_write
-from .._programs import kept_jit
 from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
 from . import _style
 from ._style import Window, legend_above
-from ._trajectory import Stuck, check_simulation, check_window, lasts_at, line_times, padded, phases_in, sticks_in
+from ._trajectory import Stuck, check_simulation, check_window, lasts_at, line_times, phases_in, sticks_in
 
 # Films of frames that a function draws into a figure: as GIF by Pillow, as MP4 by ffmpeg.
 
@@ -156,22 +155,14 @@ def base_displacement(one: Simulation, times: np.ndarray) -> np.ndarray:
     knots = np.unique(np.concatenate([times, steps[(steps > times[0]) & (steps < times[-1])]])).astype(float)
     half, middle = np.diff(knots) / 2, (knots[1:] + knots[:-1]) / 2
     nodes = middle[:, None] + half[:, None] * _NODES
-    velocities = velocity_at(one, nodes.ravel()).reshape(nodes.shape)
+    velocities = np.asarray(one.base_velocity(nodes), float)
     run = np.concatenate([[0.0], np.cumsum(half * (velocities @ _WEIGHTS))])
     return run[np.searchsorted(knots, times.astype(float))]
 
 
 def state_at(one: Simulation, times: np.ndarray) -> tuple[np.ndarray, ...]:
     """The state at `times` (s), (times,) each, in double precision whatever that of the simulation."""
-    return tuple(np.asarray(values, float)[: len(times)] for values in one.evaluate(padded(one, times)))
-
-
-def velocity_at(one: Simulation, times: np.ndarray) -> np.ndarray:
-    """The base velocity at `times` (s), likewise."""
-    return np.asarray(_velocity(one, padded(one, times)), float)[: len(times)]
-
-
-_velocity = kept_jit(Simulation.base_velocity)
+    return tuple(np.asarray(values, float) for values in one.evaluate(times))
 
 
 # The parts of a mechanism as artists of matplotlib that move from frame to frame.

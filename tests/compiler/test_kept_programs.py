@@ -1,5 +1,6 @@
 """Programs that are kept from process to process: a wrong one is never run, and what is wrong with a file costs time alone."""
 
+import contextlib
 import functools
 import os
 import signal
@@ -368,7 +369,9 @@ def test_a_folder_of_somebody_else_is_refused(folder, compiled, monkeypatch):
 @pytest.mark.parametrize("name", ["off", "OFF", "a file", "\0"])
 def test_without_a_folder_nothing_is_kept(name, tmp_path, monkeypatch, compiled):
     (tmp_path / "a file").touch()
-    monkeypatch.setattr(os, "environ", {**os.environ, kept.VARIABLE: str(tmp_path / name) if name == "a file" else name})
+    monkeypatch.setattr(
+        os, "environ", {**os.environ, kept.VARIABLE: str(tmp_path / name) if name == "a file" else name}
+    )
     assert float(kept_jit(lambda x: 2 * x)(1.0)) == 2.0
     assert not compiled
 
@@ -466,14 +469,11 @@ kept.kept_jit(lambda x: 2 * x)(1.0)
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_kill_while_writing_leaves_no_entry(folder):
-    environment = {**os.environ, kept.VARIABLE: str(folder)}
-    one = subprocess.Popen(
-        [sys.executable, "-c", WRITING], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
-    )
-    assert one.stdout is not None
-    assert one.stdout.readline() == b"written\n"
-    one.send_signal(signal.SIGKILL)
-    one.wait()
+    environment, piped = {**os.environ, kept.VARIABLE: str(folder)}, subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", WRITING], stdin=piped, stdout=piped, env=environment) as one:
+        assert one.stdout is not None
+        assert one.stdout.readline() == b"written\n"
+        one.send_signal(signal.SIGKILL)
     assert len(list(folder.iterdir())) == 1
     assert not entries(folder)
 
@@ -482,7 +482,7 @@ STARTS = """
 import sys
 import jax.numpy as jnp
 from stickslip_jax import _programs as kept
-for number in range(int(sys.argv[1]) if len(sys.argv) > 1 else 125):
+for number in range(int(sys.argv[1])):
     power = number % 7
     def raised(x, *, power):
         return jnp.sum(x**power)
@@ -491,23 +491,22 @@ for number in range(int(sys.argv[1]) if len(sys.argv) > 1 else 125):
 """
 
 
-def test_a_thousand_starts_of_eight_processes(folder, tmp_path):
-    """Each start of the same program asks the folder anew; bits of entries flip meanwhile, and entries go."""
-    started = [
-        subprocess.Popen([sys.executable, "-c", STARTS], env={**os.environ, kept.VARIABLE: str(folder)})
-        for _ in range(8)
-    ]
+@pytest.mark.parametrize(
+    ("processes", "starts"), [(2, 20), pytest.param(8, 125, marks=pytest.mark.slow)], ids=["forty", "a thousand"]
+)
+def test_starts_of_many_processes_at_once(folder, processes, starts):
+    """Each start of a program asks the folder anew; bits of entries flip meanwhile, and entries go."""
+    environment = {**os.environ, kept.VARIABLE: str(folder)}
+    started = [subprocess.Popen([sys.executable, "-c", STARTS, str(starts)], env=environment) for _ in range(processes)]
     rng = np.random.default_rng(0)
     while any(one.poll() is None for one in started):
         time.sleep(0.05)
         for path in entries(folder):
-            try:
+            with contextlib.suppress(OSError):
                 data = bytearray(path.read_bytes())
                 if data and rng.random() < 0.3:
                     data[rng.integers(len(data))] ^= 1 << rng.integers(8)
                     path.write_bytes(data)
                 elif rng.random() < 0.1:
                     path.unlink()
-            except OSError:
-                pass
-    assert [one.returncode for one in started] == [0] * 8
+    assert [one.returncode for one in started] == [0] * processes
