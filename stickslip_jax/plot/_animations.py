@@ -540,7 +540,7 @@ def _draw_history(
     look = one.system.look
     lines = [(ax.plot([], [], label=None if stuck is None else look.body_name, **_style.MASS_LINE)[0], values)]
     if look.second_is_base_velocity and number == 1:
-        lines.append((ax.plot([], [], **_style.BASE_LINE)[0], velocity_at(one, times)))
+        lines.append((ax.plot([], [], **_style.BASE_LINE)[0], np.asarray(one.base_velocity(times), float)))
     if stuck is not None:
         # Both ends belong to the line.
         lasts = lasts_at(stuck, times) | np.isin(times, stuck[1])

@@ -1,4 +1,4 @@
-"""Programs that are kept from process to process: a wrong one is never run, and what is wrong with a file costs time alone."""
+"""Programs kept from process to process: a wrong one is never run, and what is wrong with a file costs time alone."""
 
 import contextlib
 import functools
@@ -123,7 +123,8 @@ PAIRS = [
     (1, 1.0), (1, True), (0.0, -0.0), ("1", 1), (b"1", "1"), ((1, 2), [1, 2]), ((1, (2, 3)), (1, 2, 3)),
     (("ab", "c"), ("a", "bc")), ({1: 2}, {2: 1}), ({1, 2}, {1, 3}), (np.float32(1), np.float64(1)),
     (np.ones(2), np.ones((1, 2))), (np.ones(2), jnp.ones(2)), (jax.random.key(0), jax.random.key(1)),
-    (None, ()), (ss.Coulomb, ss.Stribeck), (jnp.sin, jnp.cos), (np.sin, jnp.sin), (ss.Ending.HORIZON, ss.Ending.RELEASED),
+    (None, ()), (ss.Coulomb, ss.Stribeck), (jnp.sin, jnp.cos), (np.sin, jnp.sin),
+    (ss.Ending.HORIZON, ss.Ending.RELEASED),
     (functools.partial(jnp.add, 1), functools.partial(jnp.add, 2)), (1e300, float("inf")), (slice(1), slice(2)),
 ]  # fmt: skip
 
