@@ -2,6 +2,7 @@
 
 import gc
 import itertools
+import os
 import pkgutil
 import signal
 import sys
@@ -31,13 +32,14 @@ if "stickslip_jax" in sys.modules:
     raise RuntimeError("stickslip_jax was imported before tests/conftest.py could switch its annotation checks on")
 # `_compiler` goes through every operation of every program in small functions: checking them took a fifth of the time.
 _folders = find_spec("stickslip_jax").submodule_search_locations
-_parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name != "_compiler"]
+_parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name not in ("_compiler", "_programs")]
 jaxtyping.install_import_hook([f"stickslip_jax.{part}" for part in _parts], "beartype.beartype")
 
-# The package's first import, annotations checked. Processes of pytest-xdist share what one of them has compiled.
-_compilation_cache = import_module("stickslip_jax._foundation.compilation_cache")
-if problem := _compilation_cache.use():
-    sys.stderr.write(f"{problem}\n")
+# The package's first import, annotations checked. Processes of pytest-xdist share what one of them has compiled: what the
+# package keeps by itself, and what tests compile themselves.
+_programs = import_module("stickslip_jax._programs")
+_compilation_cache = import_module("support.compilation_cache")
+_compilation_cache.use(_compilation_cache.FOLDER)
 
 # Comparisons in the shared helpers explain themselves as those in the test files do.
 pytest.register_assert_rewrite("support")
@@ -54,6 +56,18 @@ def annotations_unchecked():
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(autouse=True)
+def _programs_of_changed_code_are_not_kept(request):
+    """A test that changes the package in place must not leave its programs to others, nor get theirs."""
+    chosen = os.environ.get(_programs.VARIABLE)
+    if "monkeypatch" in request.fixturenames:
+        os.environ[_programs.VARIABLE] = "off"
+    yield
+    os.environ.pop(_programs.VARIABLE, None)
+    if chosen is not None:
+        os.environ[_programs.VARIABLE] = chosen
 
 
 _tests = itertools.count()

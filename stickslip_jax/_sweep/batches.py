@@ -35,7 +35,7 @@ from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, SweepError,
 from .._ensemble.ensemble import Ensemble, simulate_batch
 from .._ensemble.points import Points, Setter, SweepSetting, check_points, setter_of
 from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup, fields_of_outputs, runner_for
-from .._foundation import checks, compilation_cache
+from .._foundation import checks
 from .._foundation.files import unpacked_arrays
 from .._foundation.processes import require_memory
 from .._foundation.types import Status
@@ -477,15 +477,11 @@ class Performer:
 
 
 class Sent(NamedTuple):
-    """A plan that is sent to other processes, and what these must have in common with this one.
-
-    `caches`: whether compilations are kept here, as they then are there.
-    """
+    """A plan that is sent to other processes, and what these must have in common with this one."""
 
     plan: bytes
     double: bool
     versions: tuple[tuple[str, str], ...]
-    caches: bool
 
 
 def sent(plan: Plan) -> Sent:
@@ -499,8 +495,7 @@ def sent(plan: Plan) -> Sent:
             "Arguments system and law must be objects that can be sent to other processes, but pickling them failed "
             f"({error}); define their classes in a module, or install cloudpickle."
         ) from error
-    caches = bool(getattr(jax.config, "jax_compilation_cache_dir", None))
-    return Sent(data, plan.dtype == "float64", tuple(sorted(versions().items())), caches)
+    return Sent(data, plan.dtype == "float64", tuple(sorted(versions().items())))
 
 
 def perform_sent(plan: Sent, task: Task) -> Outcome:
@@ -525,8 +520,6 @@ _reading = threading.Lock()
 
 @functools.lru_cache(maxsize=4)  # sweeps that run at once on one worker do not throw out each other
 def _performer(plan: Sent) -> Performer:
-    if plan.caches:
-        compilation_cache.use()
     here = versions()
     differing = [(name, version) for name, version in plan.versions if here.get(name) != version]
     other = [f"{name} {here.get(name)} instead of {version}" for name, version in differing]

@@ -316,8 +316,8 @@ class DaskCluster(Executor):
 # --- in the workers
 
 
-def _assembled(parts: list[bytes], double: bool, versions: tuple[tuple[str, str], ...], caches: bool) -> Sent:
-    return Sent(b"".join(parts), double, versions, caches)
+def _assembled(parts: list[bytes], double: bool, versions: tuple[tuple[str, str], ...]) -> Sent:
+    return Sent(b"".join(parts), double, versions)
 
 
 def _perform(plan: Sent, task: tuple, path: str = "", sweep_id: bytes = b"") -> Outcome | int:

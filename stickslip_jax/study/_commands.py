@@ -14,7 +14,6 @@ import jax
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from .. import __version__
-from .._foundation import compilation_cache
 from .._foundation.extras import require_explorer
 from .._foundation.files import file_to_write
 from . import StudyError, _reading
@@ -52,11 +51,8 @@ def run(tokens: Sequence[str]) -> None:
 
 
 def prepare_jax(dtype: str) -> None:
-    """Set the precision, "float64" or "float32", before JAX starts, and switch the compilation cache on."""
+    """Set the precision, "float64" or "float32", before JAX starts."""
     jax.config.update("jax_enable_x64", dtype == "float64")
-    problem = compilation_cache.use()
-    if problem:
-        print("stickslip:", problem, file=sys.stderr)
 
 
 @contextmanager

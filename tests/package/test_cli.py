@@ -16,7 +16,6 @@ from support.study import BAD_CONFIGS, SMALL, config_file
 
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
-from stickslip_jax._foundation.compilation_cache import VARIABLE
 from stickslip_jax.study._reading import EXAMPLES, Example, read_config
 from stickslip_jax.study._run import CONFIG, DATA, STATISTICS, SUMMARY
 
@@ -280,7 +279,7 @@ def test_interrupted_process_leaves_nothing(tmp_path, number, code, seconds):
     endless = '[run]\nsamples = 2_000_000_000\nkeep = "statistics"\n[output]\ndirectory = "result"\n'
     arguments = ["study", str(config_file(tmp_path, endless))]
     process = subprocess.Popen(
-        [*COMMAND, *arguments], env=os.environ | {VARIABLE: "off"},  # a message of its own where there is no home
+        [*COMMAND, *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

@@ -18,9 +18,6 @@ MEMORY = 24 * 2**30  # bytes of addresses: what takes more was not refused in ti
 
 def main(group: str, number: int, seed: int) -> None:
     jax.config.update("jax_enable_x64", True)
-    from stickslip_jax._foundation import compilation_cache as _compilation_cache  # noqa: PLC0415 - after the precision is set
-
-    _compilation_cache.use()
     jax.devices()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     draw, obscure, cases = np.random.default_rng(seed), [], 0

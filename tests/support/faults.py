@@ -125,10 +125,7 @@ def started(what: str, folder: Path) -> subprocess.Popen[str]:
 
 
 def _main(what: str, folder: Path) -> None:
-    from stickslip_jax._foundation import compilation_cache as _compilation_cache  # noqa: PLC0415
-
     jax.config.update("jax_enable_x64", True)
-    _compilation_cache.use()
     if what == "long":
         run(long_sweep(), folder)
         return

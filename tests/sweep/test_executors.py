@@ -78,8 +78,6 @@ def test_two_processes_give_the_same_bits(undisturbed, tmp_path):
     program = script(f"""
         print("begun")
         from support.sweep import small_sweep
-        from stickslip_jax._foundation import compilation_cache
-        compilation_cache.use()
         small_sweep().run({str(tmp_path)!r}, workers=2)
         """)
     done = subprocess.run(
@@ -97,8 +95,6 @@ TWO_DEVICES = """
     import numpy as np
     from support.sweep import small_sweep
     from stickslip_jax._sweep import batches
-    from stickslip_jax._foundation import compilation_cache
-    compilation_cache.use()
     used, perform = [], batches.perform
 
     def noted(plan, task):
@@ -217,8 +213,6 @@ def test_threads_that_collect_warnings_give_back_the_filters():
 RUN = """
     import sys
     from support.sweep import small_sweep
-    from stickslip_jax._foundation import compilation_cache
-    compilation_cache.use()
     try:
         small_sweep(samples=40_000).run(sys.argv[1], workers=2)
     except KeyboardInterrupt as stopped:

@@ -146,11 +146,9 @@ import sys
 import jax
 jax.config.update("jax_enable_x64", True)
 from stickslip_jax import SweepError
-from stickslip_jax._foundation import compilation_cache
 from stickslip_jax._sweep import batches
 from sweep.test_memory import hungry_process
 from support.faults import sweep_of
-compilation_cache.use()
 batches.perform_in_process = hungry_process
 try:
     sweep_of().run(sys.argv[1], workers=2, progress=False)

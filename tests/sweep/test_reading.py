@@ -136,9 +136,7 @@ RUN = """
 import sys
 import jax
 jax.config.update("jax_enable_x64", True)
-from stickslip_jax._foundation import compilation_cache
 from sweep.test_reading import busy_sweep
-compilation_cache.use()
 busy_sweep().run(sys.argv[1], threads=2, progress=False)
 """
 
