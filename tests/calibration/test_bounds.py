@@ -143,7 +143,7 @@ def test_errors_that_end_where_the_motion_changes(beyond, high):
             return FoundFit(self, free, sigma, start, self.seen(start), True)
 
     model: Any = SimpleNamespace(transform=identity(1, np.dtype(float)))
-    problem = Bent(model, cast(Any, None))
+    problem = Bent(model, cast(Any, None), cast(Any, None))
     at, sigma, free = SearchPoint(np.zeros(1), np.zeros((1, 0))), np.ones(1), Free(np.ones(1, bool), False)
     fit = FoundFit(problem, free, sigma, at, problem.seen(at), True)
     told = information_of(fit.seen, 1)
@@ -174,7 +174,7 @@ def test_errors_are_those_of_the_number_not_of_its_logarithm(straight_in, ends):
 
     one, none = np.ones(1), np.zeros(1)
     transform = Transform(one, none, one * np.inf, none, one, np.zeros((1, 1)))
-    problem = Straight(cast(Any, SimpleNamespace(transform=transform)), cast(Any, None))
+    problem = Straight(cast(Any, SimpleNamespace(transform=transform)), cast(Any, None), cast(Any, None))
     at, free = SearchPoint(none, np.zeros((1, 0))), Free(np.ones(1, bool), False)
     fit = FoundFit(problem, free, one, at, problem.seen(at), True)
     found, _ = all_bounds(fit, information_of(fit.seen, 1), np.inf)

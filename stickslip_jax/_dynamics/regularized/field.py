@@ -320,6 +320,12 @@ class AnyField(eqx.Module):
         """How far each contact can slip while bristles only bend."""
         return jnp.zeros_like(velocity)
 
+    def velocity_and_slope(
+        self, forcing: Any, tau: FloatArray, y: State, rates: State
+    ) -> tuple[FloatArray, FloatArray]:
+        """The relative velocity, m/s, and its time derivative where the state changes with `rates`."""
+        return _with_slope(self.model.relative_velocity, forcing, tau, y, rates)
+
     def seen(
         self, forcing: Any, t: FloatArray, h: FloatArray, before: State, after: State
     ) -> tuple[SeenStep, State, State]:
@@ -327,7 +333,7 @@ class AnyField(eqx.Module):
 
         def at(tau: FloatArray, y: State) -> tuple[Any, ...]:
             rates = self.rates(forcing, tau, y)
-            velocity = _with_slope(self.model.relative_velocity, forcing, tau, y, rates)
+            velocity = self.velocity_and_slope(forcing, tau, y, rates)
             position = jax.jvp(self.model.stick_position, (y,), (rates,))
             normal = ()
             if self.model.varying:
@@ -493,6 +499,13 @@ class Field(SteppedField):
     def need(self, forcing: Any, tau: FloatArray, y: State, velocity: FloatArray) -> FloatArray:
         free, held = self._accelerations(forcing, tau, y)
         return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
+
+    def velocity_and_slope(
+        self, forcing: Any, tau: FloatArray, y: State, rates: State
+    ) -> tuple[FloatArray, FloatArray]:
+        # By the acceleration that the motion of the base states, which decides in exact dynamics too.
+        velocity = self.model.relative_velocity(forcing, tau, y)
+        return velocity, self.model.relative_acceleration(forcing, tau, y, rates)
 
     @property
     def may_be_short(self) -> bool:
