@@ -36,13 +36,13 @@ _parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name not 
 jaxtyping.install_import_hook([f"stickslip_jax.{part}" for part in _parts], "beartype.beartype")
 
 # The package's first import, annotations checked. Processes of pytest-xdist share what one of them has compiled: what the
-# package keeps by itself, and what tests compile themselves.
+# package keeps by itself, and below what tests compile themselves.
 _programs = import_module("stickslip_jax._programs")
-_compilation_cache = import_module("support.compilation_cache")
-_compilation_cache.use(_compilation_cache.FOLDER)
 
 # Comparisons in the shared helpers explain themselves as those in the test files do.
 pytest.register_assert_rewrite("support")
+_compilation_cache = import_module("support.compilation_cache")
+_compilation_cache.use(_compilation_cache.FOLDER)
 
 settings.register_profile(
     "repeatable", deadline=None, derandomize=True, max_examples=100, suppress_health_check=[HealthCheck.too_slow]
