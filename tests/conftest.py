@@ -32,12 +32,12 @@ if "stickslip_jax" in sys.modules:
     raise RuntimeError("stickslip_jax was imported before tests/conftest.py could switch its annotation checks on")
 # `_compiler` goes through every operation of every program in small functions: checking them took a fifth of the time.
 _folders = find_spec("stickslip_jax").submodule_search_locations
-_parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name not in ("_compiler", "_programs")]
+_parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name != "_compiler"]
 jaxtyping.install_import_hook([f"stickslip_jax.{part}" for part in _parts], "beartype.beartype")
 
 # The package's first import, annotations checked. Processes of pytest-xdist share what one of them has compiled: what the
 # package keeps by itself, and below what tests compile themselves.
-_programs = import_module("stickslip_jax._programs")
+_programs = import_module("stickslip_jax._compiler.programs")
 
 # Comparisons in the shared helpers explain themselves as those in the test files do.
 pytest.register_assert_rewrite("support")

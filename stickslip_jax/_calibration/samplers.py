@@ -15,6 +15,7 @@ import numpy.typing as npt
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._dynamics.common.method import EXACT, Exact, Regularized, check_method, working_dtype
 from .._ensemble.ensemble import Ensemble, simulate_ensemble
 from .._ensemble.setup import MOST_SAMPLES
@@ -23,7 +24,6 @@ from .._foundation import checks
 from .._foundation.fields import Quantity
 from .._foundation.types import FloatArray, InitialState, Status
 from .._numerics.derivatives import as_arrays
-from .._programs import kept_jit
 from .._systems.system import System
 from .._uncertainty.design import table
 from .._uncertainty.numbers import matching, numbers_in, parameters_of, quantity_at

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array
 from scipy import optimize, sparse, stats
 
+from .._compiler.programs import kept_jit
 from .._dynamics.common.method import Arguments, Exact, Regularized
 from .._dynamics.common.path import SegmentLaws, padded_length
 from .._dynamics.simulate import simulate
@@ -20,7 +21,6 @@ from .._excitation.segments import first_segment, segment_at
 from .._foundation.fields import Quantity, modules_in
 from .._foundation.types import BoolArray, FloatArray, Scalar
 from .._numerics.derivatives import as_arrays
-from .._programs import kept_jit
 from .._systems.friction import FrictionLaw
 from .._systems.system import System
 from .._uncertainty.numbers import NumberPath, Parameter, with_numbers

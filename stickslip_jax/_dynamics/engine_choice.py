@@ -9,12 +9,12 @@ from typing import Any, NamedTuple, cast
 import jax
 import numpy as np
 
-from .._compiler import COMPILED_QUICKLY, WIDE_VECTORS, CompiledNatively
+from .._compiler.native import COMPILED_QUICKLY, WIDE_VECTORS, CompiledNatively
+from .._compiler.programs import kept_jit
 from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation.types import AnyArray, DType, Number, Scalar
 from .._numerics.derivatives import largest
-from .._programs import kept_jit
 from .._systems.mass_spring import MassSpring
 from .._systems.system import System, is_built_in
 from .._uncertainty.inputs import Inputs

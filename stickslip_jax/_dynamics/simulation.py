@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._compiler.programs import is_compiling, kept_jit
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
-from .._programs import is_transforming, kept_jit
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
@@ -576,7 +576,7 @@ class Simulation(WithMethods):
     def _at(self, compute: Callable[[Array], T], times: Array) -> T:
         """What `compute` gives at times (n,), at these `times` of any shape; few numbers of times are compiled."""
         shape, size = times.shape, times.size
-        if is_transforming():
+        if is_compiling() or checks.holds_traced(self, times):
             return jax.tree.map(lambda values: values.reshape(shape), compute(times.reshape(-1)))
         room = next((room for room in _ROOMS if size <= room), size)
         found = compute(jnp.asarray(np.resize(np.asarray(times), room)))

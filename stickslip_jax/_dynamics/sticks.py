@@ -13,11 +13,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Bool, Float, Int, Real
 
+from .._compiler.programs import kept_jit
 from .._foundation.extras import Entries, flags, require, variable
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray
 from .._numerics import sums
-from .._programs import kept_jit
 from .._systems.system import Coordinate
 
 if TYPE_CHECKING:

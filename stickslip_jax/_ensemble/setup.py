@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from .._compiler import Layout, packed
+from .._compiler.native import Layout, packed
 from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
 from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines, solve_chunk

@@ -15,11 +15,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .._compiler.programs import kept_jit
 from .._foundation import checks
 from .._foundation.fields import Checked, Module, Quantity, is_of_package
 from .._foundation.types import AnyArray, FloatArray, KeyData, Number, Scalar
 from .._numerics.elementary import key_data_of, random_words, sincos, uniform
-from .._programs import kept_jit
 
 # The base class of all that drives a system: laws, signals and realisations.
 

@@ -14,12 +14,12 @@ from jax.errors import ConcretizationTypeError
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, PyTree, UInt32
 
+from .._compiler.programs import kept_jit
 from .._foundation import checks
 from .._foundation.fields import Checked
 from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, IntArray, KeyData, Scalar, Word
 from .._numerics.derivatives import NotKnown
 from .._numerics.elementary import key_data_of, random_words, uniform
-from .._programs import kept_jit
 from .motion import Motion
 
 # Intervals that a user's law gives: impossible ones are marked, equal neighbours joined.

@@ -15,7 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from .._compiler import flattened, native_loop, of_moving, sharing
+from .._compiler.native import flattened, native_loop, of_moving, sharing
 from .._foundation import checks
 from .._foundation.types import DType, FloatArray, PyTreeDef
 

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from .._compiler import computed_once
+from .._compiler.native import computed_once
 from .._foundation.checks import show
 from .._foundation.types import BoolArray, FloatArray, KeyData
 

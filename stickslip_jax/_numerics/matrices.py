@@ -11,9 +11,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._foundation import checks
 from .._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray
-from .._programs import kept_jit
 from .derivatives import without_derivatives
 
 # Products of small matrices, solutions of their linear equations and what of their eigenvalues is needed: in lanes.

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import PyTree
 
-from .._compiler import sharing
+from .._compiler.native import sharing
 from .._dynamics.common.path import StepsShared, following_segments
 from .._dynamics.interval.arcs import MassState, Scales, carry_across, cross_interval, excess_of, start_motion, touch
 from .._dynamics.interval.engine import IntervalEngine

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._compiler import WIDE_VECTORS, CompiledNatively
+from .._compiler.native import WIDE_VECTORS, CompiledNatively
+from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import Engine, Job, SampleTotals, summarize, with_leaves
 from .._dynamics.engine_choice import compiled_for
 from .._dynamics.sticks import FlatSticks
@@ -22,7 +23,6 @@ from .._ensemble.ensemble import simulate_batch
 from .._ensemble.setup import EnsembleSetup, OutputRunner
 from .._foundation.types import AnyArray, DType, IntArray, Status
 from .._numerics.sums import Moments
-from .._programs import kept_jit
 from .._statistics.quantities import Numbering
 from .._systems.system import is_built_in
 from .._uncertainty.inputs import StochasticModel

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import BLOCK, Engine, Job, with_leaves
 from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, check_method, state_of
 from .._dynamics.engine_choice import engine_for, engines_of_all, sample_engines
@@ -25,7 +26,6 @@ from .._foundation import checks
 from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
-from .._programs import kept_jit
 from .._systems.system import System, require_system
 from .._uncertainty.inputs import Input, Inputs, StochasticModel
 from .._uncertainty.numbers import NumberPath, Parameter, leaves_of_numbers, number_at, parameters_of

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array, Float, PyTree
 
+from .._compiler.programs import kept_jit
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity, varies_within
 from .._foundation.types import AnyArray, BoolArray, FloatArray, Number, Scalar
-from .._programs import kept_jit
 from .prescribed import force_of_law
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from jax import lax
 from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._excitation.motion import SEEN_IN_STEPS, Signal
 from .._excitation.recorded import Recorded
 from .._foundation import checks
@@ -19,7 +20,6 @@ from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import require_single
 from .._foundation.types import DType, FloatArray, FloatScalar, Number, Scalar
 from .._numerics.derivatives import NotKnown, largest, primal_of, smallest, without_derivatives
-from .._programs import kept_jit
 
 # Friction with an inner state behind a spring with free play, as one law of the motion of the spring's end.
 #

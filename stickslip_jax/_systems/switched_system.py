@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Signal
 from .._excitation.recorded import ForceSteps
@@ -29,7 +30,6 @@ from .._foundation.types import (
     Solver,
     State,
 )
-from .._programs import kept_jit
 from .dynamic_friction import DynamicFriction
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, with_ages
 from .structure import MOST_CONTACTS, is_singular

@@ -15,11 +15,11 @@ import numpy.typing as npt
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, PyTree
 
+from .._compiler.programs import kept_jit
 from .._foundation import checks
 from .._foundation.fields import Checked, Module, Quantity, described, is_distribution, varies
 from .._foundation.types import AnyArray, DType, FloatArray, Number
 from .._numerics.elementary import key_data_of, random_words, uniform
-from .._programs import kept_jit
 from .design import Design
 from .families import RandomNumber
 from .numbers import NumberPath, check_realizations, matching, number_at, numbers_in, shown, with_numbers

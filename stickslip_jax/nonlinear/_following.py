@@ -22,6 +22,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._dynamics.common.method import Exact
 from .._dynamics.simulate import code_of
 from .._dynamics.sticks import Sticks
@@ -33,7 +34,6 @@ from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
 from .._foundation.processes import cores, require_memory
 from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
-from .._programs import kept_jit
 from ._cases import MOST_PERIODS, Cases, Cycle, Followed, Turns, checked_numbers
 from ._orbits import periodic_orbit
 

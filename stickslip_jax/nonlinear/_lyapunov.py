@@ -11,13 +11,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._dynamics.common.method import EXACT, Exact
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
 from .._foundation.extras import Dataset, Entries, variable
 from .._foundation.types import BoolScalar, FloatArray, IntArray, Scalar, Status
 from .._numerics.matrices import orthogonal_factors
-from .._programs import kept_jit
 from .._systems.system import System
 from ._cases import CYCLE, START, Cycle, Over, cases_of, checked_numbers
 from ._following import RECURS, UNSETTLED, Folder, in_blocks, kept_in, recurrence, warn_of_unfinished

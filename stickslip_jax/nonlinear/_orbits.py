@@ -14,6 +14,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._dynamics.common.method import EXACT, Arguments, Exact, slowest_time, state_of, working_dtype
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
@@ -26,7 +27,6 @@ from .._foundation.fields import WithMethods
 from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar, Status
 from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
-from .._programs import kept_jit
 from .._systems.system import System
 from .._uncertainty.numbers import NumberPath, with_numbers
 from ._cases import Cycle, changes_by_itself, check_repeats, check_signals, drive_period, steps_in, without_turns

@@ -9,6 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._dynamics.common.method import EXACT, Exact
 from .._dynamics.common.path import Run
 from .._dynamics.switched.engine import StepBeginnings, StepPath, state_in_step
@@ -18,7 +19,6 @@ from .._foundation.extras import Dataset, Entries
 from .._foundation.fields import Checked, Quantity
 from .._foundation.processes import require_memory
 from .._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
-from .._programs import kept_jit
 from .._systems.switched_model import SwitchedModel
 from .._systems.system import System
 from ._cases import CYCLE, Cases, Cycle, Over, cases_of, checked_numbers

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
+from .._compiler.programs import kept_jit
 from .._dynamics.simulation import Simulation
 from .._excitation.motion import SourceVoltage
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.types import Ending, Status
-from .._programs import kept_jit
 from . import _style
 from ._style import SeveralAxes, Window, legend_above
 

@@ -19,8 +19,8 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 import stickslip_jax as ss
-from stickslip_jax import _programs as kept
-from stickslip_jax._programs import Unidentified, identity, kept_jit
+from stickslip_jax._compiler import programs as kept
+from stickslip_jax._compiler.programs import Unidentified, identity, kept_jit
 
 OSCILLATOR = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=0.5))
 
@@ -291,7 +291,7 @@ def test_under_transformations_it_is_jit(folder, compiled):
     with jax.disable_jit():
         one(x)
     with jax.debug_nans(True), pytest.raises(FloatingPointError):
-        kept_jit(lambda x: jnp.log(x))(jnp.asarray(-1.0))
+        kept_jit(jnp.log)(jnp.asarray(-1.0))
     assert not compiled
 
 
@@ -412,7 +412,7 @@ import jax
 import numpy as np
 jax.config.update("jax_enable_x64", True)
 import stickslip_jax as ss
-from stickslip_jax import _programs as kept
+from stickslip_jax._compiler import programs as kept
 compiled, write = [], kept._write
 kept._write = lambda path, *rest: compiled.append(path.name) or write(path, *rest)
 system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=0.5))
@@ -458,7 +458,7 @@ def test_what_jax_has_from_its_own_cache_is_not_kept(folder, tmp_path):
 
 WRITING = """
 import os, sys
-from stickslip_jax import _programs as kept
+from stickslip_jax._compiler import programs as kept
 replace = os.replace
 def waiting(*args):
     print("written", flush=True)
@@ -482,7 +482,7 @@ def test_a_kill_while_writing_leaves_no_entry(folder):
 STARTS = """
 import sys
 import jax.numpy as jnp
-from stickslip_jax import _programs as kept
+from stickslip_jax._compiler import programs as kept
 for number in range(int(sys.argv[1])):
     power = number % 7
     def raised(x, *, power):

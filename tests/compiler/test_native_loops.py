@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from stickslip_jax import _compiler
-from stickslip_jax._compiler import CompiledNatively, compilable, computed_once, native_loop, native_loops_work
+from stickslip_jax._compiler.native import CompiledNatively, compilable, computed_once, native_loop, native_loops_work
 
 X = np.linspace(0.1, 0.9, 8)
 LARGE = 1 << 12  # loops over less become native without being asked to
@@ -69,7 +68,7 @@ def test_what_is_computed_once_is_the_same(transform):
 
 def test_called_outside_of_jit_a_native_loop_is_compiled_once():
     loop = native_loop(doubling)
-    caches = (_compiler._compiled, _compiler._with_tangents, _compiler._batched)
+    caches = (native._compiled, native._with_tangents, native._batched)
     for transform in (lambda f: f, jax.vmap, along, lambda f: jax.vmap(along(f))):
         misses = []
         for _ in range(3):
@@ -130,7 +129,7 @@ def test_errors_of_the_function_itself_are_not_hidden():
 
 
 def test_without_native_loops_everything_still_works(monkeypatch):
-    monkeypatch.setattr(_compiler, "native_loops_work", lambda: False)
+    monkeypatch.setattr(native, "native_loops_work", lambda: False)
     np.testing.assert_allclose(native_loop(doubling)(X), doubling(X), rtol=1e-15)
     text = compiled_text(native_loop(doubling), np.ones(LARGE))
     assert "xla_cpu_small_call" not in text
@@ -140,7 +139,7 @@ def test_without_native_loops_everything_still_works(monkeypatch):
 DROPPING = """
 import jax, jax.numpy as jnp
 from jax import lax
-from stickslip_jax._compiler import native_loop
+from stickslip_jax._compiler.native import native_loop
 
 def loop(x, unread, kept, first):
     def step(carry):

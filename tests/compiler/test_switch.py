@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from stickslip_jax._compiler import VARIABLE
+from stickslip_jax._compiler.native import VARIABLE
 
 BEGIN = """
 import jax
@@ -51,7 +51,7 @@ import json
 import jax
 jax.config.update("jax_enable_x64", True)
 {numbers}
-from stickslip_jax._compiler import native_loops_work
+from stickslip_jax._compiler.native import native_loops_work
 print(json.dumps([native_loops_work(), found]))
 """
 

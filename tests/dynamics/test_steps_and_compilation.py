@@ -7,7 +7,7 @@ import pytest
 from jax.extend.core import jaxprs_in_params
 
 import stickslip_jax as ss
-from stickslip_jax._compiler import sharing
+from stickslip_jax._compiler.native import sharing
 from stickslip_jax._dynamics.common.path import CHECK_EVERY, padded_length, stopping_scan
 from stickslip_jax._numerics.derivatives import NotKnown, bounds_of
 from stickslip_jax._numerics.elementary import sincos

@@ -8,7 +8,7 @@ import sys
 import pytest
 from support.study import config_file
 
-from stickslip_jax._programs import VARIABLE
+from stickslip_jax._compiler.programs import VARIABLE
 from stickslip_jax.study._run import STATISTICS
 
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli", "study", "--json", "--force"]

@@ -10,7 +10,7 @@ import time
 import pytest
 
 import stickslip_jax
-from stickslip_jax._programs import VARIABLE
+from stickslip_jax._compiler.programs import VARIABLE
 
 SCRIPT = """
 import sys

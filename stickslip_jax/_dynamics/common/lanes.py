@@ -15,7 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ..._compiler import Layout, packed, unpacked
+from ..._compiler.native import Layout, packed, unpacked
 from ..._foundation import checks
 from ..._foundation.types import AnyArray, AnyInteger, BoolArray, IntArray
 from ..._numerics.elementary import stored_words

@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ..._compiler import computed_once
+from ..._compiler.native import computed_once
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Scalar, Status
 from ..._numerics.elementary import TAN_PI_8, angle_of, arc_tangent, folded, sincos, unfolded
 from ..._systems.mass_spring import MassSpring

@@ -15,12 +15,12 @@ from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
-from ..._compiler import computed_once, native_loop, native_loops_work
+from ..._compiler.native import computed_once, native_loop, native_loops_work
+from ..._compiler.programs import kept_jit
 from ..._excitation.motion import Signal
 from ..._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
 from ..._excitation.segments import Segment, marked
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
-from ..._programs import kept_jit
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Segments, State
 from ..common.lanes import Engine, SampleTotals

@@ -14,7 +14,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ..._compiler import sharing
+from ..._compiler.native import sharing
+from ..._compiler.programs import kept_jit
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState, SegmentTable
@@ -24,7 +25,6 @@ from ..._foundation.types import AnyArray, AnyInteger, BoolArray, DType, FloatAr
 from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, with_slopes
 from ..._numerics.elementary import random_words
 from ..._numerics.matrices import any_of
-from ..._programs import kept_jit
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..common.lanes import SampleTotals, with_leaves

@@ -14,7 +14,8 @@ from jax import lax
 from jax.errors import ConcretizationTypeError
 from jaxtyping import Array
 
-from ..._compiler import sharing
+from ..._compiler.native import sharing
+from ..._compiler.programs import kept_jit
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState, segment_at
@@ -22,7 +23,6 @@ from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar,
 from ..._numerics.derivatives import NotKnown, OwnDerivative, largest, smallest, with_slopes, without_derivatives
 from ..._numerics.matrices import any_of, largest_of, sum_of
 from ..._numerics.steps import look_ahead
-from ..._programs import kept_jit
 from ..._systems.switched_model import NOISE_ULPS, Question, Segments, State, SwitchedModel, chosen_state
 from ..._systems.system import System
 from ..common.lanes import SampleTotals

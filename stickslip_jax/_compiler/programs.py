@@ -12,6 +12,7 @@ import enum
 import functools
 import hashlib
 import inspect
+import operator
 import os
 import pickle
 import platform
@@ -30,10 +31,8 @@ from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, cast
 import equinox as eqx
 import jax
 import numpy as np
-from jax._src import config as jax_config
-from jax._src import core as jax_core
-from jax._src import util as jax_util
 from jax.experimental import serialize_executable
+from jax.extend.core import find_top_trace
 
 # What identifies a program without tracing it: a check sum of all that its tracing can read.
 #
@@ -373,7 +372,7 @@ def _this_machine() -> str:
     for name in sorted(PACKAGES):
         with contextlib.suppress(PackageNotFoundError):
             versions.append((name, version(name)))
-    source, root = hashlib.blake2b(digest_size=20), Path(__file__).parent
+    source, root = hashlib.blake2b(digest_size=20), Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
         source.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
     try:
@@ -390,8 +389,7 @@ def _options() -> str:
     """The options of JAX, those of this thread, and the variables of the environment that compilers read."""
     settings = sorted((k, repr(v)) for k, v in jax.config.values.items() if not any(word in k for word in _NO_MATTER))
     variables = sorted((k, v) for k, v in os.environ.items() if k.startswith(_VARIABLES) and k != VARIABLE)
-    context = [repr(one) for one in jax_config.trace_context()[:-1]]  # the last says which axes are mapped: none here
-    return repr((settings, variables, context))
+    return repr((settings, variables))
 
 
 # Programs and their folder.
@@ -436,13 +434,13 @@ class KeptJit(Generic[_Arguments, _Result]):
         )
         self.usual = compiled
         self.programs: dict[Hashable, _Program | None] = {}
-        self.lock, self.generation = threading.RLock(), _generation()
+        self.lock, self.generation = threading.RLock(), -1
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.usual, name)  # trace, lower, eval_shape
 
     def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
-        if is_transforming() or any(jax.config.values[name] for name in _NOT_WITH):
+        if is_compiling() or any(jax.config.values[name] for name in _NOT_WITH):
             return self.usual(*args, **named)
         given = self.signature.bind(*args, **named).arguments
         static = {name: given[name] for name in given if name in self.static}
@@ -453,7 +451,7 @@ class KeptJit(Generic[_Arguments, _Result]):
         static_leaves, static_tree = jax.tree.flatten(static)
         try:
             kinds = tuple(map(kind_of_leaf, leaves))
-            key = tree, static_tree, (*static_leaves,), kinds, jax_config.trace_context()
+            key = tree, static_tree, (*static_leaves,), kinds, _state(jax.config)
             known = self._known(key)
         except (Unidentified, TypeError):  # traced numbers; what has no hash
             return self.usual(*args, **named)
@@ -463,8 +461,9 @@ class KeptJit(Generic[_Arguments, _Result]):
         return cast(_Result, jax.tree.unflatten(program.result, program.call(*leaves)))
 
     def _known(self, key: Hashable) -> Any:
-        if self.generation is not _generation() or len(self.programs) > _MOST_PROGRAMS:
-            self.programs, self.generation = {}, _generation()
+        generation = _this_generation()
+        if self.generation != generation or len(self.programs) > _MOST_PROGRAMS:
+            self.programs, self.generation = {}, generation
         return self.programs.get(key, _UNKNOWN)
 
     def _found(self, key: Hashable, leaves: list[Any], tree: Any, static: Any) -> _Program | None:
@@ -514,15 +513,27 @@ def kept_jit(function: Any = None, *, static_argnames: Any = (), filtered: bool 
     return KeptJit(function, frozenset(names), filtered, options)
 
 
-def is_transforming() -> bool:
-    """Whether JAX transforms or compiles the code that calls this: results are traced then, whatever the arguments."""
-    return not jax_core.trace_state_clean()
+def is_compiling() -> bool:
+    """Whether JAX traces the code that calls this for a program: results are traced then, whatever the arguments."""
+    return type(find_top_trace(())).__name__ != "EvalTrace"
 
 
-@jax_util.cache(trace_context_in_key=False)
-def _generation() -> object:
-    """Another one after ``jax.clear_caches()``, which lets go programs that are kept in memory too."""
-    return object()
+_state = operator.attrgetter(*(name for name in jax.config.values if hasattr(jax.config, name)))
+"""The options of JAX that may change within a process, as they are in this thread."""
+_generation = 0
+
+
+@jax.jit
+def _probe(x: Any) -> Any:
+    global _generation  # noqa: PLW0603 - as of the caches of JAX
+    _generation += 1
+    return x
+
+
+def _this_generation() -> int:
+    """Another number after ``jax.clear_caches()``, which lets go the programs that are kept in memory too."""
+    _probe.eval_shape(0.0)
+    return _generation
 
 
 _of_thread = threading.local()

@@ -27,7 +27,7 @@ from jax.extend import core
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
-from ._programs import kept_jit
+from .programs import kept_jit
 
 # The switch that turns all of this off.
 
