@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from jax import lax
 
+from stickslip_jax._compiler import native
 from stickslip_jax._compiler.native import CompiledNatively, compilable, computed_once, native_loop, native_loops_work
 
 X = np.linspace(0.1, 0.9, 8)
