@@ -30,7 +30,9 @@ from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, cast
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.experimental import serialize_executable
 from jax.extend.core import find_top_trace
 
@@ -135,7 +137,7 @@ class _Walk:
             for key in sorted(value):
                 self.value(key)
                 self.argument(value[key])
-        elif kind in (functools.partial, jax.tree_util.Partial):
+        elif isinstance(value, functools.partial):
             self.all("partial", (kind, value.func))
             self.argument((value.args, value.keywords))
         else:
@@ -164,9 +166,9 @@ class _Walk:
         read(self, value)
 
     def _array(self, value: Any) -> None:
-        if isinstance(value, jax.core.Tracer):
+        if isinstance(value, Tracer):
             raise Unidentified("a traced number")
-        if isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
+        if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
             self.say("key", str(jax.random.key_impl(value)))
             value = jax.random.key_data(value)
         if isinstance(value, jax.Array):
@@ -304,7 +306,7 @@ _READERS: tuple[tuple[tuple[type, ...], Callable[[_Walk, Any], None]], ...] = (
 
 def kind_of_leaf(value: Any) -> tuple[Any, ...]:
     """What JAX traces of an array or number: shape, type, whether that is weak. Raises `Unidentified` for others."""
-    if isinstance(value, jax.core.Tracer) or not isinstance(value, _LEAF):
+    if isinstance(value, Tracer) or not isinstance(value, _LEAF):
         raise Unidentified("a traced number, or none")
     if isinstance(value, jax.Array):
         return value.shape, value.dtype, value.weak_type

@@ -184,8 +184,8 @@ def test_of_functions_that_hold_a_users_only_what_is_known_is_native():
         "branches": (lambda y: lax.cond(y[0] > 0, jnp.sin, jnp.sort, y), X, False),
         "large": (lambda y: y / jnp.sum(y), np.linspace(0.1, 0.9, LARGE), False),
     }
-    for name, (inside, x, native) in cases.items():
-        assert compilable(jax.make_jaxpr(inside)(x).jaxpr) == native, name
+    for name, (inside, x, is_native) in cases.items():
+        assert compilable(jax.make_jaxpr(inside)(x).jaxpr) == is_native, name
         right = lax.scan(lambda y, _, inside=inside: (inside(y), y), jnp.asarray(x), None, length=4)
         for found, expected in zip(loop(inside)(jnp.asarray(x)), right, strict=True):
             np.testing.assert_allclose(found, expected, rtol=1e-13)

@@ -1,4 +1,4 @@
-"""JAX's own persistent cache, for what the tests compile by ``jax.jit`` themselves; the package keeps its own programs."""
+"""JAX's own persistent cache, for what the tests compile by ``jax.jit``; the package keeps its own programs."""
 
 import os
 import time
