@@ -404,7 +404,9 @@ LARGEST = 2**30
 _HALF = "half-"  # of files that are not whole yet; what a killed process left goes an hour later
 _MOST_PROGRAMS = 256  # of one function in a process: they take memory maps, of which Linux gives 65,530
 _UNKNOWN = object()
-_NOT_WITH = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks", "jax_enable_checks")
+_not_with = operator.attrgetter(
+    "jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks", "jax_enable_checks"
+)
 """Options with which ``jax.jit`` does more than to compile and run."""
 
 _Arguments = ParamSpec("_Arguments")
@@ -442,7 +444,7 @@ class KeptJit(Generic[_Arguments, _Result]):
         return getattr(self.usual, name)  # trace, lower, eval_shape
 
     def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
-        if is_compiling() or any(jax.config.values[name] for name in _NOT_WITH):
+        if is_compiling() or any(_not_with(jax.config)):
             return self.usual(*args, **named)
         given = self.signature.bind(*args, **named).arguments
         static = {name: given[name] for name in given if name in self.static}
