@@ -3,6 +3,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+STUDY := $(VENV)/.study
 READY := $(VENV)/.ready
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 OUT ?= results/study
@@ -21,7 +22,7 @@ SMOKE := benchmarks/.build/smoke
 
 .PHONY: study test test-fast test-plain test-wheel test-browser coverage check-slow docs site check-site notebooks lint format bench bench-smoke versions clean
 
-study: $(READY)
+study: $(STUDY)
 	$(BIN)/stickslip study --out $(OUT) --force
 
 test: $(READY)
@@ -103,10 +104,16 @@ bench-smoke: $(READY)
 	$(BIN)/python -m benchmarks --tiny --rounds 1 --out $(SMOKE).json
 	$(BIN)/python -m benchmarks.table $(SMOKE).json --into $(SMOKE).md
 
-$(READY): pyproject.toml constraints.txt
+$(STUDY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON=/path/to/python")'
+	@echo "Making $(VENV), and installing the package and what studies need there: one or two minutes."
 	$(PYTHON) -m venv --clear $(VENV)
 	# Where a pinned version has no build for this Python, the lower bounds of pyproject.toml decide.
+	$(PIP) -c constraints.txt -e '.[study]' || $(PIP) -e '.[study]'
+	touch $@
+
+$(READY): $(STUDY)
+	@echo "Installing what tests, documents and benchmarks need as well: one to three minutes."
 	$(PIP) -c constraints.txt -e '.[dev]' || $(PIP) -e '.[dev]'
 	touch $@
 

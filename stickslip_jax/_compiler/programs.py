@@ -23,7 +23,7 @@ import tempfile
 import threading
 import time
 import types
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, cast
@@ -502,8 +502,9 @@ class KeptJit(Generic[_Arguments, _Result]):
             return jax.tree.leaves(results)
 
         of_leaves.__name__ = self.function.__name__
-        lowered, before = jax.jit(of_leaves, **self.options).lower(*leaves), _hits()
-        compiled = lowered.compile()
+        with _telling_that_it_compiles():
+            lowered, before = jax.jit(of_leaves, **self.options).lower(*leaves), _hits()
+            compiled = lowered.compile()
         if _hits() == before:  # what JAX has from its own cache lacks functions when it is written again
             _write(path, compiled, structure)
         return _Program(compiled, structure)
@@ -538,6 +539,34 @@ def _this_generation() -> int:
     """Another number after ``jax.clear_caches()``, which lets go the programs that are kept in memory too."""
     _probe.eval_shape(0.0)
     return _generation
+
+
+_PATIENCE = 2.0  # s, until a line tells what is waited for
+
+
+@contextlib.contextmanager
+def _telling_that_it_compiles() -> Iterator[None]:
+    """A line on the terminal while the block takes long; it goes when that ends."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    over, begin = threading.Event(), time.monotonic()
+
+    def tell() -> None:
+        while not over.wait(_PATIENCE):
+            sys.stderr.write(f"\rcompiling (once: programs are kept), {time.monotonic() - begin:.0f} s \033[K")
+            sys.stderr.flush()
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        over.set()
+        teller.join()
+        if time.monotonic() - begin > _PATIENCE:
+            sys.stderr.write("\r\033[K")
+            sys.stderr.flush()
 
 
 _of_thread = threading.local()

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import io
 import os
 import signal
 import subprocess
@@ -35,6 +36,7 @@ def module_of(code: str) -> types.ModuleType:
 
 LAW = """
 import functools
+import io
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -511,3 +513,28 @@ def test_starts_of_many_processes_at_once(folder, processes, starts):
                 elif rng.random() < 0.1:
                     path.unlink()
     assert [one.returncode for one in started] == [0] * processes
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.2])
+def test_a_line_tells_of_long_compilations_and_goes(seconds, monkeypatch):
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(kept, "_PATIENCE", 0.05)
+    with kept._telling_that_it_compiles():
+        time.sleep(seconds)
+    said = terminal.getvalue()
+    assert ("compiling" in said) == (seconds > 0)
+    assert said.endswith("\r\033[K" if said else "")
+
+
+def test_files_and_notebooks_are_told_nothing(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    monkeypatch.setattr(kept, "_PATIENCE", 0.01)
+    with kept._telling_that_it_compiles():
+        time.sleep(0.05)
+    assert sys.stderr.getvalue() == ""
