@@ -1,9 +1,12 @@
 """Processes that time JAX cases on request (`benchmarks.worker`), seen from the program that asks."""
 
 import json
+import os
 import subprocess
 import sys
 from typing import Any
+
+from stickslip_jax._compiler.programs import VARIABLE
 
 from .rounds import Program, Timed
 
@@ -11,9 +14,13 @@ from .rounds import Program, Timed
 class Worker:
     """One such process. Starting JAX takes seconds, so it is asked again and again."""
 
-    def __init__(self, *options: str):
+    def __init__(self, *options: str, programs: str = "off"):
+        """With compiled `programs` from that folder; by default each is compiled, since that is timed."""
         command = [sys.executable, "-W", "ignore", "-m", "benchmarks.worker", *options]
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        environment = {**os.environ, "MPLBACKEND": "Agg"} | ({} if "--tiny" in options else {VARIABLE: programs})
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        )
         self.memory = 0
         """The most memory that it has used so far, bytes."""
 
