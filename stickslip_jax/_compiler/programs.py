@@ -53,7 +53,9 @@ _LIBRARY = frozenset((
     "functools", "itertools", "math", "numbers", "operator", "types", "typing", "warnings",
 ))  # fmt: skip
 """Modules of the standard library that always do the same: none that looks at clocks, files or the environment."""
-_READING = frozenset((
+_FILES = frozenset(("load", "loads", "fromfile", "open", "tree_deserialise_leaves"))
+"""Names with which packages read files; and all that begin with "read"."""
+_READING = _FILES | frozenset((
     "random", "load", "loads", "loadtxt", "genfromtxt", "fromfile", "fromregex", "memmap", "open_memmap", "lib", "io",
     "datetime64", "testing", "ctypeslib", "f2py", "geterr", "geterrcall", "get_printoptions", "show_config",
 ))  # fmt: skip
@@ -73,7 +75,7 @@ _OF_NO_EFFECT = frozenset((
     "__classcell__",
 ))  # fmt: skip
 """Entries of a class that its methods do not read. Fields, with their defaults and metadata, are followed."""
-_PLAIN = (type(None), type(...), type(NotImplemented), bool, int, str, bytes, complex, float, range, slice)
+_PLAIN = (type(None), type(...), type(NotImplemented), bool, int, str, bytes, complex, float, range)
 _LEAF = (jax.Array, np.ndarray, np.generic, bool, int, float, complex)
 _LARGEST_ARRAY = 2**28  # bytes that are read for a check sum
 _FROM_CLASS_STATEMENT = 1 << 9  # Py_TPFLAGS_HEAPTYPE
@@ -194,9 +196,11 @@ class _Walk:
         self.say(type(value).__name__, *sorted(identity(one) for one in value))
 
     def _class(self, kind: type) -> None:
-        if not kind.__flags__ & _FROM_CLASS_STATEMENT:  # its methods are no code of Python
-            raise Unidentified(f"the class {kind}")
         self.say("class", kind.__module__, kind.__qualname__)
+        if not kind.__flags__ & _FROM_CLASS_STATEMENT:  # its methods are no code of Python
+            if kind.__module__ != "builtins":
+                raise Unidentified(f"the class {kind}")
+            return  # NoneType, mappingproxy: not under these names in `builtins`
         self.all("bases", (type(kind), *kind.__bases__))
         entries = vars(kind)
         for name in sorted(set(entries) - _OF_NO_EFFECT):
@@ -263,23 +267,49 @@ class _Walk:
         options = (info.compiler_options_kvs, info.in_shardings_leaves, info.out_shardings_leaves)
         self.all("jit", (value.__wrapped__, info.static_argnums, info.static_argnames, info.inline, repr(options)))
 
+    def _structure(self, tree: Any) -> None:
+        """A tree definition of JAX: of what kind each node is, and what it says of itself."""
+        children = tree.children()
+        self.all("structure", (tree.node_data(), len(children), tree.num_leaves))
+        for child in children:
+            self._structure(child)
+
     def _instance(self, value: Any) -> None:
         kind = type(value)
-        from_c = next(one for one in kind.__mro__ if not one.__flags__ & _FROM_CLASS_STATEMENT)
-        if from_c is not object:
-            raise Unidentified(f"an object of {kind}")
         if kind is object:
             self.say("object")  # a mark: what it is compared with is told by the number of its visit
             return
+        if not _shows_all(kind):
+            raise Unidentified(f"an object of {kind}")
         self.value(kind)
-        slots = [vars(one).get("__slots__", ()) for one in kind.__mro__]
-        names = [name for some in slots for name in ((some,) if isinstance(some, str) else some)]
+        names = [name for one in kind.__mro__ for name in _slots(one)]
         held = {name: getattr(value, name) for name in names if hasattr(value, name)} | getattr(value, "__dict__", {})
-        held.pop("__dict__", None)
-        held.pop("__weakref__", None)
         for name in sorted(held, key=str):
             self.say(str(name))
             self.value(held[name])
+
+
+def _slots(kind: type) -> list[str]:
+    """The names of the slots that a class adds."""
+    slots = vars(kind).get("__slots__", ())
+    named = [slots] if isinstance(slots, str) else list(slots)
+    private = [name.startswith("__") and not name.endswith("__") for name in named]
+    mangled = [f"_{kind.__name__.lstrip('_')}{name}" if own else name for name, own in zip(named, private, strict=True)]
+    return [name for name in mangled if name not in ("__dict__", "__weakref__")]
+
+
+def _shows_all(kind: type) -> bool:
+    """Whether its objects are no larger than their slots and dict: classes of C hold what no code of Python shows."""
+    pointer = struct.calcsize("P")
+    while kind is not object:
+        base = kind.__base__
+        assert base is not None
+        shown = len(_slots(kind)) + ("__dict__" in vars(kind)) + ("__weakref__" in vars(kind))
+        added = kind.__basicsize__ - base.__basicsize__
+        if kind.__itemsize__ or added > shown * pointer or not kind.__flags__ & _FROM_CLASS_STATEMENT:
+            return False
+        kind = base
+    return True
 
 
 _PARTS: tuple[tuple[tuple[type, ...], Callable[[Any], Iterable[object]]], ...] = (
@@ -288,6 +318,7 @@ _PARTS: tuple[tuple[tuple[type, ...], Callable[[Any], Iterable[object]]], ...] =
     ((types.MethodType,), lambda method: (method.__func__, method.__self__)),
     ((staticmethod, classmethod), lambda method: (method.__func__,)),
     ((property,), lambda one: (one.fget, one.fset)),
+    ((slice,), lambda one: (one.start, one.stop, one.step)),
     ((functools.partial,), lambda one: (one.func, one.args, one.keywords)),
     ((types.MemberDescriptorType,), lambda slot: (slot.__name__,)),
 )
@@ -301,6 +332,7 @@ _READERS: tuple[tuple[tuple[type, ...], Callable[[_Walk, Any], None]], ...] = (
     ((set, frozenset), _Walk._set),
     ((tuple,), _Walk._named_tuple),
     ((type(jax.jit(len)),), _Walk._jitted),
+    ((jax.tree_util.PyTreeDef,), _Walk._structure),
 )
 
 
@@ -321,8 +353,10 @@ def _is_exception(name: str) -> bool:
 
 
 def _refuse_reading(top: str, names: Iterable[str]) -> None:
-    if top in ("numpy", "scipy") and (found := _READING.intersection(names)):
-        raise Unidentified(f"{top}.{min(found)}")
+    reading = _READING if top in ("numpy", "scipy") else _FILES
+    for name in names:
+        if name in reading or name.startswith("read"):
+            raise Unidentified(f"{top}.{name}")
 
 
 def _name_in_package(value: Any) -> str | None:
@@ -384,7 +418,18 @@ def _this_machine() -> str:
         processor = [platform.processor()]
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     devices = [(one.id, one.device_kind, one.platform, one.client.platform_version) for one in jax.devices()]
-    return repr((versions, source.hexdigest(), sys.version, platform.platform(), processor, threads, devices))
+    return repr(
+        (
+            versions,
+            source.hexdigest(),
+            sys.version,
+            sys.flags.optimize,
+            platform.platform(),
+            processor,
+            threads,
+            devices,
+        )
+    )
 
 
 def _options() -> str:
@@ -455,7 +500,7 @@ class KeptJit(Generic[_Arguments, _Result]):
         static_leaves, static_tree = jax.tree.flatten(static)
         try:
             kinds = tuple(map(kind_of_leaf, leaves))
-            key = tree, static_tree, (*static_leaves,), kinds, _state(jax.config)
+            key = tree, static_tree, (*static_leaves,), (*map(type, static_leaves),), kinds, _state(jax.config)
             known = self._known(key)
         except (Unidentified, TypeError):  # traced numbers; what has no hash
             return self.usual(*args, **named)

@@ -121,6 +121,8 @@ def test_numbers_in_arguments_are_not_part_of_the_key():
     assert identity(arguments=OSCILLATOR) == identity(arguments=eqx.tree_at(lambda one: one.mass, OSCILLATOR, 2.0))
 
 
+STICKING = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+LAWS = ss.PoissonSwitching(1.0, 2.6), ss.SquareWave(1.0, 2.6)
 PAIRS = [
     (1, 1.0), (1, True), (0.0, -0.0), ("1", 1), (b"1", "1"), ((1, 2), [1, 2]), ((1, (2, 3)), (1, 2, 3)),
     (("ab", "c"), ("a", "bc")), ({1: 2}, {2: 1}), ({1, 2}, {1, 3}), (np.float32(1), np.float64(1)),
@@ -128,6 +130,11 @@ PAIRS = [
     (None, ()), (ss.Coulomb, ss.Stribeck), (jnp.sin, jnp.cos), (np.sin, jnp.sin),
     (ss.Ending.HORIZON, ss.Ending.RELEASED),
     (functools.partial(jnp.add, 1), functools.partial(jnp.add, 2)), (1e300, float("inf")), (slice(1), slice(2)),
+    (jax.tree.structure([1, 2]), jax.tree.structure([1, [2]])), (jax.tree.structure([1]), jax.tree.structure((1,))),
+    (jax.tree.structure({"a": 1}), jax.tree.structure({"b": 1})), (jax.tree.structure(None), jax.tree.structure(())),
+    (jax.tree.structure(ss.Coulomb(1.0)), jax.tree.structure(ss.VelocityWeakening(1.0, 1.0))),
+    (jax.tree.structure(ss.Exact(1.0)), jax.tree.structure(ss.Exact(1.0, max_steps=5))),
+    (jax.tree.structure(LAWS[0]), jax.tree.structure(LAWS[1])), (LAWS[0], LAWS[1]),
 ]  # fmt: skip
 
 
@@ -156,6 +163,13 @@ UNIDENTIFIED = {
     "an import within": "def law(x):\n    import random\n    return x * random.random()",
     "a file": "law = lambda x: x * float(open('a').read())",
     "a file of NumPy": "import numpy as np\nlaw = lambda x: x * np.load('a.npy')",
+    "a file of equinox": "import equinox as eqx\nlaw = lambda x: x * eqx.tree_deserialise_leaves('a', x)",
+    "a file of records": "import stickslip_jax as ss\nlaw = lambda x: x * ss.read_at2('a').times[0]",
+    "a pattern": "import re\npattern = re.compile('a')\nlaw = lambda x: x * bool(pattern)",
+    "a decimal": "import decimal\ntwo = decimal.Decimal(2)\nlaw = lambda x: x * float(two)",
+    "a deque": "import collections\nheld = collections.deque([1.0])\nlaw = lambda x: x * held[0]",
+    "a counter": "import itertools\nheld = itertools.count()\nlaw = lambda x: x * next(held)",
+    "a device": "import jax\nheld = jax.devices()[0]\nlaw = lambda x: x * held.id",
     "a method of a file of NumPy": "from numpy import genfromtxt\nlaw = lambda x: x * genfromtxt('a')",
     "names by words": "law = lambda x: getattr(x, 'T')",
     "all globals": "law = lambda x: globals()['x']",
@@ -404,6 +418,24 @@ def test_what_was_not_used_for_long_goes_first(folder, monkeypatch):
     assert len(left) == 3
     assert {by_age[0], by_age[-1]} < left
     assert not half.exists()
+
+
+def test_laws_with_the_same_numbers_have_programs_of_their_own(folder):
+    """A random one first, then one of the same speed and rate whose samples are all the same."""
+    for _ in range(2):
+        jax.clear_caches()
+        for law, repeats in zip(LAWS, (0, 1), strict=True):
+            many = ss.simulate_ensemble(
+                STICKING,
+                law,
+                t1=40.0,
+                samples=50,
+                y0=(0.0, 1.0),
+                chunk=64,
+                key=None if repeats else jax.random.key(0),
+            )
+            assert many.statistics.duration.repeated_share.value == repeats
+    assert entries(folder)
 
 
 # In processes of their own.
