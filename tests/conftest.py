@@ -36,7 +36,7 @@ _parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name != "
 jaxtyping.install_import_hook([f"stickslip_jax.{part}" for part in _parts], "beartype.beartype")
 
 # The package's first import, annotations checked. Processes of pytest-xdist share what one of them has compiled: what
-# the package keeps by itself, and below what tests compile themselves.
+# the package keeps (where that is on), and below what tests compile themselves.
 _programs = import_module("stickslip_jax._compiler.programs")
 
 # Comparisons in the shared helpers explain themselves as those in the test files do.

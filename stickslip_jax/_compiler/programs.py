@@ -443,7 +443,7 @@ def _options() -> str:
 
 
 VARIABLE = "STICKSLIP_PROGRAMS"
-"""The environment variable that chooses the folder; "off" turns it off."""
+"""The environment variable that turns it "on", or chooses the folder; "off" by default, but for the command."""
 LARGEST = 2**30
 """Largest size of the folder, bytes; the least recently used programs are deleted first."""
 _HALF = "half-"  # of files that are not whole yet; what a killed process left goes an hour later
@@ -634,11 +634,12 @@ def _listen() -> None:
 
 def programs_folder() -> Path | None:
     """Where programs are kept, made if it is missing; None where that is off, or is not the user's alone."""
-    wanted = os.environ.get(VARIABLE, "")
+    wanted = os.environ.get(VARIABLE) or "off"
     if wanted.lower() == "off":
         return None
     try:
-        folder = Path(wanted).expanduser() if wanted else _caches() / "stickslip_jax" / "programs"
+        is_usual = wanted.lower() == "on"
+        folder = _caches() / "stickslip_jax" / "programs" if is_usual else Path(wanted).expanduser()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.stat()
     except (OSError, RuntimeError, ValueError):  # no home folder, no folder, or not a name of one

@@ -4,6 +4,7 @@
 What only a simulation needs is imported in the functions, so that help and mistakes in options appear without it.
 """
 
+import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,7 @@ import jax
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from .. import __version__
+from .._compiler.programs import VARIABLE
 from .._foundation.extras import require_explorer
 from .._foundation.files import file_to_write
 from . import StudyError, _reading
@@ -51,7 +53,8 @@ def run(tokens: Sequence[str]) -> None:
 
 
 def prepare_jax(dtype: str) -> None:
-    """Set the precision, "float64" or "float32", before JAX starts."""
+    """Set the precision, "float64" or "float32", before JAX starts, and keep compiled programs."""
+    os.environ.setdefault(VARIABLE, "on")
     jax.config.update("jax_enable_x64", dtype == "float64")
 
 

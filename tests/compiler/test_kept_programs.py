@@ -383,7 +383,7 @@ def test_a_folder_of_somebody_else_is_refused(folder, compiled, monkeypatch):
     assert not compiled
 
 
-@pytest.mark.parametrize("name", ["off", "OFF", "a file", "\0"])
+@pytest.mark.parametrize("name", ["", "off", "OFF", "a file", "\0"])
 def test_without_a_folder_nothing_is_kept(name, tmp_path, monkeypatch, compiled):
     (tmp_path / "a file").touch()
     monkeypatch.setattr(
