@@ -12,6 +12,7 @@ import enum
 import functools
 import hashlib
 import inspect
+import io
 import operator
 import os
 import pickle
@@ -90,10 +91,14 @@ def identity(*values: object, arguments: object = None) -> str:
 
     Of `arguments`, a tree of modules, the numbers in the leaves do not count, and static fields do, by value.
     """
+    return _walked(values, arguments).sum.hexdigest()
+
+
+def _walked(values: Iterable[object], arguments: object) -> "_Walk":
     walk = _Walk()
     walk.all("values", values)
     walk.argument(arguments)
-    return walk.sum.hexdigest()
+    return walk
 
 
 class _Walk:
@@ -529,10 +534,11 @@ class KeptJit(Generic[_Arguments, _Result]):
             return None
         try:
             about = (_this_machine(), _options(), self.function, self.filtered, self.options, static)
-            path = folder / identity(*about, arguments=jax.tree.unflatten(tree, leaves))
+            walk = _walked(about, jax.tree.unflatten(tree, leaves))
         except Exception:  # `Unidentified`, or what objects of users do when they are looked at
             return None
-        if (found := _read(path, len(leaves))) is not None:
+        path, objects = folder / walk.sum.hexdigest(), [seen for _, seen in walk.seen.values()]
+        if (found := _read(path, len(leaves), objects)) is not None:
             return found
         structure = None
 
@@ -551,7 +557,7 @@ class KeptJit(Generic[_Arguments, _Result]):
             lowered, before = jax.jit(of_leaves, **self.options).lower(*leaves), _hits()
             compiled = lowered.compile()
         if _hits() == before:  # what JAX has from its own cache lacks functions when it is written again
-            _write(path, compiled, structure)
+            _write(path, compiled, structure, objects)
         return _Program(compiled, structure)
 
 
@@ -657,28 +663,50 @@ def _caches() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
-def _read(path: Path, inputs: int) -> _Program | None:
+class _Pickler(pickle.Pickler):
+    """Functions and classes of the arguments are named by the numbers of their visits: many have no other name."""
+
+    def __init__(self, file: io.BytesIO, objects: list[object]):
+        super().__init__(file)
+        self.numbers = {id(seen): number for number, seen in enumerate(objects)}
+
+    def persistent_id(self, obj: object) -> int | None:
+        return self.numbers.get(id(obj)) if isinstance(obj, (types.FunctionType, type)) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: io.BytesIO, objects: list[object]):
+        super().__init__(file)
+        self.objects = objects
+
+    def persistent_load(self, pid: int) -> object:
+        return self.objects[pid]
+
+
+def _read(path: Path, inputs: int, objects: list[object]) -> _Program | None:
     try:
         data = path.read_bytes()
         if hashlib.sha256(data[32:]).digest() != data[:32]:
             return None
         os.utime(path)
-        executable, kept, outputs = pickle.loads(data[32:])
+        executable, kept, outputs = _Unpickler(io.BytesIO(data[32:]), objects).load()
         trees = jax.tree.structure(((0,) * inputs, {})), jax.tree.structure([0] * outputs)
         return _Program(serialize_executable.deserialize_and_load(executable, *trees), jax.tree.structure(kept))
     except Exception:  # no such entry, or whatever reading one brings about: it is compiled
         return None
 
 
-def _write(path: Path, compiled: Any, structure: Any) -> None:
+def _write(path: Path, compiled: Any, structure: Any, objects: list[object]) -> None:
     try:
         program = compiled._executable.unsafe_call
         if program.has_host_callbacks or program.keepalive or program.ordered_effects or program.has_unordered_effects:
             return  # it calls functions of this process
         kept = jax.tree.unflatten(structure, range(structure.num_leaves))
-        if jax.tree.structure(pickle.loads(pickle.dumps(kept))) != structure:
+        buffer = io.BytesIO()
+        _Pickler(buffer, objects).dump((serialize_executable.serialize(compiled)[0], kept, structure.num_leaves))
+        data = buffer.getvalue()
+        if jax.tree.structure(_Unpickler(io.BytesIO(data), objects).load()[1]) != structure:
             return
-        data = pickle.dumps((serialize_executable.serialize(compiled)[0], kept, structure.num_leaves))
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=_HALF, delete=False) as file:
             file.write(hashlib.sha256(data).digest() + data)
         os.replace(file.name, path)

@@ -359,7 +359,7 @@ def test_a_wrong_entry_costs_a_compilation_and_is_mended(what, folder, compiled)
     path.write_bytes(wrong(path.read_bytes())[what])
     assert float(kept_jit(doubled)(1.0)) == float(kept_jit(doubled)(1.0)) == 2.0
     assert len(compiled) == 2
-    assert kept._read(path, 1) is not None
+    assert kept._read(path, 1, []) is not None
 
 
 @pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
@@ -418,6 +418,22 @@ def test_what_was_not_used_for_long_goes_first(folder, monkeypatch):
     assert len(left) == 3
     assert {by_age[0], by_age[-1]} < left
     assert not half.exists()
+
+
+def test_results_that_hold_functions_without_a_name_are_kept(folder, compiled):
+    """A simulation holds its system, and that a curve: here a function that no other process could import."""
+    ends = []
+    for _ in range(2):
+        jax.clear_caches()
+        for factor in (0.1, 0.2):
+            law = ss.FrictionCurve(lambda v, factor=factor: 1.0 - factor * jnp.tanh(v))
+            system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=law)
+            one = ss.simulate(system, ss.Harmonic(1.0, 2.6), t1=5.0, y0=(0.0, 1.0))
+            assert one.system.friction.curve is law.curve
+            ends.append([float(number) for number in (*one.final_state, one.peak())])
+    assert ends[:2] == ends[2:]
+    assert ends[0] != ends[1]
+    assert len(compiled) == len(set(compiled)) == len(entries(folder))
 
 
 def test_laws_with_the_same_numbers_have_programs_of_their_own(folder):
