@@ -20,6 +20,7 @@ import platform
 import stat
 import struct
 import sys
+import sysconfig
 import tempfile
 import threading
 import time
@@ -78,6 +79,7 @@ _OF_NO_EFFECT = frozenset((
 """Entries of a class that its methods do not read. Fields, with their defaults and metadata, are followed."""
 _PLAIN = (type(None), type(...), type(NotImplemented), bool, int, str, bytes, complex, float, range)
 _LEAF = (jax.Array, np.ndarray, np.generic, bool, int, float, complex)
+_OF_PYTHON = sysconfig.get_paths()["stdlib"]
 _LARGEST_ARRAY = 2**28  # bytes that are read for a check sum
 _FROM_CLASS_STATEMENT = 1 << 9  # Py_TPFLAGS_HEAPTYPE
 
@@ -245,7 +247,7 @@ class _Walk:
             return
         top = value.__name__.split(".")[0]
         self.say("module", value.__name__)
-        if top in PACKAGES | _LIBRARY:
+        if _is_known(top):
             _refuse_reading(top, names)
             return
         if top in sys.stdlib_module_names:
@@ -352,6 +354,14 @@ def kind_of_leaf(value: Any) -> tuple[Any, ...]:
     return (), type(value).__name__, True
 
 
+def _is_known(top: str) -> bool:
+    """Whether what is in this module is known by name: not in one of the user's own with a name of the library's."""
+    if top in _LIBRARY:
+        file = getattr(sys.modules.get(top), "__file__", None)
+        return file is None or Path(file).is_relative_to(_OF_PYTHON)
+    return top in PACKAGES
+
+
 def _is_exception(name: str) -> bool:
     found = getattr(builtins, name, None)
     return isinstance(found, type) and issubclass(found, BaseException)
@@ -372,7 +382,7 @@ def _name_in_package(value: Any) -> str | None:
     if not isinstance(module, str) or not isinstance(name, str):
         return None
     top = module.split(".")[0]
-    if top not in PACKAGES | _LIBRARY:
+    if not _is_known(top):
         return None
     found: Any = sys.modules.get(module)
     for part in name.split("."):

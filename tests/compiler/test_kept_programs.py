@@ -201,6 +201,18 @@ def test_modules_of_a_user_are_followed_by_the_names_that_are_asked_for(monkeypa
     assert identity(law) != before
 
 
+def test_modules_of_a_user_may_have_names_of_the_library(monkeypatch, tmp_path):
+    other = types.ModuleType("numbers")
+    other.__file__ = str(tmp_path / "numbers.py")
+    monkeypatch.setitem(sys.modules, "numbers", other)
+    before = []
+    for factor in (2.0, 3.0):
+        exec(f"def half(x):\n    return x / {factor}\n", vars(other))
+        with contextlib.suppress(Unidentified):
+            before.append(identity(vars(other)["half"]))
+    assert len(set(before)) in (0, 2)
+
+
 def test_machine_and_options_are_part_of_the_key(monkeypatch):
     about, options = kept._this_machine.__wrapped__(), kept._options()
     with jax.enable_x64(False):
