@@ -35,14 +35,17 @@ _folders = find_spec("stickslip_jax").submodule_search_locations
 _parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name != "_compiler"]
 jaxtyping.install_import_hook([f"stickslip_jax.{part}" for part in _parts], "beartype.beartype")
 
-# The package's first import, annotations checked. Processes of pytest-xdist share what one of them has compiled: what
-# the package keeps (where that is on), and below what tests compile themselves.
+# The package's first import, annotations checked.
 _programs = import_module("stickslip_jax._compiler.programs")
 
 # Comparisons in the shared helpers explain themselves as those in the test files do.
 pytest.register_assert_rewrite("support")
+
+# Processes of pytest-xdist, and runs one after another, share what one of them has compiled: what the package keeps,
+# and what tests compile themselves.
 _compilation_cache = import_module("support.compilation_cache")
 _compilation_cache.use(_compilation_cache.FOLDER)
+os.environ.setdefault(_programs.VARIABLE, str(_compilation_cache.FOLDER.with_name("programs-of-tests")))
 
 settings.register_profile(
     "repeatable", deadline=None, derandomize=True, max_examples=100, suppress_health_check=[HealthCheck.too_slow]

@@ -132,7 +132,7 @@ def main() -> None:
         sys.exit(f"This environment has {', '.join(there)}; run it in a plain one: python tools/plain_wheel.py.")
     every_public_name()
     drawn = figures()
-    functions = {name for name in plot.__all__ if name[0].islower()}
+    functions = {name for name in dir(plot) if name[0].islower()}
     assert set(drawn) | UNLABELED == functions, set(drawn) ^ functions
     for name, draw in drawn.items():
         draw()

@@ -17,6 +17,7 @@ import operator
 import os
 import pickle
 import platform
+import re
 import stat
 import struct
 import sys
@@ -463,6 +464,8 @@ LARGEST = 2**30
 """Largest size of the folder, bytes; the least recently used programs are deleted first."""
 _HALF = "half-"  # of files that are not whole yet; what a killed process left goes an hour later
 _MOST_PROGRAMS = 256  # of one function in a process: they take memory maps, of which Linux gives 65,530
+_LAPACK = "lapack_"
+_EVERYWHERE = (_LAPACK, "cu", "hip")  # beginnings of the names of functions that jaxlib brings with it
 _UNKNOWN = object()
 _not_with = operator.attrgetter(
     "jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_check_tracer_leaks", "jax_enable_checks"
@@ -562,12 +565,17 @@ class KeptJit(Generic[_Arguments, _Result]):
             structure = jax.tree.structure(results)
             return jax.tree.leaves(results)
 
-        of_leaves.__name__ = self.function.__name__
+        # JAX's own cache, where the user has it on, knows programs by this name too. Another version of the package
+        # must not find there what cannot be written again (`_hits`).
+        of_leaves.__name__ = f"{self.function.__name__}_{path.name[:8]}"
         with _telling_that_it_compiles():
             lowered, before = jax.jit(of_leaves, **self.options).lower(*leaves), _hits()
             compiled = lowered.compile()
-        if _hits() == before:  # what JAX has from its own cache lacks functions when it is written again
-            _write(path, compiled, structure, objects)
+        calls = set(re.findall(r"custom_call @(\w+)", lowered.as_text()))
+        # What JAX has from its own cache lacks functions when it is written again. Functions outside of the program,
+        # but those that every process has, may not be there where it is loaded: to call them would end the process.
+        if _hits() == before and all(name.startswith(_EVERYWHERE) for name in calls):
+            _write(path, compiled, structure, objects, any(name.startswith(_LAPACK) for name in calls))
         return _Program(compiled, structure)
 
 
@@ -650,7 +658,7 @@ def _listen() -> None:
 
 def programs_folder() -> Path | None:
     """Where programs are kept, made if it is missing; None where that is off, or is not the user's alone."""
-    wanted = os.environ.get(VARIABLE) or "off"
+    wanted = os.environ.get(VARIABLE) or "on"
     if wanted.lower() == "off":
         return None
     try:
@@ -699,21 +707,30 @@ def _read(path: Path, inputs: int, objects: list[object]) -> _Program | None:
         if hashlib.sha256(data[32:]).digest() != data[:32]:
             return None
         os.utime(path)
-        executable, kept, outputs = _Unpickler(io.BytesIO(data[32:]), objects).load()
+        executable, kept, outputs, needs_lapack = _Unpickler(io.BytesIO(data[32:]), objects).load()
+        if needs_lapack:
+            _find_lapack()
         trees = jax.tree.structure(((0,) * inputs, {})), jax.tree.structure([0] * outputs)
         return _Program(serialize_executable.deserialize_and_load(executable, *trees), jax.tree.structure(kept))
     except Exception:  # no such entry, or whatever reading one brings about: it is compiled
         return None
 
 
-def _write(path: Path, compiled: Any, structure: Any, objects: list[object]) -> None:
+@functools.cache
+def _find_lapack() -> None:
+    """Let JAX look for the functions of LAPACK, as it does where it compiles a call of one, and not before."""
+    jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float32))
+
+
+def _write(path: Path, compiled: Any, structure: Any, objects: list[object], needs_lapack: bool) -> None:
     try:
         program = compiled._executable.unsafe_call
         if program.has_host_callbacks or program.keepalive or program.ordered_effects or program.has_unordered_effects:
             return  # it calls functions of this process
         kept = jax.tree.unflatten(structure, range(structure.num_leaves))
         buffer = io.BytesIO()
-        _Pickler(buffer, objects).dump((serialize_executable.serialize(compiled)[0], kept, structure.num_leaves))
+        executable, _, _ = serialize_executable.serialize(compiled)
+        _Pickler(buffer, objects).dump((executable, kept, structure.num_leaves, needs_lapack))
         data = buffer.getvalue()
         if jax.tree.structure(_Unpickler(io.BytesIO(data), objects).load()[1]) != structure:
             return

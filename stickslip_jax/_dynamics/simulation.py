@@ -55,7 +55,7 @@ Times: TypeAlias = Float[Array, " times"]
 
 T = TypeVar("T")
 
-_ROOMS = (16, *(1 << power for power in range(10, 17)))  # numbers of times that programs are made for; more: exactly
+_ROOMS = (16, 1 << 12, 1 << 16)  # numbers of times that programs are made for; more: one part after the other
 _MOST_HALVES = 40  # of a step: it then resolves what dies out in 1e-12 of its length
 
 
@@ -573,14 +573,23 @@ class Simulation(WithMethods):
                 stacklevel=4,
             )
 
-    def _at(self, compute: Callable[[Array], T], times: Array) -> T:
-        """What `compute` gives at times (n,), at these `times` of any shape; few numbers of times are compiled."""
-        shape, size = times.shape, times.size
+    def _at(self, compute: Callable[..., T], times: Array, *along: Array) -> T:
+        """What `compute` gives at times (n,) and values `along` them, at these `times` of any shape.
+
+        Few numbers of times are compiled.
+        """
+        shape, given = times.shape, [values.reshape(-1) for values in (times, *along)]
         if is_compiling() or checks.holds_traced(self, times):
-            return jax.tree.map(lambda values: values.reshape(shape), compute(times.reshape(-1)))
-        room = next((room for room in _ROOMS if size <= room), size)
-        found = compute(jnp.asarray(np.resize(np.asarray(times), room)))
-        return jax.tree.map(lambda values: jnp.asarray(np.asarray(values)[:size].reshape(shape)), found)
+            return jax.tree.map(lambda values: values.reshape(shape), compute(*given))
+        size, given = times.size, [np.asarray(values) for values in given]
+        room = next((room for room in _ROOMS if size <= room), _ROOMS[-1])
+        parts = [[values[at : at + room] for values in given] for at in range(0, max(size, 1), room)]
+        found = [compute(*(jnp.asarray(np.resize(values, room)) for values in part)) for part in parts]
+
+        def whole(*values: Array) -> Array:
+            return jnp.asarray(np.concatenate([np.asarray(part) for part in values])[:size].reshape(shape))
+
+        return jax.tree.map(whole, *found)
 
     def _checked(self, times: AnyArray | float) -> Array:
         checks.numeric("times", times, ndim=None)
@@ -605,7 +614,7 @@ class Simulation(WithMethods):
             ("sticks", f"{int(self.sticks.count):,}"),
             ("slips", f"{int(self.slips.count):,}"),
             ("total stick time", f"{float(self.stick_time):.6g} s"),
-            ("stick fraction", f"{float(self.stick_fraction):.6g}"),
+            ("stick fraction", f"{float(self.stick_time) / float(self.t1):.6g}"),
             ("near-grazing instants", f"{int(self.near_grazing_count):,}"),
         ]
         title = f"Simulation on [0, {float(self.t1):g}] s"
@@ -634,7 +643,7 @@ class Simulation(WithMethods):
                 f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: sticks of its contacts: "
                 f"{counts}{near}, {status.meaning}"
             )
-        fraction = 100 * float(self.stick_fraction)
+        fraction = 100 * float(self.stick_time) / float(self.t1)
         return (
             f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: "
             f"{int(self.sticks.count)} sticks, {int(self.slips.count)} slips{near}, "

@@ -14,6 +14,7 @@ from jax import lax
 from jaxtyping import Bool, Float, Int, Real
 
 from .._compiler.programs import kept_jit
+from .._foundation import checks
 from .._foundation.extras import Entries, flags, require, variable
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray
@@ -212,7 +213,7 @@ class Sticks(eqx.Module):
     @property
     def count(self) -> Int[AnyArray, "*batch"]:
         """Number of sticks."""
-        return self.mask.sum(axis=-1)
+        return _number_in(self.mask)
 
     def __repr__(self) -> str:
         shown = type(self).__name__
@@ -240,7 +241,14 @@ class Slips(eqx.Module):
     @property
     def count(self) -> Int[AnyArray, "*batch"]:
         """Number of slips."""
-        return self.mask.sum(axis=-1)
+        return _number_in(self.mask)
+
+
+def _number_in(mask: AnyArray) -> Any:
+    """How many slots are used; counted by NumPy where JAX traces nothing, which compiles nothing."""
+    if isinstance(mask, np.ndarray) or checks.is_traced(mask):
+        return mask.sum(axis=-1)
+    return jnp.asarray(np.asarray(mask).sum(axis=-1))
 
 
 def sticks_in_order(records: StickRecord) -> Sticks:

@@ -15,15 +15,17 @@ def attached(package: str) -> tuple[Callable[[str], object], Callable[[], list[s
     homes: dict[str, str | None] = {}
     for node in ast.parse(pkgutil.get_data(package, "__init__.pyi") or "").body:
         if isinstance(node, ast.ImportFrom):
-            homes |= {alias.name: node.module for alias in node.names}
+            homes |= {alias.name: node.module and "." * node.level + node.module for alias in node.names}
 
     def __getattr__(name: str) -> object:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        if homes[name] is None:
+        home = homes[name]
+        if home is None:
             return import_module(f"{package}.{name}")
-        value = getattr(import_module(f"{package}.{homes[name]}"), name)
+        value = getattr(import_module(home, package), name)
         setattr(sys.modules[package], name, value)  # so that it is looked for once
         return value
 
-    return __getattr__, lambda: sorted([*homes, "__version__"]), sorted(name for name, home in homes.items() if home)
+    shown = [*homes, *(["__version__"] if "." not in package else [])]
+    return __getattr__, lambda: sorted(shown), sorted(name for name, home in homes.items() if home)

@@ -210,7 +210,11 @@ class DaskCluster(Executor):
     def _begun(self, name: str, function: Callable[..., object], *arguments: object) -> "distributed.Future":
         """The future of a function, with its arguments, in the cluster."""
         key = f"stickslip-{name}-{uuid.uuid4().hex[:8]}"
-        return self._client.submit(function, *arguments, key=key, pure=False, retries=_RETRIES)
+        try:
+            return self._client.submit(function, *arguments, key=key, pure=False, retries=_RETRIES)
+        except Exception:  # perhaps the client was closed after it was checked, for which distributed has many errors
+            self.check()
+            raise
 
     @property
     def at_once(self) -> int | float:

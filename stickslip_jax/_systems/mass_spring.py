@@ -489,7 +489,7 @@ class MassSpring(System):
         friction, center = self.friction, None
         about_points = friction.constant and not friction.depends_on_direction and self.force is None
         if about_points and not _is_zero(self.stiffness) and not is_function(self.normal_force):
-            center = friction.slip_coefficient(jnp.zeros(())) * self.normal_force / self.stiffness
+            center = friction.kinetic(jnp.zeros(())) * self.normal_force / self.stiffness
         mu = r"\mu" if friction.constant and not friction.static_exceeds_kinetic else r"\mu_\mathrm{s}"
         return Look(
             "mass",

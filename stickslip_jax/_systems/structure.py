@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._compiler.programs import kept_jit
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Harmonic, RandomPhase, RandomSignal, Signal, SumOfHarmonics
 from .._excitation.recorded import Recorded
@@ -626,11 +627,7 @@ class LinearStructure(WithContacts):
         Sticks only constrain it, which raises none of them. A scale, without derivatives: masses without springs have
         equal eigenvalues, which have none.
         """
-        lowest = 1e-3 * jnp.sqrt(jnp.finfo(float).tiny)
-        mass, stiffness, damping = without_derivatives((self.mass, self.stiffness, self.damping))
-        squared = largest_eigenvalue(_inverse_times(mass, _matrix(stiffness)))
-        decay = 0.0 if damping is None else largest_eigenvalue(_inverse_times(mass, _matrix(damping)))
-        return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), lowest)
+        return _fastest(*without_derivatives((self.mass, self.stiffness, self.damping)))
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         signals = [force for force in self.force or () if isinstance(force, Signal)]
@@ -640,7 +637,9 @@ class LinearStructure(WithContacts):
             **periods_of(self.normal_forces),
         }
         steps = PERIOD if solver is None and self._has_arcs(excitation.smooth) else SOLVED
-        times = {"shortest natural period or decay time": 2 * np.pi / self.fastest, **driving}
+        fastest = self.fastest
+        fastest = fastest if checks.is_traced(fastest) else float(fastest)
+        times = {"shortest natural period or decay time": 2 * np.pi / fastest, **driving}
         return TimeScales({name: TimeScale(time, steps) for name, time in times.items()}, driving, are_all=True)
 
     @property
@@ -694,6 +693,14 @@ class ReadyStructure(LinearStructure):
     def matrices(self) -> Matrices:
         assert self.known is not None
         return self.known
+
+
+@kept_jit
+def _fastest(mass: Any, stiffness: Any, damping: Any) -> FloatScalar:
+    lowest = 1e-3 * jnp.sqrt(jnp.finfo(float).tiny)
+    squared = largest_eigenvalue(_inverse_times(mass, _matrix(stiffness)))
+    decay = 0.0 if damping is None else largest_eigenvalue(_inverse_times(mass, _matrix(damping)))
+    return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), lowest)
 
 
 def _matrix(values: Any) -> FloatArray:

@@ -17,54 +17,6 @@ what figures show of it, and its `Mechanism` how it moves in films.
 Nothing is simulated here. Bad arguments raise ValueError with the name of the argument.
 """
 
-from .._systems.system import Belt, Body, Disk, Look, Mechanism, Rod, Spring
-from ._animations import Animation, animate
-from ._ensembles import (
-    convergence,
-    histogram,
-    joint_histogram,
-    means_by_order,
-    stick_bounds,
-    stick_map,
-    stick_raster,
-)
-from ._parameters import curve, parameter_map, parameter_sweep, stick_fraction_curve
-from ._sections import basins, bifurcation_diagram, orbit_branch, section
-from ._sensitivities import calibration, calibration_moments, sensitivity_curve, tornado
-from ._style import save
-from ._trajectory import energies, phase_portrait, time_history
+from .._foundation.public_names import attached as _attached
 
-__all__ = [
-    "Animation",
-    "Belt",
-    "Body",
-    "Disk",
-    "Look",
-    "Mechanism",
-    "Rod",
-    "Spring",
-    "animate",
-    "basins",
-    "bifurcation_diagram",
-    "calibration",
-    "calibration_moments",
-    "convergence",
-    "curve",
-    "energies",
-    "histogram",
-    "joint_histogram",
-    "means_by_order",
-    "orbit_branch",
-    "parameter_map",
-    "parameter_sweep",
-    "phase_portrait",
-    "save",
-    "section",
-    "sensitivity_curve",
-    "stick_bounds",
-    "stick_fraction_curve",
-    "stick_map",
-    "stick_raster",
-    "time_history",
-    "tornado",
-]
+__getattr__, __dir__, __all__ = _attached(__name__)

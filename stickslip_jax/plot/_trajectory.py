@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -27,7 +28,6 @@ from ._style import SeveralAxes, Window, legend_above
 _POINTS_PER_REVOLUTION = 180  # two degrees of a slip arc: its chord leaves the circle by 0.02 % of the radius
 _POINTS_PER_KNOT = 6  # at least; a time step of the simulation is 1/16 of the shortest period or less
 _MOST_POINTS = 100_000
-_SMALLEST_BUFFER = 8192
 
 
 class Phase(NamedTuple):
@@ -64,7 +64,7 @@ def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None
             f"Argument result must hold one trajectory, but a batch of shape {np.shape(result.status)} was given; "
             "take one out with jax.tree.map(lambda values: values[i], batch)."
         )
-    if result.status != Status.FINISHED:
+    if int(result.status) != Status.FINISHED:
         raise ValueError(
             "Argument result must have reached t1, but one with this status was given: "
             f"{Status(int(result.status)).meaning}."
@@ -130,9 +130,9 @@ def phases_of(one: Simulation, window: Window) -> list[Phase]:
     base_times = times.copy()
     base_times[lasts] = np.nextafter(times[lasts], times.dtype.type(0))
     base_times[[0, -1]] = times[0] + round_off, times[-1] - round_off
-    followed = one.evaluate(padded(one, times))
-    bases = _follow_base(one, padded(one, base_times), followed)
-    state, others = jax.tree.map(lambda values: np.asarray(values)[: len(times)], (followed, bases))
+    state = one.evaluate(times)
+    bases = one._at(partial(_follow_base, one), *(jnp.asarray(values) for values in (base_times, *state)))
+    state, others = jax.tree.map(np.asarray, (state, bases))
     velocity = others[0]
 
     # Cut where the mode changes, where a stick ends and another begins, and where the base velocity jumps.
@@ -197,14 +197,8 @@ def _grid(one: Simulation, knots: np.ndarray, sticks: np.ndarray) -> tuple[np.nd
     return np.where(parts == 1, ends, begins + (ends - begins) * parts).astype(knots.dtype), numbers
 
 
-def padded(one: Simulation, times: np.ndarray) -> jax.Array:
-    """`times` (s), the last one repeated until their number is a power of two, so that few sizes are compiled."""
-    buffer = max(_SMALLEST_BUFFER, 1 << int(np.ceil(np.log2(len(times)))))
-    return jnp.asarray(np.concatenate([times, np.full(buffer - len(times), times[-1])]), one.sticks.start.dtype)
-
-
 @kept_jit
-def _follow_base(one: Simulation, times: jax.Array, state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+def _follow_base(one: Simulation, times: jax.Array, *state: jax.Array) -> tuple[jax.Array, ...]:
     """The base velocity (m/s), and the ends of the stick band: NaN for a system without one."""
     velocity, acceleration = jax.jvp(one.base_velocity, (times,), (jnp.ones_like(times),))
     ground = 0.0

@@ -4,7 +4,6 @@
 What only a simulation needs is imported in the functions, so that help and mistakes in options appear without it.
 """
 
-import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -15,7 +14,6 @@ import jax
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from .. import __version__
-from .._compiler.programs import VARIABLE
 from .._foundation.extras import require_explorer
 from .._foundation.files import file_to_write
 from . import StudyError, _reading
@@ -53,8 +51,7 @@ def run(tokens: Sequence[str]) -> None:
 
 
 def prepare_jax(dtype: str) -> None:
-    """Set the precision, "float64" or "float32", before JAX starts, and keep compiled programs."""
-    os.environ.setdefault(VARIABLE, "on")
+    """Set the precision, "float64" or "float32", before JAX starts."""
     jax.config.update("jax_enable_x64", dtype == "float64")
 
 

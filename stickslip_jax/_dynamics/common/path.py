@@ -22,7 +22,7 @@ from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal, SourceVoltage
 from ..._excitation.segments import SegmentLaw, SegmentState, added, first_segment, following_segment, is_invalid
 from ..._foundation.types import AnyInteger, BoolArray, FloatArray, IntArray, Number, Scalar, Status
-from ..._numerics.derivatives import NotKnown, largest, without_derivatives
+from ..._numerics.derivatives import NotKnown, values_of, without_derivatives
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..sticks import StickRecord, Sticks, Totals, count_slips, sticks_in_order
@@ -321,7 +321,7 @@ def has_ended(lane: Any, t1: FloatArray, most_steps: IntArray) -> BoolArray:
 def is_short(status: Any) -> bool:
     """Whether a trajectory, or one of a batch, ran out of steps; False where the status is traced."""
     with suppress(NotKnown):
-        return largest(status == Status.OUT_OF_STEPS) > 0
+        return bool(np.any(values_of(status) == Status.OUT_OF_STEPS))
     return False
 
 

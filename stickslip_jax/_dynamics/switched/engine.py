@@ -15,7 +15,7 @@ from jax.errors import ConcretizationTypeError
 from jaxtyping import Array
 
 from ..._compiler.native import sharing
-from ..._compiler.programs import kept_jit
+from ..._compiler.programs import is_compiling, kept_jit
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState, segment_at
@@ -541,6 +541,7 @@ def _close_calls(
 MOST_STEPS = 2**30  # steps are counted in 32 bits
 _SPARE = 4  # times as many steps where it is not known before the call how fast the motion is
 _ROOM = 96  # steps more, for short trajectories
+_FEWEST = 512  # steps that one trajectory has room for: all short ones share a program
 _PER_SEGMENT = 8  # time steps in a segment of a record where neither is known
 
 
@@ -720,6 +721,8 @@ def follow_steps(system: System, base: Any, method: Exact, t1: Scalar, y0: tuple
             f"Argument t1 must be shorter: {steps} steps would be kept, and at most {_MOST_KEPT} can be; "
             "simulate_ensemble keeps sticks only, for a single sample too."
         )
+    if method.max_steps is None and not is_compiling():
+        steps = max(steps, _FEWEST)
     run: Run = _follow_steps(system, excitation, method.solver, t1, y0, step, steps=steps, dtype=dtype)
     for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
         if not is_short(run.status):
