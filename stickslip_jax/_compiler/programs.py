@@ -26,6 +26,7 @@ import tempfile
 import threading
 import time
 import types
+import weakref
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -463,7 +464,8 @@ VARIABLE = "STICKSLIP_PROGRAMS"
 LARGEST = 2**30
 """Largest size of the folder, bytes; the least recently used programs are deleted first."""
 _HALF = "half-"  # of files that are not whole yet; what a killed process left goes an hour later
-_MOST_PROGRAMS = 256  # of one function in a process: they take memory maps, of which Linux gives 65,530
+_MOST_PROGRAMS = 256  # of one function in a process
+_MOST_MAPS = 40_000  # of the memory maps of a process, of which Linux gives 65,530; a program takes 50 to 300
 _LAPACK = "lapack_"
 _EVERYWHERE = (_LAPACK, "cu", "hip")  # beginnings of the names of functions that jaxlib brings with it
 _UNKNOWN = object()
@@ -502,6 +504,7 @@ class KeptJit(Generic[_Arguments, _Result]):
         self.usual = compiled
         self.programs: dict[Hashable, _Program | None] = {}
         self.lock, self.generation = threading.RLock(), -1
+        _all.add(self)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.usual, name)  # trace, lower, eval_shape
@@ -537,6 +540,7 @@ class KeptJit(Generic[_Arguments, _Result]):
         """The program from the folder, or compiled and put there; None where that cannot be."""
         with self.lock:  # many threads may ask for it at once
             if (known := self._known(key)) is _UNKNOWN:
+                _let_go_of_too_many()
                 self.programs[key] = known = self._kept(leaves, tree, static)
             return known
 
@@ -579,6 +583,17 @@ class KeptJit(Generic[_Arguments, _Result]):
         return _Program(compiled, structure)
 
 
+_all: weakref.WeakSet[KeptJit[Any, Any]] = weakref.WeakSet()
+
+
+def _let_go_of_too_many() -> None:
+    """Where there is hardly room for another program, let go of all that are here: XLA ends a process without maps."""
+    with contextlib.suppress(OSError):  # only Linux says how many there are
+        if Path("/proc/self/maps").read_bytes().count(b"\n") > _MOST_MAPS:
+            for one in tuple(_all):
+                one.programs = {}
+
+
 def kept_jit(function: Any = None, *, static_argnames: Any = (), filtered: bool = False, **options: Any) -> Any:
     """``jax.jit``, or ``equinox.filter_jit``, with programs that are kept; a decorator with or without options."""
     if function is None:
@@ -590,6 +605,11 @@ def kept_jit(function: Any = None, *, static_argnames: Any = (), filtered: bool 
 def is_compiling() -> bool:
     """Whether JAX traces the code that calls this for a program: results are traced then, whatever the arguments."""
     return type(find_top_trace(())).__name__ != "EvalTrace"
+
+
+def plain_numpy() -> Any:
+    """NumPy, whose operations are not compiled, where JAX traces nothing; else ``jax.numpy``."""
+    return jnp if is_compiling() else np
 
 
 _state = operator.attrgetter(*(name for name in jax.config.values if hasattr(jax.config, name)))

@@ -13,6 +13,7 @@ from jax import lax
 from jax.tree_util import Partial
 from jaxtyping import Array
 
+from .._compiler.programs import plain_numpy
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Harmonic, Signal, SumOfHarmonics, added_up, angle
 from .._excitation.recorded import ForceSteps, Recorded
@@ -471,9 +472,10 @@ class MassSpring(System):
         if structure is not None:
             return structure.sizes(excitation)
         # The motion changes in the time of one radian, or in 1 s where there is hardly a spring.
-        squared, memory = jnp.asarray(self.stiffness / self.mass, float), self.memory
+        xp = plain_numpy()
+        squared, memory = xp.asarray(self.stiffness / self.mass, float), self.memory
         swings = squared > SOFT**2
-        clock = jnp.where(swings, 1 / jnp.sqrt(jnp.where(swings, squared, 1)), 1.0)
+        clock = xp.where(swings, 1 / xp.sqrt(xp.where(swings, squared, 1)), 1.0)
         deceleration = self.friction.static * self.normal_force / self.mass
         speed = deceleration * clock
         of_memory = (*(clock for _ in memory.ages), *(law.state_scale for law in memory.laws))

@@ -406,6 +406,26 @@ def test_without_a_folder_nothing_is_kept(name, tmp_path, monkeypatch, compiled)
     assert not compiled
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such limit")
+def test_programs_go_where_memory_maps_run_out(folder, monkeypatch, compiled):
+    def maps():
+        return len(Path("/proc/self/maps").read_bytes().splitlines())
+
+    @functools.partial(kept_jit, static_argnames="number")
+    def power(x, *, number):
+        return jax.lax.fori_loop(0, 3, lambda _, y: jnp.sin(y) ** number, x)
+
+    found = [power(1.0, number=number) for number in range(2, 10)]
+    assert len(power.programs) == 8
+    before = maps()
+    monkeypatch.setattr(kept, "_MOST_MAPS", 0)
+    assert power(1.0, number=10) < found[0]
+    assert len(power.programs) == 1
+    assert maps() < before
+    monkeypatch.undo()
+    assert [power(1.0, number=number) for number in range(2, 10)] == found
+
+
 def test_a_full_disk_costs_nothing(folder, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")

@@ -13,6 +13,7 @@ from stickslip_jax._numerics.derivatives import NotKnown, bounds_of
 from stickslip_jax._numerics.elementary import sincos
 
 BASE, T1, START = ss.Harmonic(1.0, 0.8), 10.0, (0.3, 0.0)
+SYSTEM = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5))
 METHODS = {"exact": ss.Exact(), "regularised": ss.Regularized(0.05, step=0.02)}
 
 
@@ -192,3 +193,29 @@ def test_what_is_shared_may_print():
     assert jax.jit(sharing(function))(0.0) == 3.0
     jax.effects_barrier()
     assert seen == [0.0]
+
+
+@pytest.mark.parametrize("number", [0, 1, 17, 4096, 4097, 150_000])
+def test_any_number_of_times_is_evaluated_in_parts_of_few_sizes(number):
+    """Of the last part, what fills it up is not seen."""
+    one = ss.simulate(SYSTEM, ss.Harmonic(1.0, 1.0), t1=20.0, y0=(0.0, 1.0))
+    times = np.random.default_rng(0).uniform(-1.0, 21.0, number)
+    position, velocity = one.evaluate(times)
+    assert position.shape == velocity.shape == one.base_velocity(times).shape == (number,)
+    assert position.dtype == velocity.dtype == jnp.result_type(float)
+    within = (times >= 0) & (times <= 20)
+    assert (np.isfinite(position) == within).all()
+    traced = jax.jit(lambda t: (*one.evaluate(t), one.base_velocity(t)))(times)
+    for found, whole in zip((position, velocity, one.base_velocity(times)), traced, strict=True):
+        np.testing.assert_allclose(found, whole, rtol=0, atol=1e-14)
+
+
+def test_short_simulations_share_a_program():
+    """Of whatever length: room for 512 steps is room for all of them. A batch takes the room that it needs."""
+
+    def slots(t1):
+        return ss.simulate(SYSTEM, ss.Harmonic(1.0, 1.0), t1=t1, y0=(0.0, 1.0)).step_starts.shape
+
+    assert slots(1.0) == slots(20.0) == slots(21.0)
+    many = jax.vmap(lambda v: ss.simulate(SYSTEM, ss.Harmonic(1.0, 1.0), t1=1.0, y0=(0.0, v)).step_starts)(jnp.ones(2))
+    assert many.shape[1:] < slots(1.0)

@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array
 
 from ..._compiler.native import sharing
-from ..._compiler.programs import kept_jit
+from ..._compiler.programs import kept_jit, plain_numpy
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState, SegmentTable
@@ -486,6 +486,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         hint = "only friction laws with an inner state, such as LuGre, need none"
         raise checks.refused("width", "be positive (in m/s)", None, hint)
     _check_contacts(system, method)
+    xp = plain_numpy()
     width = None if method.width is None else jnp.asarray(method.width, dtype)
     speed, deceleration, state_sizes = system.sizes(excitation)
     # Static friction above kinetic friction holds a mass up to one width.
@@ -500,7 +501,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
     threshold = method.threshold
     if threshold is None:
         if width is None:
-            threshold = _SLOW * jnp.asarray(speed)
+            threshold = _SLOW * xp.asarray(speed)
         else:
             held = system.static_exceeds_kinetic
             threshold = width if held else Switch(width, method.shape).creep(jnp.asarray(speed))
@@ -508,13 +509,13 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
     if duration is None:
         assert deceleration is not None
         # Without friction nothing sticks, however slowly the mass passes through.
-        slows = jnp.asarray(deceleration) > 0
+        slows = xp.asarray(deceleration) > 0
         never = min(checks.LARGEST, float(jnp.finfo(dtype).max))
-        duration = jnp.where(slows, 10 * threshold / jnp.where(slows, deceleration, 1), never)
-        duration = duration if method.step is None else jnp.maximum(duration, 2 * method.step)
+        duration = xp.where(slows, 10 * threshold / xp.where(slows, deceleration, 1), never)
+        duration = duration if method.step is None else xp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
-    scales = jnp.stack([jnp.asarray(size, dtype) for size in state_sizes])
-    scales = jnp.where(scales > 0, scales, 1)
+    scales = xp.stack([xp.asarray(size, dtype) for size in state_sizes])
+    scales = xp.where(scales > 0, scales, 1)
     atol = method.rtol * scales if method.atol is None else method.atol
     if np.shape(atol) not in ((), scales.shape):
         raise ValueError(
