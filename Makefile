@@ -20,7 +20,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast test-plain test-wheel test-browser coverage check-slow docs site check-site notebooks lint format bench bench-smoke versions clean
+.PHONY: study test test-fast test-plain test-wheel test-browser coverage check-slow docs site check-site notebooks mutations lint format bench bench-smoke versions clean
 
 study: $(STUDY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -61,6 +61,10 @@ check-slow: $(READY)
 	failed=; for folder in $$(grep -rl --include='test_*.py' 'mark\.slow' tests | cut -d/ -f1-2 | sort -u); do \
 		$(BIN)/python -m pytest -m slow -n auto --dist worksteal $$folder || failed="$$failed $$folder"; \
 	done; test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
+
+# Each guard of the package is switched off in turn, and a test must fail. WHICH="programs LAPACK" is some of them.
+mutations: $(READY)
+	$(BIN)/python tools/mutations.py $(WHICH)
 
 # The notebooks at full size, as .ipynb files with their figures.
 notebooks: $(READY)

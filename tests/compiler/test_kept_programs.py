@@ -426,6 +426,21 @@ def test_programs_go_where_memory_maps_run_out(folder, monkeypatch, compiled):
     assert [power(1.0, number=number) for number in range(2, 10)] == found
 
 
+def test_a_program_that_is_not_of_its_sum_is_not_run(folder, compiled):
+    """Not even one that could be: that of another function."""
+
+    def of(factor):
+        return kept_jit(lambda x: factor * x)
+
+    assert float(of(2.0)(1.0)) == 2.0
+    (path,) = entries(folder)
+    assert float(of(3.0)(1.0)) == 3.0
+    (other,) = set(entries(folder)) - {path}
+    path.write_bytes(path.read_bytes()[:32] + other.read_bytes()[32:])
+    assert float(of(2.0)(1.0)) == 2.0
+    assert compiled == [path.name, other.name, path.name]
+
+
 def test_a_full_disk_costs_nothing(folder, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
