@@ -584,17 +584,19 @@ class Simulation(WithMethods):
         size, given = times.size, [np.asarray(values) for values in given]
         room = next((room for room in _ROOMS if size <= room), _ROOMS[-1])
         parts = [[values[at : at + room] for values in given] for at in range(0, max(size, 1), room)]
-        found = [compute(*(jnp.asarray(np.resize(values, room)) for values in part)) for part in parts]
+        # `device_put`, since ``jnp.asarray`` compiles a program for each new shape.
+        found = [compute(*(jax.device_put(np.resize(values, room)) for values in part)) for part in parts]
 
         def whole(*values: Array) -> Array:
-            return jnp.asarray(np.concatenate([np.asarray(part) for part in values])[:size].reshape(shape))
+            return jax.device_put(np.concatenate([np.asarray(part) for part in values])[:size].reshape(shape))
 
         return jax.tree.map(whole, *found)
 
     def _checked(self, times: AnyArray | float) -> Array:
         checks.numeric("times", times, ndim=None)
         self._require_one()
-        return jnp.asarray(times, self.sticks.start.dtype)
+        dtype = self.sticks.start.dtype
+        return jnp.asarray(times, dtype) if is_compiling() else jax.device_put(np.asarray(times, dtype))
 
     def _require_one(self) -> None:
         if np.ndim(self.status) > 0:

@@ -697,7 +697,7 @@ class ReadyStructure(LinearStructure):
 
 @kept_jit
 def _fastest(mass: Any, stiffness: Any, damping: Any) -> FloatScalar:
-    lowest = 1e-3 * jnp.sqrt(jnp.finfo(float).tiny)
+    lowest = 1e-3 * jnp.sqrt(jnp.finfo(jnp.result_type(float)).tiny)
     squared = largest_eigenvalue(_inverse_times(mass, _matrix(stiffness)))
     decay = 0.0 if damping is None else largest_eigenvalue(_inverse_times(mass, _matrix(damping)))
     return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), lowest)

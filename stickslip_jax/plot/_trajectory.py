@@ -131,7 +131,7 @@ def phases_of(one: Simulation, window: Window) -> list[Phase]:
     base_times[lasts] = np.nextafter(times[lasts], times.dtype.type(0))
     base_times[[0, -1]] = times[0] + round_off, times[-1] - round_off
     state = one.evaluate(times)
-    bases = one._at(partial(_follow_base, one), *(jnp.asarray(values) for values in (base_times, *state)))
+    bases = one._at(partial(_follow_base, one), jax.device_put(base_times), *state)
     state, others = jax.tree.map(np.asarray, (state, bases))
     velocity = others[0]
 
