@@ -98,7 +98,7 @@ def test_the_derivative_by_friction_at_none_is_that_from_above():
 
 
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
-@pytest.mark.parametrize("x64", [True, False])
+@pytest.mark.parametrize("x64", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [ss.Coulomb, lambda mu: ss.Stribeck(mu, mu, 0.3)])
 @pytest.mark.parametrize("method", [METHODS[0], METHODS[1], METHODS[3]])  # not adaptive: see docs/limits.md
 def test_derivatives_of_a_mass_that_stays_at_rest(method, law, x64):
@@ -138,7 +138,7 @@ def test_ensembles_and_intervals_do_not_stick():
         assert (many.finished, float(many.statistics.stick_count.mean)) == (16, 0)
 
 
-@pytest.mark.parametrize("name", ["Coulomb", "Stribeck"])
+@pytest.mark.parametrize("name", ["Coulomb", pytest.param("Stribeck", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("base", [ss.Constant(0.0), ss.Harmonic(0.0, 1.0)])
 def test_a_mass_that_stays_at_rest_does_not_stick(name, method, base):

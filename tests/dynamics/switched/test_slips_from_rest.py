@@ -77,7 +77,9 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "own pair" else name for name in SYSTEMS]
+)
 def test_derivatives_of_the_side_to_which_it_slips(name):
     system, positions = SYSTEMS[name]
 
