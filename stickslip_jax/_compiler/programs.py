@@ -76,7 +76,7 @@ _OF_NO_EFFECT = frozenset((
     "__dict__", "__weakref__", "__doc__", "__annotations__", "__annotate__", "__annotate_func__",
     "__annotations_cache__", "__module__", "__qualname__", "__abstractmethods__", "_abc_impl", "__firstlineno__",
     "__static_attributes__", "__dataclass_params__", "__dataclass_fields__", "__orig_bases__", "__parameters__",
-    "__classcell__",
+    "__classcell__", "__slotnames__",
 ))  # fmt: skip
 """Entries of a class that its methods do not read. Fields, with their defaults and metadata, are followed."""
 _PLAIN = (type(None), type(...), type(NotImplemented), bool, int, str, bytes, complex, float, range)
@@ -96,6 +96,14 @@ def identity(*values: object, arguments: object = None) -> str:
     Of `arguments`, a tree of modules, the numbers in the leaves do not count, and static fields do, by value.
     """
     return _walked(values, arguments).sum.hexdigest()
+
+
+def _shown(value: object) -> str:
+    """What `value` says of itself; not that of an object that says its address, which is another in each process."""
+    text = repr(value)
+    if " at 0x" in text:
+        raise Unidentified(f"the object {text}")
+    return text
 
 
 def _walked(values: Iterable[object], arguments: object) -> "_Walk":
@@ -149,6 +157,7 @@ class _Walk:
                 self.value(key)
                 self.argument(value[key])
         elif isinstance(value, functools.partial):
+            self.seen[id(value)] = len(self.seen), value
             self.all("partial", (kind, value.func))
             self.argument((value.args, value.keywords))
         else:
@@ -216,7 +225,9 @@ class _Walk:
             self.say(name)
             self.value(entries[name])
         for field in entries.get("__dataclass_fields__", {}).values():
-            self.say("field", field.name, repr(field.type), str(field.init), str(field.kw_only), str(field._field_type))
+            # `kw_only` of a class variable is no truth value, but an object.
+            are = field.init is True, field.kw_only is True, str(field._field_type)
+            self.say("field", field.name, _shown(field.type), str(are))
             defaults = (field.default, field.default_factory)
             given = ["no default" if one is dataclasses.MISSING else one for one in defaults]
             self.all("of field", (field.metadata, *given))
@@ -274,7 +285,7 @@ class _Walk:
     def _jitted(self, value: Any) -> None:
         info = value._jit_info
         options = (info.compiler_options_kvs, info.in_shardings_leaves, info.out_shardings_leaves)
-        self.all("jit", (value.__wrapped__, info.static_argnums, info.static_argnames, info.inline, repr(options)))
+        self.all("jit", (value.__wrapped__, info.static_argnums, info.static_argnames, info.inline, _shown(options)))
 
     def _structure(self, tree: Any) -> None:
         """A tree definition of JAX: of what kind each node is, and what it says of itself."""
@@ -702,14 +713,14 @@ def _caches() -> Path:
 
 
 class _Pickler(pickle.Pickler):
-    """Functions and classes of the arguments are named by the numbers of their visits: many have no other name."""
+    """What the arguments hold is named by the number of its visit: functions and classes may have no other name."""
 
     def __init__(self, file: io.BytesIO, objects: list[object]):
         super().__init__(file)
         self.numbers = {id(seen): number for number, seen in enumerate(objects)}
 
     def persistent_id(self, obj: object) -> int | None:
-        return self.numbers.get(id(obj)) if isinstance(obj, (types.FunctionType, type)) else None
+        return self.numbers.get(id(obj))
 
 
 class _Unpickler(pickle.Unpickler):

@@ -13,6 +13,7 @@ from support.processes import in_processes
 from stickslip_jax._compiler import programs as kept
 
 BEGIN = """
+import functools
 import warnings
 import jax
 jax.config.update("jax_enable_x64", True)
@@ -27,6 +28,15 @@ kept._write = lambda path, *rest: compiled.append(path.name) or write(path, *res
 S = lambda friction=ss.Coulomb(0.5), **more: ss.MassSpring(1.0, 4.0, 1.0, friction, **more)
 H, TIMES, MANY = ss.Harmonic(1.0, 1.0), np.linspace(0.0, 5.0, 21), {"samples": 6, "key": jax.random.key(0)}
 FIVE = {"t1": 5.0, "y0": (0.3, 0.0)}
+class Own(ss.FrictionLaw):
+    mu: float
+    @property
+    def static(self):
+        return self.mu
+    def kinetic(self, speed):
+        return self.mu * (1 - 0.1 * jnp.tanh(speed))
+def curve(slope, speed):
+    return 0.5 - slope * jnp.tanh(speed)
 def watched(one):
     return one, one.evaluate(TIMES), one.peak(), repr(one)
 def seen(one):
@@ -43,6 +53,9 @@ KINDS = {
     "one mass": "seen(ss.simulate(S(), ss.Constant(1.0), **FIVE))",
     "Stribeck friction": "seen(ss.simulate(S(ss.Stribeck(0.5, 1.0, 0.5)), H, **FIVE))",
     "a curve of one's own": "seen(ss.simulate(S(ss.FrictionCurve(lambda v: 0.5 - 0.1 * jnp.tanh(v))), H, **FIVE))",
+    "a law of one's own": "seen(ss.simulate(S(Own(0.5)), H, **FIVE))",
+    "a partial function": "seen(ss.simulate(S(ss.FrictionCurve(functools.partial(curve, 0.1))), H, **FIVE))",
+    "a compiled function": "seen(ss.simulate(S(ss.FrictionCurve(jax.jit(lambda v: 0.5 - 0.1 * v))), H, **FIVE))",
     "a cart": "seen(ss.simulate(ss.MotorCart(0.3), ss.SourceVoltage(12.0), t1=1.0))",
     "three blocks": "watched(ss.simulate(ss.block_row(3, mass=1.0, between=4.0, to_ground=4.0, normal_force=1.0, "
     "friction=ss.Coulomb(0.5)), ss.Constant(1.0), t1=5.0))",
@@ -69,6 +82,19 @@ def test_a_program_is_loaded_where_nothing_else_has_run(kind, tmp_path):
     *numbers, compiled = first.split()
     assert int(compiled) > 0
     assert second.split() == [*numbers, "0"]
+
+
+IDENTITIES = """
+for law in (Own(0.5), ss.FrictionCurve(functools.partial(curve, 0.1)), ss.FrictionCurve(jax.jit(lambda v: 0.5))):
+    print(kept._walked((), (S(law), H)).sum.hexdigest())
+"""
+
+
+def test_identities_are_the_same_in_each_process(tmp_path):
+    """Those of classes and functions too that a program has of itself: none is known by where it lies in memory."""
+    first, second = (in_processes(1, BEGIN + IDENTITIES, tmp_path, PYTHONHASHSEED=seed)[0] for seed in "12")
+    assert first == second
+    assert len(set(first.split())) == 3
 
 
 SOLVING = """
