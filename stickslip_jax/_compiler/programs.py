@@ -79,6 +79,7 @@ _OF_NO_EFFECT = frozenset((
     "__classcell__", "__slotnames__",
 ))  # fmt: skip
 """Entries of a class that its methods do not read. Fields, with their defaults and metadata, are followed."""
+_FIELDS = "__dataclass_fields__"
 _PLAIN = (type(None), type(...), type(NotImplemented), bool, int, str, bytes, complex, float, range)
 _LEAF = (jax.Array, np.ndarray, np.generic, bool, int, float, complex)
 _OF_PYTHON = sysconfig.get_paths()["stdlib"]
@@ -224,7 +225,9 @@ class _Walk:
         for name in sorted(set(entries) - _OF_NO_EFFECT):
             self.say(name)
             self.value(entries[name])
-        for field in entries.get("__dataclass_fields__", {}).values():
+        # Those of its bases are followed there.
+        inherited = {id(field) for base in kind.__mro__[1:] for field in vars(base).get(_FIELDS, {}).values()}
+        for field in (one for one in entries.get(_FIELDS, {}).values() if id(one) not in inherited):
             # `kw_only` of a class variable is no truth value, but an object.
             are = field.init is True, field.kw_only is True, str(field._field_type)
             self.say("field", field.name, _shown(field.type), str(are))

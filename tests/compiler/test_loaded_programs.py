@@ -35,6 +35,18 @@ class Own(ss.FrictionLaw):
         return self.mu
     def kinetic(self, speed):
         return self.mu * (1 - 0.1 * jnp.tanh(speed))
+class Hung(ss.SwitchedSystem):
+    mu: float
+    @property
+    def state_names(self):
+        return "position in m", "velocity in m/s"
+    def rates(self, t, y, base, friction):
+        return y[1], -4 * y[0] - self.mu * friction
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+    @property
+    def shortest_time(self):
+        return 0.5
 def curve(slope, speed):
     return 0.5 - slope * jnp.tanh(speed)
 def watched(one):
@@ -54,6 +66,12 @@ KINDS = {
     "Stribeck friction": "seen(ss.simulate(S(ss.Stribeck(0.5, 1.0, 0.5)), H, **FIVE))",
     "a curve of one's own": "seen(ss.simulate(S(ss.FrictionCurve(lambda v: 0.5 - 0.1 * jnp.tanh(v))), H, **FIVE))",
     "a law of one's own": "seen(ss.simulate(S(Own(0.5)), H, **FIVE))",
+    "a system of one's own": "watched(ss.simulate(Hung(0.5), H, **FIVE))",
+    "an ensemble of one's own": "ss.simulate_ensemble(Hung(0.5), ss.RandomPhase(H), progress=False, **FIVE, **MANY)",
+    "a law of one's own in an ensemble": "ss.simulate_ensemble(S(Own(0.5)), ss.RandomSteps(1.0, 1.0), keep='sticks', "
+    "progress=False, **FIVE, **MANY)",
+    "a sensitivity of one's own": "ss.sensitivity('stick_fraction', S(Own(0.5)), ss.RandomSteps(1.0, 1.0), wrt='mu', "
+    "**FIVE, **MANY)",
     "a partial function": "seen(ss.simulate(S(ss.FrictionCurve(functools.partial(curve, 0.1))), H, **FIVE))",
     "a compiled function": "seen(ss.simulate(S(ss.FrictionCurve(jax.jit(lambda v: 0.5 - 0.1 * v))), H, **FIVE))",
     "a cart": "seen(ss.simulate(ss.MotorCart(0.3), ss.SourceVoltage(12.0), t1=1.0))",
