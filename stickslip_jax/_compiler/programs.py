@@ -534,7 +534,8 @@ class KeptJit(Generic[_Arguments, _Result]):
         leaves, tree = jax.tree.flatten(traced)
         static_leaves, static_tree = jax.tree.flatten(static)
         try:
-            kinds = tuple(map(kind_of_leaf, leaves))
+            # The type of an array that JAX keeps with it costs a tenth of asking the array (`kind_of_leaf`).
+            kinds = tuple([leaf.aval if type(leaf).__name__ == "ArrayImpl" else kind_of_leaf(leaf) for leaf in leaves])
             key = tree, static_tree, (*static_leaves,), (*map(type, static_leaves),), kinds, _state(jax.config)
             known = self._known(key)
         except (Unidentified, TypeError):  # traced numbers; what has no hash
@@ -626,21 +627,27 @@ def plain_numpy() -> Any:
     return jnp if is_compiling() else np
 
 
-_state = operator.attrgetter(*(name for name in jax.config.values if hasattr(jax.config, name)))
+_state = operator.attrgetter(
+    *(k for k in jax.config.values if hasattr(jax.config, k) and not any(word in k for word in _NO_MATTER))
+)
 """The options of JAX that may change within a process, as they are in this thread."""
 _generation = 0
 
 
 @jax.jit
 def _probe(x: Any) -> Any:
-    global _generation  # noqa: PLW0603 - as of the caches of JAX
-    _generation += 1
     return x
+
+
+_traced = weakref.ref(_probe)  # but for the first time: what JAX has in its caches, and nobody else has
 
 
 def _this_generation() -> int:
     """Another number after ``jax.clear_caches()``, which lets go the programs that are kept in memory too."""
-    _probe.eval_shape(0.0)
+    global _generation, _traced  # noqa: PLW0603 - as of the caches of JAX
+    if _generation == 0 or _traced() is None:
+        _traced = weakref.ref(_probe.trace(0.0).jaxpr)
+        _generation += 1
     return _generation
 
 

@@ -211,7 +211,7 @@ def test_any_number_of_times_is_evaluated_in_parts_of_few_sizes(number):
 
 
 def test_short_simulations_share_a_program():
-    """Of whatever length: room for 512 steps is room for all of them. A batch takes the room that it needs."""
+    """Of whatever length: room for 256 steps is room for all of them. A batch takes the room that it needs."""
 
     def slots(t1):
         return ss.simulate(SYSTEM, ss.Harmonic(1.0, 1.0), t1=t1, y0=(0.0, 1.0)).step_starts.shape

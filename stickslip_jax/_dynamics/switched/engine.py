@@ -541,7 +541,7 @@ def _close_calls(
 MOST_STEPS = 2**30  # steps are counted in 32 bits
 _SPARE = 4  # times as many steps where it is not known before the call how fast the motion is
 _ROOM = 96  # steps more, for short trajectories
-_FEWEST = 512  # steps that one trajectory has room for: all short ones share a program
+_FEWEST = 256  # steps that one trajectory has room for: all short ones share a program
 _PER_SEGMENT = 8  # time steps in a segment of a record where neither is known
 
 
