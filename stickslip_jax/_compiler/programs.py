@@ -449,18 +449,8 @@ def _this_machine() -> str:
         processor = [platform.processor()]
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     devices = [(one.id, one.device_kind, one.platform, one.client.platform_version) for one in jax.devices()]
-    return repr(
-        (
-            versions,
-            source.hexdigest(),
-            sys.version,
-            sys.flags.optimize,
-            platform.platform(),
-            processor,
-            threads,
-            devices,
-        )
-    )
+    of_python = sys.version, sys.flags.optimize, platform.platform()
+    return repr((versions, source.hexdigest(), of_python, processor, threads, devices))
 
 
 def _options() -> str:
