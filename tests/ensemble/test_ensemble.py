@@ -159,11 +159,11 @@ def test_one_compilation_serves_other_parameters_keys_and_sample_counts():
     summarize, begin, record = compiled_for(IntervalEngine(SYSTEM, POISSON, 1.0, (0.0, 1.0)))
     chunks = (summarize.native, begin, record.native)
     run(1.0, 1.0, 0, 10, 5.0)
-    before = [compiled._cache_size() for compiled in chunks]
+    before = [len(compiled.programs) for compiled in chunks]
     run(0.3, 2.5, 1, 200, 9.0)
     run(0.0, 0.1, 2, 1, 0.5)
     assert before[2] > 0
-    assert [compiled._cache_size() for compiled in chunks] == before
+    assert [len(compiled.programs) for compiled in chunks] == before
 
 
 def test_first_statistics_against_brute_force(kept):
