@@ -103,7 +103,7 @@ GUARDS = (
     Guard(
         "a record that ends before the simulation is refused",
         "_dynamics/common/method.py", "if motion.covered_time < float(self.t1) * (1 - 1e-12):", "if False:",
-        "tests/package/test_bad_input.py tests/excitation/test_own_laws.py",
+        "tests/dynamics/switched/test_bad_input.py",
     ),
     Guard(
         "a force at resonance without damping is refused",
@@ -113,7 +113,7 @@ GUARDS = (
     Guard(
         "masked entries are refused",
         "_foundation/checks.py", "(*_NO_NUMBERS, type)) or np.ma.is_masked(value):", "(*_NO_NUMBERS, type)):",
-        "tests/package/test_bad_input.py",
+        "tests/package/test_strange_values.py",
     ),
     Guard(
         "a fork of a process in which JAX runs is told",
