@@ -131,6 +131,11 @@ GUARDS = (
         "tests/sweep/test_headers.py",
     ),
     Guard(
+        "a client that is closed between the check and a task is told",
+        "_sweep/run.py", "            self.check()\n            raise\n", "            raise\n",
+        "tests/sweep/test_clusters.py::test_client_closed_between_the_check_and_a_task_is_told",
+    ),
+    Guard(
         "sticks in a file last for its stick times",
         "_ensemble/conversions.py", "slack)[finished]), ", "slack)[finished]) or True, ",
         "tests/ensemble/test_stored_edits.py",

@@ -248,7 +248,7 @@ def _number_in(mask: AnyArray) -> Any:
     """How many slots are used; counted by NumPy where JAX traces nothing, which compiles nothing."""
     if isinstance(mask, np.ndarray) or checks.is_traced(mask):
         return mask.sum(axis=-1)
-    return jnp.asarray(np.asarray(mask).sum(axis=-1))
+    return jax.device_put(np.asarray(mask).sum(axis=-1))
 
 
 def sticks_in_order(records: StickRecord) -> Sticks:

@@ -1,5 +1,6 @@
 """Sweeps on clusters of dask.distributed: the same numbers, whatever becomes of workers, scheduler and client."""
 
+import itertools
 import os
 import re
 import signal
@@ -191,6 +192,21 @@ def test_client_closed_in_the_middle_is_told_and_another_goes_on(undisturbed, tm
             assert_same(small_sweep().run(tmp_path, executor=second), undisturbed)
     assert log_of(tmp_path).count("done ") == 12
     assert 0 < before < 12
+
+
+def test_client_closed_between_the_check_and_a_task_is_told(tmp_path, monkeypatch):
+    with local_cluster(processes=False) as cluster:
+        client = Client(cluster)
+        submit, calls = client.submit, itertools.count()
+
+        def closed_in_the_middle(*task, **options):
+            if next(calls) == 4:
+                client.close()
+            return submit(*task, **options)
+
+        monkeypatch.setattr(client, "submit", closed_in_the_middle)
+        with pytest.raises(ss.SweepError, match=r"The connection to the cluster was lost; .* Connect a new"):
+            small_sweep().run(tmp_path, executor=client)
 
 
 def pids_of_workers(client) -> list[int]:
