@@ -216,6 +216,6 @@ def test_short_simulations_share_a_program():
     def slots(t1):
         return ss.simulate(SYSTEM, ss.Harmonic(1.0, 1.0), t1=t1, y0=(0.0, 1.0)).step_starts.shape
 
-    assert slots(1.0) == slots(20.0) == slots(21.0)
+    assert slots(1.0) == slots(7.0) == slots(20.0)
     many = jax.vmap(lambda v: ss.simulate(SYSTEM, ss.Harmonic(1.0, 1.0), t1=1.0, y0=(0.0, v)).step_starts)(jnp.ones(2))
     assert many.shape[1:] < slots(1.0)
