@@ -14,10 +14,14 @@ from .rounds import Program, Timed
 class Worker:
     """One such process. Starting JAX takes seconds, so it is asked again and again."""
 
-    def __init__(self, *options: str, programs: str = "off"):
-        """With compiled `programs` from that folder; by default each is compiled, since that is timed."""
+    def __init__(self, *options: str, programs: str = "off", **variables: str):
+        """With compiled `programs` from that folder; by default each is compiled, since that is timed.
+
+        `variables`: of its environment.
+        """
         command = [sys.executable, "-W", "ignore", "-m", "benchmarks.worker", *options]
         environment = {**os.environ, "MPLBACKEND": "Agg"} | ({} if "--tiny" in options else {VARIABLE: programs})
+        environment |= variables
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
         )

@@ -1,6 +1,10 @@
-"""How long a first call takes beyond a second: compiled in a new process, and in the next process, which loads it."""
+"""How long a first call takes beyond a second, compiled in a new process, and in the next process, which loads it; and
+how many programs of how many operations it compiles.
+"""
 
+import os
 import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +15,27 @@ from ..workers import Bench, Worker
 MOST = 2  # compilations of each; they vary little
 
 
+def _operations(name: str, *options: str) -> list[int]:
+    """Of each program that the case compiles, operations before XLA makes them fewer (instructions of its HLO)."""
+    with tempfile.TemporaryDirectory() as folder:
+        flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_dump_to={folder} --xla_dump_hlo_as_text"
+        own = Worker(*options, XLA_FLAGS=flags, JAX_ENABLE_COMPILATION_CACHE="false", STICKSLIP_PROGRAMS="off")
+        own.prepare(f"compiled: {name}")
+        own.close()
+        return [file.read_text().count(" = ") for file in Path(folder).glob("*before_optimizations.txt")]
+
+
 def measure(bench: Bench) -> list[dict[str, Any]]:
-    """A row for each case: the medians of its first calls."""
+    """A row for each case: the medians of its first calls, and the operations of its programs."""
     if bench.tiny:  # one process compiles all of them once
-        found = [(name, bench.worker().prepare(f"compiled: {name}")) for name in CASES]
-        return [{"label": name, "compile_s": seconds, "load_s": seconds} for name, seconds in found]
+        found, operations = (
+            [(name, bench.worker().prepare(f"compiled: {name}")) for name in CASES],
+            _operations(YARDSTICK, "--tiny"),
+        )
+        return [
+            {"label": name, "compile_s": seconds, "load_s": seconds, "operations": operations}
+            for name, seconds in found
+        ]
     rows = []
     for name in CASES:
         times = []
@@ -28,19 +48,23 @@ def measure(bench: Bench) -> list[dict[str, Any]]:
                     own.close()
                 times.append(both)
         compiled, loaded = np.median(times, axis=0)
-        rows.append({"label": name, "compile_s": float(compiled), "load_s": float(loaded)})
+        rows.append(
+            {"label": name, "compile_s": float(compiled), "load_s": float(loaded), "operations": _operations(name)}
+        )
     return rows
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:
-    """In seconds, and in multiples of diffrax's call."""
+    """In seconds, and in multiples of diffrax's call; small programs, as of one sum, are counted too."""
     unit = next((row["compile_s"] for row in rows if row["label"] == YARDSTICK), None) or np.nan
     return [
-        "| what | first process, s | next process, s | first, diffrax = 1 | next, diffrax = 1 |",
-        "|---|---:|---:|---:|---:|",
+        "| what | first process, s | next process, s | first, diffrax = 1 | next, diffrax = 1 | programs | operations "
+        "| of the largest |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
         *(
             f"| {row['label']} | {max(row['compile_s'], 0):.1f} | {max(row['load_s'], 0):.2f} "
-            f"| {max(row['compile_s'], 0) / unit:.2f} | {max(row['load_s'], 0) / unit:.2f} |"
+            f"| {max(row['compile_s'], 0) / unit:.2f} | {max(row['load_s'], 0) / unit:.2f} "
+            f"| {len(row['operations'])} | {sum(row['operations']):,} | {max(row['operations'], default=0):,} |"
             for row in rows
         ),
     ]

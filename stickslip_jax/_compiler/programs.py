@@ -464,7 +464,7 @@ def _options() -> str:
 
 
 VARIABLE = "STICKSLIP_PROGRAMS"
-"""The environment variable that turns it "on", or chooses the folder; "off" by default, but for the command."""
+"""The environment variable that turns it "off", or chooses the folder; "on" by default."""
 LARGEST = 2**30
 """Largest size of the folder, bytes; the least recently used programs are deleted first."""
 _HALF = "half-"  # of files that are not whole yet; what a killed process left goes an hour later
