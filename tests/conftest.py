@@ -73,6 +73,20 @@ def _programs_of_changed_code_are_not_kept(request):
         os.environ[_programs.VARIABLE] = chosen
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Of a test that is `slow_but_for` some of its cases, all others are slow."""
+    unused = {}
+    for item in items:
+        for marker in item.iter_markers("slow_but_for"):
+            case, asked = item.callspec.id, unused.setdefault(item.nodeid.partition("[")[0], set(marker.args))
+            asked.discard(case)
+            if case not in marker.args:
+                item.add_marker(pytest.mark.slow)
+    if any(unused.values()) and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"slow_but_for names cases that there are not: {unused}")
+
+
 _tests = itertools.count()
 
 

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, PyTree
 
 from .._compiler.native import Layout, packed
+from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
 from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines, solve_chunk
@@ -33,6 +34,7 @@ from .._statistics.totals import STATISTICS
 from .._systems.system import require_system
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
+from .._uncertainty.numbers import with_numbers
 from .data import EnsembleAccumulator, EnsembleData, EnsemblePart, Fields, Keep, prepare
 
 # The checked arguments of an ensemble, and the engine that simulates its samples.
@@ -193,13 +195,14 @@ class OutputRunner:
 
     def __init__(self, setup: EnsembleSetup, outputs: Mapping[str, Output]):
         """Traces every function once. Raises ValueError for one that does not return a number."""
-        self._setup, self._outputs = setup, dict(outputs)
-        self._key = jax.random.wrap_key_data(jnp.asarray(setup.key_data, jnp.uint32))
-        values, number, base = self._arguments(0, 1)
-        one = jax.tree.map(lambda leaf: leaf[0], (values, number, base))
+        self._setup, self._outputs = setup, tuple(outputs)
+        simulated, numbers = _sample_functions(setup.inputs, setup.t1, setup.method, setup.dtype, dict(outputs))
+        self._at_once = jax.vmap(numbers, in_axes=(None, 0, 0, 0))
+        key_data, *of_sample = self._arguments(0, 1)
+        one = key_data, *jax.tree.map(lambda leaf: leaf[0], of_sample)
         self._begun: dict[int, list[np.ndarray]] = {}
         try:
-            shapes = jax.eval_shape(lambda *one: eqx.filter(self._simulated(*one), eqx.is_array), *one)
+            shapes = jax.eval_shape(lambda *one: eqx.filter(simulated(*one), eqx.is_array), *one)
         except ValueError:
             # How many steps or intervals there are depends on numbers that differ from sample to sample: they are known
             # where JAX makes a batch of them outside jit.
@@ -208,8 +211,8 @@ class OutputRunner:
             return
         size = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(shapes))
         fits = max(_FEWEST, min(_LANES, _MEMORY // max(size, 1)))
-        self._lanes, self._run = 1 << (fits.bit_length() - 1), jax.jit(self._at_once)
-        jax.eval_shape(lambda *one: self._numbers(self._simulated(*one)), *one)
+        self._lanes, self._run = 1 << (fits.bit_length() - 1), kept_jit(self._at_once)
+        jax.eval_shape(numbers, *one)
 
     def values(self, first: int, samples: int, threads: int = 1) -> Values:
         """The outputs of samples ``first .. first + samples - 1``."""
@@ -235,27 +238,36 @@ class OutputRunner:
         finished = status == Status.FINISHED
         return [np.where(finished, np.asarray(column, np.float64), np.nan) for column in numbers]
 
-    def _arguments(self, first: int, number: int) -> tuple[tuple[AnyArray, ...], Array, PyTree]:
-        """What differs among samples `first`, ``first + 1``, ...: their numbers, and their realisations."""
+    def _arguments(self, first: int, number: int) -> tuple[AnyArray, tuple[AnyArray, ...], Array, PyTree]:
+        """The key, and what differs among samples `first`, ``first + 1``, ...: their numbers and realisations."""
         setup = self._setup
         values = tuple(jnp.asarray(column) for column in setup.inputs.drawn(first, number, setup.dtype))
         numbers = jnp.asarray(setup.inputs.realization_numbers(first, number))
-        return values, numbers, setup.inputs.realizations(first, number, setup.t1)
+        key_data = np.asarray(setup.key_data, np.uint32)
+        return key_data, values, numbers, setup.inputs.realizations(first, number, setup.t1)
 
-    def _at_once(self, values: tuple[AnyArray, ...], numbers: Array, bases: PyTree) -> tuple[Array, ...]:
-        """The status and the outputs of a batch of samples, (samples,) each."""
-        return jax.vmap(lambda *one: self._numbers(self._simulated(*one)))(values, numbers, bases)
 
-    def _simulated(self, values: tuple[AnyArray, ...], number: Array, base: PyTree) -> Simulation:
-        """One sample: ``simulate(*many.realization(number))``."""
-        setup = self._setup
-        system, law, y0 = setup.inputs.filled(values)
+def _sample_functions(
+    inputs: Inputs, t1: float, method: Exact | Regularized, dtype: DType, outputs: dict[str, Output]
+) -> tuple[Callable[..., Simulation], Callable[..., tuple[Array, ...]]]:
+    """Functions of the key, and of the numbers and the realisation of one sample, which hold nothing else of its study.
+
+    The first is ``simulate(*many.realization(number))``; the other its status and its outputs.
+    """
+    model, paths = inputs.model, tuple(entry.path for entry in inputs.entries)
+
+    def simulated(key_data: Array, values: tuple[Array, ...], number: Array, base: PyTree) -> Simulation:
+        system, law, y0 = with_numbers(model, paths, values)
         if base is None:
-            base = law.sample(jax.random.fold_in(self._key, number), setup.t1) if is_random(law) else law
-        return simulate(system, base, t1=setup.t1, y0=y0, method=setup.method)
+            key = jax.random.fold_in(jax.random.wrap_key_data(key_data), number)
+            base = law.sample(key, t1) if is_random(law) else law
+        return simulate(system, base, t1=t1, y0=y0, method=method)
 
-    def _numbers(self, one: Simulation) -> tuple[Array, ...]:
-        return one.status, *(output.number(one, self._setup.dtype) for output in self._outputs.values())
+    def numbers(*of_sample: Any) -> tuple[Array, ...]:
+        one = simulated(*of_sample)
+        return one.status, *(output.number(one, dtype) for output in outputs.values())
+
+    return simulated, numbers
 
 
 def fields_of_outputs(outputs: Mapping[str, Output]) -> Fields:
