@@ -75,16 +75,16 @@ def _programs_of_changed_code_are_not_kept(request):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Of a test that is `slow_but_for` some of its cases, all others are slow."""
+    """Of a test that is `slow_for` some of its cases, these are slow; `slow_but_for` them, all others."""
     unused = {}
     for item in items:
-        for marker in item.iter_markers("slow_but_for"):
+        for marker in (one for one in item.iter_markers() if one.name in ("slow_for", "slow_but_for")):
             case, asked = item.callspec.id, unused.setdefault(item.nodeid.partition("[")[0], set(marker.args))
             asked.discard(case)
-            if case not in marker.args:
+            if (case in marker.args) == (marker.name == "slow_for"):
                 item.add_marker(pytest.mark.slow)
     if any(unused.values()) and not any("::" in argument for argument in config.args):
-        raise pytest.UsageError(f"slow_but_for names cases that there are not: {unused}")
+        raise pytest.UsageError(f"slow_for and slow_but_for name cases that there are not: {unused}")
 
 
 _tests = itertools.count()

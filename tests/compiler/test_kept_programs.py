@@ -21,8 +21,10 @@ from jax.experimental.compilation_cache import compilation_cache
 from support.processes import in_processes
 
 import stickslip_jax as ss
+from stickslip_jax._compiler import identity as key
 from stickslip_jax._compiler import programs as kept
-from stickslip_jax._compiler.programs import Unidentified, identity, kept_jit
+from stickslip_jax._compiler.identity import Unidentified, identity
+from stickslip_jax._compiler.programs import kept_jit
 
 OSCILLATOR = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=0.5))
 
@@ -215,27 +217,27 @@ def test_modules_of_a_user_may_have_names_of_the_library(monkeypatch, tmp_path):
 
 
 def test_machine_and_options_are_part_of_the_key(monkeypatch):
-    about, options = kept._this_machine.__wrapped__(), kept._options()
+    about, options = key.this_machine.__wrapped__(), key.options_now()
     with jax.enable_x64(False):
-        assert kept._options() != options
+        assert key.options_now() != options
     with jax.default_matmul_precision("highest"):
-        assert kept._options() != options
+        assert key.options_now() != options
     with jax.numpy_dtype_promotion("strict"):
-        assert kept._options() != options
+        assert key.options_now() != options
     with jax.default_prng_impl("rbg"):
-        assert kept._options() != options
+        assert key.options_now() != options
     monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")
-    assert kept._options() != options
+    assert key.options_now() != options
     if hasattr(os, "sched_getaffinity"):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(99)))
-        assert kept._this_machine.__wrapped__() != about
+        assert key.this_machine.__wrapped__() != about
         monkeypatch.undo()
     for name, value in (("version", lambda _: "0.0"), ("PACKAGES", frozenset(("jax",)))):
-        monkeypatch.setattr(kept, name, value)
-        assert kept._this_machine.__wrapped__() != about
+        monkeypatch.setattr(key, name, value)
+        assert key.this_machine.__wrapped__() != about
         monkeypatch.undo()
     monkeypatch.setattr(Path, "read_bytes", lambda _: b"other source")
-    assert kept._this_machine.__wrapped__() != about
+    assert key.this_machine.__wrapped__() != about
 
 
 # With a folder.
@@ -309,11 +311,12 @@ def test_filtered_arguments_are_static_unless_they_are_arrays(folder, compiled):
     assert len(compiled) == 4
 
 
-def test_under_transformations_it_is_jit(folder, compiled):
+def test_under_other_transformations_it_is_jit(folder, compiled):
     one = kept_jit(lambda x: jnp.sum(jnp.sin(x) ** 2))
     x = jnp.arange(3.0)
     np.testing.assert_allclose(jax.grad(one)(x), np.sin(2 * np.arange(3.0)))
-    np.testing.assert_allclose(jax.vmap(one)(x), np.sin(np.arange(3.0)) ** 2)
+    np.testing.assert_allclose(jax.vmap(jax.grad(one))(x), np.sin(2 * np.arange(3.0)))
+    np.testing.assert_allclose(jax.jit(jax.vmap(one))(x), np.sin(np.arange(3.0)) ** 2)
     np.testing.assert_allclose(jax.jit(one)(x), one.lower(x).compile()(x))
     jax.jvp(one, (x,), (x,))
     assert not compiled
@@ -322,6 +325,39 @@ def test_under_transformations_it_is_jit(folder, compiled):
     with jax.debug_nans(True), pytest.raises(FloatingPointError):
         kept_jit(jnp.log)(jnp.asarray(-1.0))
     assert not compiled
+
+
+BATCHES = {
+    "one mapped": lambda f, x, y: jax.vmap(lambda x: f(x, y[0]))(x),
+    "the other": lambda f, x, y: jax.vmap(lambda y: f(x[0], y))(y),
+    "both": lambda f, x, y: jax.vmap(f)(x, y),
+    "a batch of batches": lambda f, x, y: jax.vmap(lambda x: jax.vmap(lambda y: f(x, y))(y))(x),
+    "nothing mapped": lambda f, x, y: jax.vmap(lambda _: f(x[0], y[0]))(x),
+    "along another axis": lambda f, x, y: jax.vmap(lambda x: f(x, y), in_axes=0, out_axes=-1)(jnp.stack([x, y])),
+}
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+@pytest.mark.parametrize("batch", BATCHES)
+def test_a_batch_is_a_program(batch, filtered, folder, compiled):
+    """With the numbers of ``jax.jit``, compiled once; under derivatives it is ``jax.jit`` itself."""
+
+    def function(x, y, *, power=2):
+        return {"of": (x**power * y, y + 1)}
+
+    def run(jitted):
+        return BATCHES[batch](jitted, jnp.arange(1.0, 4.0), jnp.arange(2.0, 5.0))
+
+    wanted, options = run(jax.jit(function)), {} if filtered else {"static_argnames": "power"}
+    for _ in range(2):  # the second from the folder
+        found = run(kept_jit(function, filtered=filtered, **options))
+        assert jax.tree.structure(found) == jax.tree.structure(wanted)
+        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+            np.testing.assert_array_equal(one, other)
+            assert isinstance(one, jax.Array)
+    assert len(entries(folder)) == len(compiled) == 1
+    slopes = jax.vmap(jax.grad(lambda x: kept_jit(function, **options)(x, 2.0)["of"][0]))(jnp.arange(3.0))
+    np.testing.assert_array_equal(slopes, 4 * jnp.arange(3.0))
 
 
 def test_programs_that_call_python_are_not_kept(folder, capfd):
