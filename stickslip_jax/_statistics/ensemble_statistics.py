@@ -360,7 +360,7 @@ class EnsembleStatistics(ByQuantity):
                 stick: ``joint(("duration", 1), ("duration", 2))`` is the joint distribution of the durations of the
                 first and the second stick, ``joint(("slip_duration", 1), ("duration", 2))`` that of the slip between
                 the two and the second stick.
-            y: Likewise; with the number of a stick if `x` has one.
+            y: Another quantity; with the number of a stick if `x` has one.
 
         Raises:
             ValueError: For other arguments.

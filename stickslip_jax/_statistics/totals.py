@@ -262,8 +262,9 @@ def histogram_convergence(
 
     Args:
         ensemble: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
-        x: As in ``ensemble.statistics.joint``.
-        y: As in ``ensemble.statistics.joint``.
+        x: The first quantity of a stick: "start", "duration", "position" ..., one that ``ensemble.statistics.joint``
+            takes.
+        y: The second one.
         bins: Largest number along each axis.
         points: Largest number of distances.
 

@@ -445,9 +445,9 @@ def joint_histogram(
         log: Whether colours follow the logarithm of the density, to show rare pairs beside frequent ones.
         conditional_mean: Whether to draw the mean ordinate of the retained pairs of a joint distribution in each bin of
             the abscissa (20 bins at most), with bars of one standard error.
-        system: With sticks only, as in `stick_map`.
-        bound: Likewise.
-        period: Likewise.
+        system: With sticks only: what was simulated, where they do not know it.
+        bound: With sticks only: the voltage of a `MotorCart` whose closed-form `stick_duration_bound` to draw.
+        period: With sticks only: angles are drawn modulo this, pi or 2 pi, rad; by default 2 pi.
         axes: Three, of the joint histogram, above and right of it; or one, for it alone. By default those of a figure.
 
     Returns:
