@@ -378,7 +378,7 @@ class Ensemble(EnsembleData):
         return write_table(columns, path, overwrite)
 
     def write_slips(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write all slips as a table, one row each: sample, start, end, duration, and whether the horizon cuts it.
+        """Write all slips as a table, one row each: sample, start, end, duration, and whether the end, `t1`, cuts it.
 
         `path`, `overwrite`, the value returned and errors as in `write_sticks`.
         """

@@ -432,7 +432,7 @@ def independent(
 
     1. Spearman's rank correlation of the values of orders `first` and ``first + lag``, one pair from each sample that
        has both. The pairs are independent, so the p-value (Student's t) holds whatever the dependence within a sample.
-    2. Chi-square of the same pairs in a table of `bins` x `bins` quantiles (of one quantity: pooled, of two: of each);
+    2. Chi-square of the same pairs in a table of `bins` x `bins` quantiles (of all values, or of each quantity of two);
        effect: Cramer's V. With few pairs there are fewer bins, and neighbouring bins are joined until the expected
        count of each cell is at least 5. Finds dependence without correlation.
     3. Serial rank correlation: all pairs of all samples from `first` on, ranked among the pairs of the same orders.
