@@ -22,7 +22,7 @@ LIST = (ROOT / "docs" / "notebooks.md").read_text(encoding="utf-8")
 SOURCE = (ROOT / "docs" / "gallery.py").read_text(encoding="utf-8")
 FUNCTIONS = [name for name in plot.__all__ if name[0].islower() and name != "save"]
 NOTEBOOKS = sorted(path.stem for path in (ROOT / "notebooks").glob("*.py"))
-WIDTH, SIZE = 88, 3_000_000
+WIDTH, SIZE = 88, 1_500_000
 """Characters of a line of code that the page shows whole; bytes of all pictures, which are twice as wide as shown."""
 
 
