@@ -20,7 +20,7 @@ DOCUMENTS = {
     "docs/howto/calibration_sticks.md": 2,
     "docs/howto/contacts.md": 11,
     "docs/howto/engine.md": 2,
-    "docs/howto/first_hour.md": 10,
+    "docs/howto/first_hour.md": 9,
     "docs/howto/friction_memory.md": 6,
     "docs/howto/memory.md": 1,
     "docs/howto/nonlinear.md": 8,
