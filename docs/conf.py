@@ -43,13 +43,14 @@ html_title = f"stickslip_jax {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 # Pages without pages beside them, and notebooks, whose code needs the room: their list is one level up.
-html_sidebars = {page: [] for page in ("index", "tutorial", "live", "theory", "notebooks/*", "search", "genindex")}
+BARE = """index install howto/first_hour gallery tutorial live theory notebooks notebooks/* search genindex""".split()  # noqa: SIM905
+html_sidebars = {page: [] for page in BARE}
 html_show_search_summary = False  # it is read with `fetch`, which browsers refuse for files
 html_theme_options = {
     "show_prev_next": False,
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],
-    "header_links_before_dropdown": 9,
+    "header_links_before_dropdown": 7,
 }
 
 

@@ -21,10 +21,10 @@ SYSTEM = ss.MassSpring(
     mass=1.0,
     stiffness=4.0,
     normal_force=1.0,
-    friction=ss.Coulomb(mu=1.0),
+    friction=ss.Coulomb(mu=0.9),
 )
 LAW = ss.PoissonSwitching(speed=1.0, rate=1.0)  # of the velocity of the base
-START = (0.0, 1.0)  # m, m/s
+START = (0.0, 0.5)  # m, m/s
 STUDY = {"t1": 200.0, "samples": 10_000, "key": jax.random.key(0), "y0": START}
 # Until here.
 
@@ -39,7 +39,7 @@ from PIL import Image
 HERE = Path(__file__).parent
 FOLDER = HERE / "gallery"
 RUNS = ("notebooks", "notebooks-small")  # below results; the first that has the notebook is taken
-WIDTH = 480  # pixels
+WIDTH = 960  # pixels, twice those of the page: sharp on all screens
 FILMS = ("animate",)  # made by animation.py
 FUNCTIONS = [name for name in plot.__all__ if name[0].islower() and name not in ("save", *FILMS)]
 FIGURES = {
@@ -320,7 +320,7 @@ def calibration_moments():
 
 
 def shrink(image: Image.Image, name: str) -> None:
-    """Write a picture as wide as the page shows it, in colours of a palette."""
+    """Write a picture twice as wide as the page shows it, in colours of a palette."""
     small = image.convert("RGB").resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
     # Other methods turn the few orange pixels of a stick brown.
     small = small.quantize(method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
@@ -333,7 +333,7 @@ def draw(names: list[str]) -> None:
         axes = globals()[name]()
         figure = (axes[0] if isinstance(axes, tuple) else axes).figure
         with io.BytesIO() as file:
-            figure.savefig(file, dpi=4 * WIDTH / figure.get_figwidth())
+            figure.savefig(file, dpi=2 * WIDTH / figure.get_figwidth())
             plt.close(figure)
             shrink(Image.open(file), name)
         print(f"gallery/{name}.png", flush=True)

@@ -1,9 +1,8 @@
-"""Draw the figures of tutorial and first hour: ``python docs/tutorial_figures.py``."""
+"""Draw the figures of the tutorial: ``python docs/tutorial_figures.py``."""
 
 from pathlib import Path
 
 import jax
-import numpy as np
 
 import stickslip_jax as ss
 
@@ -29,12 +28,6 @@ def main() -> None:
     over = {"mu": [0.5, 1.0, 2.0], "rate": [0.5, 1.0]}
     swept = ss.Sweep(system, law, over=over, t1=100.0, samples=2000, **settings).run(progress=False)
     save(ss.plot.parameter_sweep(swept, ["mean_stick_duration"]), "tutorial_sweep")
-
-    many = ss.simulate_ensemble(system, law, t1=100.0, samples=10_000, **settings)
-    save(ss.plot.histogram(many.statistics.duration), "first_hour_durations")
-    over = {"mu": np.linspace(0.2, 2.0, 10)}
-    swept = ss.Sweep(system, law, over=over, t1=100.0, samples=1000, **settings).run(progress=False)
-    save(ss.plot.parameter_sweep(swept, ["mean_stick_duration"]), "first_hour_sweep")
 
 
 if __name__ == "__main__":

@@ -116,6 +116,12 @@ for name, true in zip(found, TRUE, strict=True):
 whole = calibrated(observed, KEY, None)
 for name in found:
     print(f"{found[name]} from mean durations, {whole[name].without_name()} from {len(whole.moments)} moments")
+    low, high = whole[name].interval(0.95)
+    print(f"{name}: with 95 % confidence between {low:.3f} and {high:.3f}")
+
+# %% [markdown]
+# These intervals rest on Gaussian errors. Credible intervals by a sampler are in the notebooks `posterior` (of a record
+# of motion, `np.quantile` of the draws of numpyro) and `abc` (of sticks).
 
 # %% [markdown]
 # ## The derivative

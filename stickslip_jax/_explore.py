@@ -31,13 +31,13 @@ def explore(
     as figures. ``stickslip explore`` in a terminal shows the same in a browser.
 
     Args:
-        system: With the numbers to begin with, as for `simulate_ensemble`; one of your own too.
-        law: What drives it, likewise.
+        system: With the numbers to begin with; one of your own too.
+        law: What drives it, with the numbers to begin with.
         t1: Duration of each realisation, s.
-        y0: Initial state, as for `simulate_ensemble`; zeros by default.
+        y0: Initial state, such as ``(position, velocity)``; zeros by default.
         samples: Number of realisations.
         seed: Of the random numbers: their key is ``jax.random.key(seed)``.
-        method: As for `simulate_ensemble`.
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
 
     Returns:
         What a notebook shows. Its `scene` holds the system, the law and the numbers as they are now.

@@ -523,14 +523,14 @@ def calibrate(
 
     Args:
         system: With first guesses of the numbers.
-        base: What drives it, as for `simulate`: a motion without randomness, measured ones as a `Recorded`.
+        base: What drives it: a motion without randomness, such as `Harmonic`, a measured one as a `Recorded`.
         times: Of the measurements, s, increasing, from 0 on, (times,); they need not be equally spaced.
         measured: What was measured, (times,) each, NaN where it was not. By the names of the system's coordinates
             ("position" in m, "velocity" in m/s; "angle", "current", "position 2", ...), as "acceleration" (m/s^2;
             where a coordinate is called "velocity 2", "acceleration 2"), as "friction force" (N), or by the names in
             `observe`. Accelerations and friction forces jump where a stick begins or a slip reverses, and the search
             does not see how a jump moves past a measurement: set those next to jumps to NaN, and measure positions too.
-        wrt: The names of the numbers to be estimated, as for `sensitivity`: those of fields of the system or the base,
+        wrt: The names of the numbers to be estimated: those of fields of the system or the base,
             such as "mu" or "friction.forward.mu". They stay inside the bounds of these fields: positive ones are
             searched by their logarithms, those that may be zero are found there, and `mu_static` is never below `mu`.
             Of the sensors too: "clock.delay" (s) of the whole record, "position.delay" (s) and "position.offset" of a
@@ -542,7 +542,7 @@ def calibrate(
             one, as said above. With several, `y0` is not used.
         observe: A function of simulation (a `Simulation`, which begins where its window does) and times (s, (times,))
             for each channel with a name of its own, in JAX.
-        method: As for `simulate`. With `Regularized` there is one window, which begins at t = 0.
+        method: `Exact` or `Regularized`, with which there is one window, which begins at t = 0.
 
     Returns:
         The estimates, with their errors; print it. Warns (RuntimeWarning) with each of its remarks: of numbers that the

@@ -171,17 +171,19 @@ def log_likelihood(
 
     Args:
         system: With first guesses of the numbers.
-        base: What drives it, as for `simulate`: a motion without randomness, measured ones as a `Recorded`.
+        base: What drives it: a motion without randomness, such as `Harmonic`, a measured one as a `Recorded`.
         times: Of the measurements, s, increasing, from 0 on, (times,).
-        measured: What was measured, (times,) each, NaN where it was not, by names as for `calibrate`.
-        wrt: The names of the numbers that are not known, as for `calibrate`; initial values are "y0[0]", "y0[1]" and so
-            on.
+        measured: What was measured, (times,) each, NaN where it was not, by the names of coordinates ("position",
+            "velocity"), as "acceleration" or "friction force", or by the names in `observe`.
+        wrt: The names of the numbers that are not known, such as "mu" or "position.offset"; initial values are "y0[0]",
+            "y0[1]" and so on.
         noise: The standard deviation of the noise of each channel, in its unit; those left out are given in each call.
-        y0: The state at t = 0, as for `simulate`: at rest in the origin by default. Where `wrt` names initial values,
+        y0: The state at t = 0: at rest in the origin by default. Where `wrt` names initial values,
             their first guesses.
-        observe: Functions for channels with names of their own, as for `calibrate`.
-        method: As for `simulate`. `Exact` takes up to twice as many steps as the first guesses need, or as many as
-            its `max_steps` says; numbers that need more are taken as impossible. `Regularized` needs its `max_steps`.
+        observe: For each channel with a name of its own a function of a `Simulation` and times (s, (times,)), in JAX.
+        method: `Exact` or `Regularized`. `Exact` takes up to twice as many steps as the first guesses need, or as many
+            as its `max_steps` says; numbers that need more are taken as impossible. `Regularized` needs its
+            `max_steps`.
 
     Returns:
         A `LogLikelihood`.
@@ -313,17 +315,17 @@ def stick_simulator(
 
     Args:
         system: The system; the numbers that `wrt` names are replaced.
-        law: A random excitation, as for `simulate_ensemble`.
+        law: A random excitation, any that `simulate_ensemble` takes.
         wrt: The names of the parameters, in the order of the columns: those of fields of the system or the law, such as
             "mu" or "rate", and "y0[0]", "y0[1]".
         t1: Duration, s.
-        y0: Initial state, as for `simulate_ensemble`.
+        y0: Initial state, such as ``(position, velocity)``, numbers or distributions; zeros by default.
         realizations: Of each row, independent of each other; its summaries are their mean. As many as recordings were
             made.
         summaries: A function of the `Ensemble` of all samples, with all their sticks, to an array (samples, summaries);
             it must give each row by the sample's own sticks. By default the number of sticks and the total stick time
             (s) of each sample: the fastest, as no stick is kept.
-        method: As for `simulate_ensemble`.
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
         threads: Worker threads (default: all cores).
 
     Returns:

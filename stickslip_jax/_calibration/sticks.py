@@ -332,15 +332,15 @@ def calibrate_sticks(
 
     Args:
         system: With the starting guesses of the parameters; of several experiments one for all, or a list.
-        law: The same of the base.
+        law: The random excitation, with starting guesses too; one for all experiments, or a list.
         observed: Recordings of sticks, an `Ensemble` as `Ensemble.from_sticks` makes it, or a simulated one; or a list,
             one for each experiment, which share the parameters.
-        wrt: The names of the parameters, as for `sensitivity`. They stay inside the bounds of
-            their fields, positive ones since they are fitted by their logarithms.
+        wrt: The names of the parameters, numbers of system, law or `y0` such as "mu", "rate" or "y0[0]". They stay
+            inside the bounds of their fields, positive ones since they are fitted by their logarithms.
         samples: Of each simulation. Take several thousand: with too few, derivatives are noise (a remark says so).
-        key: As for `sensitivity`.
-        y0: Initial state of all experiments, as for `sensitivity`.
-        moments: What is compared: statistics of sticks as `sensitivity` takes them, a list. By default the mean total
+        key: Of the simulations, from ``jax.random.key(seed)``.
+        y0: Initial state of all experiments, numbers or distributions; zeros by default.
+        moments: What is compared: a list of statistics of sticks that `sensitivity` takes. By default the mean total
             stick time, the mean number of sticks, the mean sum of squared durations, and the mean time to the first
             stick, but for those that are the same in all recordings. The likelihood takes means over all realisations,
             no ratios such as `mean_stick_duration`.
@@ -348,8 +348,8 @@ def calibrate_sticks(
         estimator: Of the derivatives: "corrected" for sticks that appear and vanish, or "finite-difference" with common
             random numbers over 10 % of each parameter. By default the one with the smaller error in the same time:
             corrected for the total stick time and the number of sticks where closed forms exist.
-        method: As in `simulate_ensemble`. `Regularized` takes minutes to hours: a fit simulates dozens of ensembles.
-        threads: As in `simulate_ensemble`; the result does not depend on it.
+        method: `Exact` or `Regularized`, which takes minutes to hours: a fit simulates dozens of ensembles.
+        threads: Worker threads (default: all cores); the result does not depend on it.
 
     Returns:
         A `StickCalibration`. Warns (RuntimeWarning) with each of its remarks: of parameters that cannot be told apart

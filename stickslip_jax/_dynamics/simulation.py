@@ -254,7 +254,7 @@ class Simulation(WithMethods):
     Attributes:
         sticks: Every stick (`Sticks`).
         slips: Every slip (`Slips`).
-        totals: The number of sticks (`sticks`), how many the horizon cut (`censored`), and their total time
+        totals: The number of sticks (`sticks`), how many the end, `t1`, cut (`censored`), and their total time
             (`stick_time`, s).
         stick_time: Total time in sticks, s.
         slip_time: Total time in slips, s.

@@ -225,7 +225,7 @@ class Sticks(eqx.Module):
 class Slips(eqx.Module):
     """Slips in order of time: the parts of [0, t1] outside the sticks. Slots outside `mask` hold NaN.
 
-    - `start`, `end`: s. `censored`: whether the horizon cuts the slip.
+    - `start`, `end`: s. `censored`: whether the end, `t1`, cuts the slip.
     """
 
     start: Float[AnyArray, "*batch slots"]
@@ -681,7 +681,7 @@ def slip_variables(start: np.ndarray, end: np.ndarray, censored: np.ndarray) -> 
     return {
         "slip_start": variable("slip", start, "time at which the slip starts", "s"),
         "slip_end": variable("slip", end, "time at which the slip ends", "s"),
-        "slip_ending": variable("slip", censored.astype(np.int8), "whether the horizon cuts the slip", **meanings),
+        "slip_ending": variable("slip", censored.astype(np.int8), "whether the end, `t1`, cuts the slip", **meanings),
     }
 
 

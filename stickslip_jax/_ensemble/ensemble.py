@@ -86,8 +86,8 @@ class Ensemble(EnsembleData):
 
         Args:
             result: A `Simulation` whose arrays have one leading axis, of samples. All must have the same ``t1``.
-            orders: As in `simulate_ensemble`.
-            count_initial_rest: As in `simulate_ensemble`.
+            orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
+            count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
 
         Raises:
             ValueError: For anything else.
@@ -122,8 +122,8 @@ class Ensemble(EnsembleData):
                 without gap.
             position_unit: Such as "mm"; by default that in the column's name, else "m".
             period: Of positions that are angles, which become those in ``[0, period)``.
-            orders: As in `simulate_ensemble`.
-            count_initial_rest: As in `simulate_ensemble`.
+            orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
+            count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
 
         Raises:
             ValueError: For a table that lacks a column or has sticks that overlap, lie outside ``[0, t1]`` or have no
@@ -146,10 +146,16 @@ class Ensemble(EnsembleData):
     ) -> "Ensemble":
         """This ensemble and `samples` more of it, simulated now: the same samples as of one longer run.
 
-        `threads`, `chunk`, `progress`: as in `simulate_ensemble`. Sticks, totals, counts and histograms are those of
-        one run of all samples, to the last bit. Means and higher moments are too if both runs divide the samples alike
-        (a `chunk` that divides the number of the first samples is given to both); else they are merged in other parts,
-        and differ by round-off: relatively by at most a few times 2^-53 times the number of parts.
+        Sticks, totals, counts and histograms are those of one run of all samples, to the last bit. Means and higher
+        moments are too if both runs divide the samples alike (a `chunk` that divides the number of the first samples is
+        given to both); else they are merged in other parts, and differ by round-off: relatively by at most a few times
+        2^-53 times the number of parts.
+
+        Args:
+            samples: How many more.
+            threads: Worker threads (default: all cores).
+            chunk: Samples simulated per call (default: chosen for speed).
+            progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
 
         Raises:
             ValueError: For an ensemble that was not simulated by `simulate_ensemble`, or that was joined.
@@ -372,7 +378,7 @@ class Ensemble(EnsembleData):
         return write_table(columns, path, overwrite)
 
     def write_slips(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write all slips as a table, one row each: sample, start, end, duration, and whether the horizon cuts it.
+        """Write all slips as a table, one row each: sample, start, end, duration, and whether the end, `t1`, cuts it.
 
         `path`, `overwrite`, the value returned and errors as in `write_sticks`.
         """
@@ -448,7 +454,8 @@ def simulate_ensemble(
         samples: Their number, or a design (`stickslip_jax.design`) with a row for each.
         key: From ``jax.random.key(seed)``; None where nothing is random.
         correlation: Of random numbers; by default they are independent.
-        y0: Initial state as in `simulate`, or an array (samples, coordinates).
+        y0: Initial state, such as ``(position, velocity)`` of a `MassSpring`, or an array (samples, coordinates); zeros
+            by default.
         method: `Exact`, with a time step where one is needed, or `Regularized`.
         keep: "totals" (fastest): ``many.totals`` of each sample, and their statistics; "statistics": all of these, in
             memory that does not grow with `samples`; "sticks" keeps every stick and the totals too.
@@ -509,7 +516,8 @@ class ContactEnsembles:
     """The result of `simulate_contacts`: an `Ensemble` for each contact, and one for all contacts at once.
 
     - `system`: as it was given. `contacts`: how many it has. `samples`: their number. `t1`: s.
-    - `status_counts`, `near_grazing_samples`: as of an `Ensemble`.
+    - `status_counts`: how many samples ended with each `Status`. `near_grazing_samples`: in how many round-off decided
+      whether there was an event.
     """
 
     system: System
@@ -583,21 +591,22 @@ def simulate_contacts(
 
     Args:
         system: A `LinearStructure`, or a `SwitchedSystem` of your own with `contacts`.
-        law: As in `simulate_ensemble`.
-        t1: As in `simulate_ensemble`.
-        samples: As in `simulate_ensemble`.
-        key: As in `simulate_ensemble`.
-        correlation: As in `simulate_ensemble`.
-        y0: As in `simulate_ensemble`.
-        method: As in `simulate_ensemble`.
-        keep: As in `simulate_ensemble`.
-        orders: As in `simulate_ensemble`.
-        count_initial_rest: As in `simulate_ensemble`.
-        threads: As in `simulate_ensemble`.
-        chunk: As in `simulate_ensemble`.
-        progress: As in `simulate_ensemble`.
-        first_sample: As in `simulate_ensemble`.
-        outputs: As in `simulate_ensemble`.
+        law: A random excitation, any that `simulate` takes, or an object with ``sample(key, t1)`` that returns one.
+        t1: Duration of each sample, s.
+        samples: Their number, or a design (`stickslip_jax.design`) with a row for each.
+        key: From ``jax.random.key(seed)``; None where nothing is random.
+        correlation: A `GaussianCopula` of random numbers; by default they are independent.
+        y0: Initial state: positions, then velocities; or an array (samples, coordinates); zeros by default.
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
+        keep: "totals" of each sample, "statistics" of their sticks besides, or "sticks", every one (`simulate_ensemble`
+            says what each costs).
+        orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
+        count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
+        threads: Worker threads (default: all cores).
+        chunk: Samples simulated per call (default: chosen for speed).
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+        first_sample: The number of the first sample, where several machines share one ensemble.
+        outputs: A dict from names to functions of a `Simulation` that return one number, or to `Output` objects.
 
     Returns:
         A `ContactEnsembles`.

@@ -90,9 +90,9 @@ class CloughPenzienSpectrum(KanaiTajimiSpectrum):
     velocity is ``VelocitySpectrum(CloughPenzienSpectrum(...))``.
 
     Args:
-        intensity: As in `KanaiTajimiSpectrum`, m^2/s^3 for an acceleration.
-        ground_frequency: As in `KanaiTajimiSpectrum`, rad/s.
-        ground_damping: As in `KanaiTajimiSpectrum`.
+        intensity: One-sided density of the white noise, m^2/s^3 for an acceleration.
+        ground_frequency: Angular frequency of the layer of ground, rad/s.
+        ground_damping: Damping ratio of the layer of ground.
         filter_frequency: Angular frequency below which the motion fades, rad/s; by default a tenth of 5 pi.
         filter_damping: Damping ratio of the filter.
 

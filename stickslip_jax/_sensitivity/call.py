@@ -131,15 +131,15 @@ def sensitivity(
             `mean_slip_count`, `mean_slip_duration` (or their names); a `StickStatistic`: `RealizationMeanDuration()`,
             `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`; or an `Output` of your own, for its mean. Or a
             list of them, all from the same samples, those of one kind from one loop.
-        system: As in `simulate_ensemble`.
-        law: As in `simulate_ensemble`; it or `y0` must be random.
+        system: A `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own; its numbers may be distributions.
+        law: The excitation, any that `simulate_ensemble` takes; it or `y0` must be random.
         wrt: The name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
             "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several; "law.speed" where a name is
             ambiguous.
-        t1: As in `simulate_ensemble`, s.
-        samples: As in `simulate_ensemble`.
-        key: As in `simulate_ensemble`.
-        y0: As in `simulate_ensemble`.
+        t1: Duration of each sample, s.
+        samples: Their number, at least 2.
+        key: From ``jax.random.key(seed)``; None where nothing is random.
+        y0: Initial state, such as ``(position, velocity)``, numbers or distributions; zeros by default.
         elasticity: Whether to give ``d log statistic / d log parameter``.
         estimator: "corrected": the pathwise derivative and the event part, which kernels estimate, or where they cannot
             (see above) pairs of trajectories. Or "finite-difference": central differences with common random numbers.
@@ -153,10 +153,11 @@ def sensitivity(
         relative_bandwidth: Width of the corrected estimator's kernel, as a relative change of the parameter: a stick
             counts as about to appear or vanish if this change, to first order, would make it do so. By default ``0.005
             (sticks / 10^6)^(-1/5)``, at most 0.05. The bias is of order ``relative_bandwidth^2``.
-        method: As in `simulate_ensemble`. Of regularised dynamics there are differences only; a threshold that is not
+        method: `Exact` or `Regularized`. Of regularised dynamics there are differences only; a threshold that is not
             given follows the parameter.
-        threads: As in `simulate_ensemble`; the result does not depend on it.
-        chunk: As in `simulate_ensemble`; the result depends on it only by the order of summation.
+        threads: Worker threads (default: all cores); the result does not depend on it.
+        chunk: Samples simulated per call (default: chosen for speed); the result depends on it only by the order of
+            summation.
 
     Returns:
         A `Sensitivity`, or for several names a mapping from name to `Sensitivity`; for a list of statistics a mapping
@@ -361,22 +362,23 @@ def differentiable(
     The windows of the kernels are chosen once, from the parameters of `system` and `law` given here.
 
     Args:
-        statistic: As for `sensitivity`, one. The derivative of an `Output` is that of central differences with the same
-            random numbers, whose step is the default of `sensitivity`.
-        system: As for `sensitivity`.
-        law: As for `sensitivity`.
-        wrt: As for `sensitivity`.
-        t1: As for `sensitivity`, s.
+        statistic: One that `sensitivity` takes, such as `mean_stick_duration` or ``StickDuration(1)``. The derivative
+            of an `Output` is that of central differences with the same random numbers, whose step is the default of
+            `sensitivity`.
+        system: A `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own; its numbers may be distributions.
+        law: The excitation, any that `simulate_ensemble` takes; it or `y0` must be random.
+        wrt: The name of a number in system, law or `y0`, such as "mu", "rate" or "y0[0]", or several.
+        t1: Duration of each sample, s.
         samples: Number of samples, rounded up to a multiple of 256.
-        key: As for `sensitivity`.
-        y0: As for `sensitivity`.
+        key: From ``jax.random.key(seed)``; None where nothing is random.
+        y0: Initial state, such as ``(position, velocity)``, numbers or distributions; zeros by default.
 
     Returns:
         The function. Its result is NaN where the statistic is defined for no sample, or where a sample has far more
         sticks than at the parameters given here.
 
     Raises:
-        ValueError: As for `sensitivity` with ``estimator="corrected"``.
+        ValueError: For what `sensitivity` with ``estimator="corrected"`` refuses.
     """
     if isinstance(statistic, (list, tuple)):
         raise checks.refused("statistic", "be one statistic (sensitivity takes several)", statistic)

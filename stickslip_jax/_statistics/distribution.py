@@ -468,6 +468,10 @@ def common_bins(distributions: Sequence[Distribution], bins: int | None = None) 
 
     By default 50; of whole numbers, one for each number. Histograms and entropies in the same bins can be compared.
 
+    Args:
+        distributions: A list of them, all in one unit, such as ``many.statistics.duration`` of several ensembles.
+        bins: Their number, at most.
+
     Raises:
         ValueError: For anything but distributions in one unit, with at least one value among them.
 

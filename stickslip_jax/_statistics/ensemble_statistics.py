@@ -167,7 +167,7 @@ class OrderStatistics(ByQuantity):
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class SlipStatistics(ByQuantity):
-    """Statistics of the slips of the retained samples, those cut by the horizon with the part before it.
+    """Statistics of the slips of the retained samples, those cut by the end with the part before it.
 
     `start`, `duration`: each the `Distribution` over all slips, s. `order(i)`: of the i-th slip of each sample. The
     first slip is that before the first stick, or after it where a sample begins with a stick. The duration of the
@@ -221,7 +221,7 @@ class SlipStatistics(ByQuantity):
 class EnsembleStatistics(ByQuantity):
     """Statistics of the sticks and slips of the samples that finished.
 
-    Sticks cut by the horizon count with the part before it (`endings` gives their share), and so do slips. A sample
+    Sticks cut by the end, `t1`, count with the part before it (`endings` gives their share), and so do slips. A sample
     without sticks counts in the distributions over samples, and in no distribution over sticks. A stick that begins at
     t = 0 counts in `stick_count` and `stick_fraction` only, unless `numbering` counts it as the first.
 
@@ -350,7 +350,7 @@ class EnsembleStatistics(ByQuantity):
     def joint(self, x: StickValue, y: StickValue) -> JointDistribution:
         """The joint distribution of two quantities of a stick, or of two sticks of one sample.
 
-        A stick that the horizon cuts has no slip after it, and its pairs with one are left out. The two durations,
+        A stick that the end cuts has no slip after it, and its pairs with one are left out. The two durations,
         ("duration", "position") and ("start", "duration") were summed over all samples; any other pair rests on the
         retained samples.
 
@@ -360,7 +360,7 @@ class EnsembleStatistics(ByQuantity):
                 stick: ``joint(("duration", 1), ("duration", 2))`` is the joint distribution of the durations of the
                 first and the second stick, ``joint(("slip_duration", 1), ("duration", 2))`` that of the slip between
                 the two and the second stick.
-            y: Likewise; with the number of a stick if `x` has one.
+            y: Another quantity; with the number of a stick if `x` has one.
 
         Raises:
             ValueError: For other arguments.

@@ -432,7 +432,7 @@ def independent(
 
     1. Spearman's rank correlation of the values of orders `first` and ``first + lag``, one pair from each sample that
        has both. The pairs are independent, so the p-value (Student's t) holds whatever the dependence within a sample.
-    2. Chi-square of the same pairs in a table of `bins` x `bins` quantiles (of one quantity: pooled, of two: of each);
+    2. Chi-square of the same pairs in a table of `bins` x `bins` quantiles (of all values, or of each quantity of two);
        effect: Cramer's V. With few pairs there are fewer bins, and neighbouring bins are joined until the expected
        count of each cell is at least 5. Finds dependence without correlation.
     3. Serial rank correlation: all pairs of all samples from `first` on, ranked among the pairs of the same orders.
@@ -444,17 +444,19 @@ def independent(
     test could be made.
 
     Args:
-        source: As in `identically_distributed`.
-        quantity: One as in `identically_distributed`: do its values depend on each other? Or two, the earlier first:
+        source: An `Ensemble` with ``keep="statistics"`` (its retained samples) or ``"sticks"``, or its ``flat_sticks``.
+        quantity: One of "duration", "position", "slip_duration", "start" and "slip_start": do its values depend on each
+            other? Or two, the earlier first:
             ``("duration", "slip_duration")`` asks whether a stick and the slip after it are independent, and
             ``("slip_duration", "duration")`` whether a slip and the stick after it are.
         lag: 1 pairs each value with the next, 2 with the one after that, and so on.
         first: Order of the first value that counts as the earlier one. The first two tests take this pair of each
             sample, the third this one and all later.
         bins: Number of quantile bins of each value in the chi-square test, at least 2.
-        significance: As in `identically_distributed`.
-        starts_before: As there, for the later value of a pair. That depends on the earlier value, but does not make
-            independent values dependent; without it (``math.inf``) a long value leaves less time for the next.
+        significance: Largest probability, in (0, 1), of rejecting a true hypothesis.
+        starts_before: Only pairs whose later value begins before this instant (s) are used; by default the end of the
+            simulation minus the longest value. That depends on the earlier value, but does not make independent values
+            dependent; without it (``math.inf``) a long value leaves less time for the next.
 
     Raises:
         ValueError: As `identically_distributed`.
@@ -505,10 +507,23 @@ def independent_and_identical(
 ) -> Verdict:
     """Test whether the values are independent and identically distributed, by all tests of both properties.
 
-    Arguments as for `identically_distributed` and `independent`. The probability that any of the five tests (in that
-    order) rejects a true hypothesis is at most `significance`, by Holm's method. The answer is None if nothing is
-    rejected and one of the two questions cannot be decided. Question: Lima and Sampaio 2017, introduction. Raises
-    ValueError as they do.
+    The tests are those of `identically_distributed`, then those of `independent`. The probability that any of the five
+    rejects a true hypothesis is at most `significance`, by Holm's method. The answer is None if nothing is rejected and
+    one of the two questions cannot be decided. Question: Lima and Sampaio 2017, introduction.
+
+    Args:
+        source: An `Ensemble` with ``keep="statistics"`` (its retained samples) or ``"sticks"``, or its ``flat_sticks``.
+        quantity: "duration" of the sticks (s), "position" of the mass at their start (m), "slip_duration" (s), or the
+            instants "start" and "slip_start" (s).
+        orders: Those whose distributions are compared: their number, from the first on, or a sequence of them.
+        lag: Which values are paired: 1 each with the next, 2 with the one after that, and so on.
+        first: Order of the first value that counts as the earlier one of a pair.
+        significance: Largest probability, in (0, 1), of rejecting a true hypothesis.
+        starts_before: Only values that begin before this instant (s) are used; by default the end of the simulation
+            minus the longest value.
+
+    Raises:
+        ValueError: For what either of the two refuses.
     """
     options = {"significance": significance, "starts_before": starts_before}
     parts = (

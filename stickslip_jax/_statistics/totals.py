@@ -113,11 +113,11 @@ stick_fraction = StatisticOfTotals(
 )  # fmt: skip
 mean_stick_count = StatisticOfTotals(
     "mean_stick_count", "mean number of sticks", "1", Linear(stick_count=1), Linear(constant=1),
-    "Mean number of sticks that begin in ``[0, t1]``, those cut by the horizon included.",
+    "Mean number of sticks that begin in ``[0, t1]``, those cut by the end included.",
 )  # fmt: skip
 mean_slip_count = StatisticOfTotals(
     "mean_slip_count", "mean number of slips", "1", Linear(slip_count=1), Linear(constant=1),
-    "Mean number of slips in ``[0, t1]``, those cut by the horizon included.",
+    "Mean number of slips in ``[0, t1]``, those cut by the end included.",
 )  # fmt: skip
 mean_stick_duration = StatisticOfTotals(
     "mean_stick_duration", "mean stick duration (pooled)", "s",
@@ -125,12 +125,12 @@ mean_stick_duration = StatisticOfTotals(
     "Mean duration of all sticks of all samples, ``E[total stick time] / E[number of sticks]``, s.\n\n"
     "A stick that begins at t = 0 is left out of both, unless the ensemble was simulated with "
     "``count_initial_rest=True``, or with ``keep=\"totals\"``, which cannot tell it from the others. "
-    "A stick cut by the horizon counts with the part before it. NaN if there was no stick.",
+    "A stick cut by the end counts with the part before it. NaN if there was no stick.",
 )  # fmt: skip
 mean_slip_duration = StatisticOfTotals(
     "mean_slip_duration", "mean slip duration (pooled)", "s", Linear(t1=1, stick_time=-1), Linear(slip_count=1),
     "Mean duration of all slips of all samples, ``(t1 - E[total stick time]) / E[number of slips]``, s.\n\n"
-    "A slip cut by the horizon counts with the part before it. NaN if there was no slip.",
+    "A slip cut by the end counts with the part before it. NaN if there was no slip.",
 )  # fmt: skip
 mean_total_stick_time = StatisticOfTotals(
     "mean_total_stick_time", "mean total stick time", "s", Linear(stick_time=1), Linear(constant=1),
@@ -262,8 +262,9 @@ def histogram_convergence(
 
     Args:
         ensemble: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``.
-        x: As in ``ensemble.statistics.joint``.
-        y: As in ``ensemble.statistics.joint``.
+        x: The first quantity of a stick: "start", "duration", "position" ..., one that ``ensemble.statistics.joint``
+            takes.
+        y: The second one.
         bins: Largest number along each axis.
         points: Largest number of distances.
 

@@ -48,20 +48,18 @@ class Sweep:
     Nothing is simulated before `run`.
 
     Args:
-        system: As in `simulate_ensemble`, and so are `law`, `t1` (s), `key`, `y0`, `method`, `orders` and
-            `count_initial_rest`. Numbers may be distributions.
-        law: The excitation.
-        over: A dict from the name of a parameter to its values: every combination is a point. A tuple of names has
-            rows of values, which change together. Or a design with values (`stickslip_jax.design`), whose rows are the
-            points. A name is that of a number of system, law, start or method, as in `sensitivity` ("mu", "rate",
-            "y0[0]", "method.width"), of a distribution ("mu.low"), or a dimensionless group: "r", frequency of the
-            base over the natural frequency; "w", base speed over
-            ``natural angular frequency * half-width of the stick band``.
+        system: Any that `simulate_ensemble` takes; its numbers may be distributions.
+        law: The excitation, any that `simulate_ensemble` takes.
+        over: A dict from the name of a parameter to its values: every combination is a point. A tuple of names has rows
+            of values, which change together. Or a design with values (`stickslip_jax.design`), whose rows are the
+            points. A name is that of a number of system, law, start or method ("mu", "rate", "y0[0]", "method.width"),
+            of a distribution ("mu.low"), or a dimensionless group: "r", frequency of the base over the natural
+            frequency; "w", base speed over ``natural angular frequency * half-width of the stick band``.
         t1: The duration, s.
         samples: Of each point; with `standard_error`, at most.
-        key: Of the random numbers.
+        key: Of the random numbers, from ``jax.random.key(seed)``; None where nothing is random.
         y0: The initial state; by default zero.
-        method: Of the simulation.
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
         keep: "statistics", or "totals" (fewer statistics, about three times as fast; a stick that begins at t = 0
             then counts in all of them).
         statistics: Names of those in the result; by default all.
@@ -75,9 +73,10 @@ class Sweep:
         realizations: Of how many samples the sticks are in the result, for figures.
         batch: Number of samples that are simulated, and stored, together; by default chosen from the size of the
             sweep. It decides the last digits of means.
-        outputs: As in `simulate_ensemble`. Of an output "peak" the result has ``peak_mean``,
-            ``peak_standard_deviation`` (each with ``..._error``), ``peak_quantile`` and ``peak_values``, the number of
-            samples with a value. Functions are not stored: to go on, run the same program again.
+        outputs: A dict from names to functions of a `Simulation` that return one number, or to `Output` objects. Of
+            "peak" the result has ``peak_mean``, ``peak_standard_deviation`` (each with ``..._error``),
+            ``peak_quantile`` and ``peak_values``, the number of samples with a value. Functions are not stored: to go
+            on, run the same program again.
 
     Raises:
         ValueError: For arguments that do not fit, at any point.
@@ -200,7 +199,7 @@ class Sweep:
             executor: A ``dask.distributed.Client`` (docs/clusters.md), in place of threads.
             shared_folder: Whether the workers of `executor` see `folder` under the same name, and write into it; else
                 they send what they have done.
-            progress: As in `simulate_ensemble`.
+            progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
 
         Returns:
             An ``xarray.Dataset`` with a dimension for each parameter, or ``point``; docs/sweeps.md describes it.
@@ -236,8 +235,8 @@ class Sweep:
 
         Args:
             samples: By default those of the sweep.
-            keep: As in `simulate_ensemble`, and so are `threads` and `progress`.
-            threads: Number of threads.
+            keep: "totals", "statistics", or "sticks", every one.
+            threads: Number of threads (default: all cores).
             progress: Whether to show a progress bar.
             **values: Those of all parameters at the point.
 

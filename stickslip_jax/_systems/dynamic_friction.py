@@ -314,12 +314,12 @@ class ElastoPlastic(LuGre):
     Autom. Control 47, 787, equations 5, 6 and 14.
 
     Args:
-        mu: As in `LuGre`.
-        mu_static: As in `LuGre`.
-        stribeck_speed: As in `LuGre`, m/s.
-        stiffness: As in `LuGre`, 1/m.
-        damping: As in `LuGre`, s/m.
-        viscous: As in `LuGre`, s/m.
+        mu: The friction coefficient of the bristles in a fast slip, positive.
+        mu_static: That in a very slow one, at least `mu`.
+        stribeck_speed: The speed over which it falls, m/s, positive.
+        stiffness: Of the bristles: friction coefficient per deflection, 1/m, positive.
+        damping: Of the bristles: friction coefficient per rate of deflection, s/m, zero or positive.
+        viscous: Friction coefficient per speed, s/m, zero or positive.
         breakaway: The deflection at which the bristles begin to yield, as a share of that of a steady slip, from 0 to
             below 1.
 

@@ -233,14 +233,17 @@ def random(
 ) -> Design:
     """Independent uniform numbers: what an ensemble without a design draws, but known before it is simulated.
 
-    - `samples`: the number of rows.
-    - `names`: of the numbers of the system, law or start that the design sets, each given as a distribution there:
-      "mu", "stiffness", "y0[0]". None: the random numbers of the model in their order, `dimensions` of them.
-    - `realization`: which realisation of the base each sample uses: "own", or "common", the same for all samples, or
-      whole numbers (samples,), by which samples with the same number share one.
-    - `seed`: a whole number, or a key from ``jax.random.key(seed)``.
+    Args:
+        samples: The number of rows.
+        names: Of the numbers of the system, law or start that the design sets, each given as a distribution there:
+            "mu", "stiffness", "y0[0]". None: the random numbers of the model in their order, `dimensions` of them.
+        dimensions: The number of columns, where `names` does not tell it.
+        realization: Which realisation of the base each sample uses: "own", or "common", the same for all samples, or
+            whole numbers (samples,), by which samples with the same number share one.
+        seed: A whole number, or a key from ``jax.random.key(seed)``.
 
-    Raises ValueError for arguments outside these bounds.
+    Raises:
+        ValueError: For arguments outside these bounds.
     """
     samples, names, dimensions = _shape(samples, names, dimensions)
     cells = _generator(seed).integers(2**52, size=(samples, dimensions))
@@ -261,7 +264,17 @@ def latin_hypercube(
     Means of outputs that are nearly sums of functions of one number each have a smaller error than with `random`
     numbers. Standard errors that take samples for independent are then too large.
 
-    Arguments and errors are those of `random`.
+    Args:
+        samples: The number of rows.
+        names: Of the numbers of the system, law or start that the design sets, each given as a distribution there:
+            "mu", "stiffness", "y0[0]". None: the random numbers of the model in their order, `dimensions` of them.
+        dimensions: The number of columns, where `names` does not tell it.
+        realization: Which realisation of the base each sample uses: "own", or "common", the same for all samples, or
+            whole numbers (samples,), by which samples with the same number share one.
+        seed: A whole number, or a key from ``jax.random.key(seed)``.
+
+    Raises:
+        ValueError: For arguments outside these bounds.
     """
     from scipy.stats import qmc  # noqa: PLC0415 - loaded when used
 
@@ -286,13 +299,22 @@ def sobol(
     is not made smaller, and standard errors that take samples for independent are too large: for an error, repeat with
     several seeds.
 
-    - `samples`: the number of rows, a power of two.
-    - `scramble`: shift and scramble the points at random (Matousek 1998), which makes means unbiased; without it there
-      is only one sequence, and `seed` does nothing.
-
     The numbers are scipy's, moved from the lower corner of their cells of width 2^-30 to the middle, because
-    distributions without bounds have no number at 0. Other arguments and errors are those of `random`. Raises
-    ValueError unless `samples` is a power of two: only then are the points balanced.
+    distributions without bounds have no number at 0.
+
+    Args:
+        samples: The number of rows, a power of two: only then are the points balanced.
+        names: Of the numbers of the system, law or start that the design sets, each given as a distribution there:
+            "mu", "stiffness", "y0[0]". None: the random numbers of the model in their order, `dimensions` of them.
+        dimensions: The number of columns, where `names` does not tell it.
+        realization: Which realisation of the base each sample uses: "own", or "common", the same for all samples, or
+            whole numbers (samples,), by which samples with the same number share one.
+        scramble: Shift and scramble the points at random (Matousek 1998), which makes means unbiased; without it there
+            is only one sequence, and `seed` does nothing.
+        seed: A whole number, or a key from ``jax.random.key(seed)``.
+
+    Raises:
+        ValueError: For arguments outside these bounds.
     """
     samples, names, dimensions = _shape(_power_of_two("samples", samples), names, dimensions)
     _check_dimensions(dimensions)
@@ -316,22 +338,30 @@ def saltelli(
     each j, and its row of B; for second-order indices d more before the last, B with column j from A. This is the order
     of SALib. A and B are halves of one Sobol' sequence in twice the dimensions.
 
-    - `base_samples`: the number of base rows, a power of two.
-    - `second_order`: whether there are the rows for second-order indices.
-    - `realization`: what becomes of the base's own randomness, the noise.
+    Args:
+        base_samples: The number of base rows, a power of two.
+        names: Of the numbers of the system, law or start that the design sets, each given as a distribution there:
+            "mu", "stiffness", "y0[0]". None: the random numbers of the model in their order, `dimensions` of them.
+        dimensions: The number of columns, where `names` does not tell it.
+        second_order: Whether there are the rows for second-order indices.
+        realization: What becomes of the base's own randomness, the noise.
 
-      - "shared": the rows mostly from A share one realisation, those mostly from B another one. So two samples that are
-        compared differ in the factors that the index is about and in nothing else. First-order, second-order and total
-        indices are right: shares of the whole variance, that of the noise in it. Total indices hold the interactions of
-        a factor with the noise.
-      - "factor": the same, and the realisation is one more factor, named "realization", with indices of its own: how
-        much of the variance is due to the noise. It takes d + 1 for d above.
-      - "own": every sample has its own. First-order and second-order indices are right, with larger errors; every total
-        index holds all of the noise besides.
-      - "common": all samples have the same. The indices are those of that one realisation.
-      - whole numbers (samples,).
+            - "shared": the rows mostly from A share one realisation, those mostly from B another one. So two samples
+              that are compared differ in the factors that the index is about and in nothing else. First-order,
+              second-order and total indices are right: shares of the whole variance, that of the noise in it. Total
+              indices hold the interactions of a factor with the noise.
+            - "factor": the same, and the realisation is one more factor, named "realization", with indices of its own:
+              how much of the variance is due to the noise. It takes d + 1 for d above.
+            - "own": every sample has its own. First-order and second-order indices are right, with larger errors; every
+              total index holds all of the noise besides.
+            - "common": all samples have the same. The indices are those of that one realisation.
+            - whole numbers (samples,).
+        scramble: Shift and scramble the points at random (Matousek 1998), which makes means unbiased; without it there
+            is only one sequence, and `seed` does nothing.
+        seed: A whole number, or a key from ``jax.random.key(seed)``.
 
-    Other arguments and errors are those of `sobol`.
+    Raises:
+        ValueError: For arguments outside these bounds.
     """
     names, dimensions = _columns(names, dimensions)
     number = _power_of_two("base_samples", base_samples)
@@ -439,13 +469,15 @@ def _generator(seed: Seed) -> np.random.Generator:
 def grid(values: Mapping[str, npt.ArrayLike], *, realization: Realization = "own") -> Design:
     """All combinations of given values: ``grid({"mu": [0.2, 0.5], "stiffness": [1.0, 2.0, 4.0]})`` has six samples.
 
-    - `values`: for each number of the system, law or start its values, (values,), in its unit. The last number changes
-      from each sample to the next, the first one most slowly; so an output (samples,) takes the shape of the grid by
-      ``output.reshape(2, 3)``.
-    - `realization`: which realisation of the base each sample uses: "own", or "common", the same for all samples, or
-      whole numbers (samples,), by which samples with the same number share one.
+    Args:
+        values: For each number of the system, law or start its values, (values,), in its unit. The last number changes
+            from each sample to the next, the first one most slowly; so an output (samples,) takes the shape of the grid
+            by ``output.reshape(2, 3)``.
+        realization: Which realisation of the base each sample uses: "own", or "common", the same for all samples, or
+            whole numbers (samples,), by which samples with the same number share one.
 
-    Raises ValueError for anything else.
+    Raises:
+        ValueError: For anything else.
 
     >>> ss.design.grid({"mu": [0.2, 0.5], "stiffness": [1.0, 2.0, 4.0]})
     <grid design of 6 samples: values of mu, stiffness; each with its own realisation>
@@ -469,15 +501,18 @@ def table(
 ) -> Design:
     """A table of one's own: measured parameters, or the design matrix of another program.
 
-    - `numbers`: a DataFrame or a dict of arrays (samples,), with a column for each number of the system, law or start;
-      or an array (samples, numbers) and the `names` of its columns.
-    - `uniform`: False for the numbers themselves, each in its unit; True for uniform numbers in (0, 1), from which the
-      distributions of the model make theirs. A uniform array may come without names: its columns are then the random
-      numbers of the model in their order.
-    - `realization`: which realisation of the base each sample uses: "own", or "common", the same for all samples, or
-      whole numbers (samples,), by which samples with the same number share one.
+    Args:
+        numbers: A DataFrame or a dict of arrays (samples,), with a column for each number of the system, law or start;
+            or an array (samples, numbers).
+        names: Those of the columns of an array.
+        uniform: False for the numbers themselves, each in its unit; True for uniform numbers in (0, 1), from which the
+            distributions of the model make theirs. A uniform array may come without names: its columns are then the
+            random numbers of the model in their order.
+        realization: Which realisation of the base each sample uses: "own", or "common", the same for all samples, or
+            whole numbers (samples,), by which samples with the same number share one.
 
-    Raises ValueError for columns of unequal length, numbers that are not finite, and uniform ones outside (0, 1).
+    Raises:
+        ValueError: For columns of unequal length, numbers that are not finite, and uniform ones outside (0, 1).
     """
     checks.truth("uniform", uniform)
     if not hasattr(numbers, "items"):

@@ -161,21 +161,24 @@ def basins(
     region.
 
     Args:
-        system: As in `stroboscopic_section`.
-        base: As in `stroboscopic_section`.
+        system: A `MassSpring`, a `MotorCart`, a `LinearStructure` or one of your own, with any number of contacts.
+        base: A motion that repeats itself, such as `Constant`, `SquareWave` or `Harmonic`.
         y0: The starts: an array (starts, coordinates); or a grid, a dict from the names of coordinates ("position",
             "velocity") to their values, others being 0.
         transient: Number of periods before the first that is kept, at least; attractors must be reached in it.
         kept: Number of periods kept.
-        longest_transient: As in `stroboscopic_section`: motions that still come nearer to an orbit or to rest go on.
-        period: As in `stroboscopic_section`. Where nothing drives the system, a time after which the state is looked
-            at; an attractor is then the whole curve of its motion.
+        longest_transient: Number of periods before the first that is kept, at most; by default 16 times `transient`:
+            motions that still come nearer to an orbit or to rest go on.
+        period: s; by default that after which all motions that drive the system repeat themselves together. Where
+            nothing drives the system, a time after which the state is looked at; an attractor is then the whole curve
+            of its motion.
         tolerance: How near states of one attractor come to each other, relative to the ranges of the state.
         most: The number of attractors that are looked for, at most.
         level: Of the confidence intervals of the shares.
         method: `Exact`.
-        progress: As in `simulate_ensemble`.
-        folder: As in `stroboscopic_section`.
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+        folder: Where what is done is kept, block after block, for the same call to go on from there; without it nothing
+            is kept.
 
     Returns:
         ``basin``: the number of the attractor that each start ends on, from 1, the largest basin first, 0 if none was

@@ -68,18 +68,21 @@ def lyapunov_exponents(
     equal are the same afterwards. The exponent of what it forgets is minus infinity, and the others go on without it.
 
     Args:
-        system: As in `stroboscopic_section`.
-        base: As in `stroboscopic_section`.
-        y0: As in `stroboscopic_section`.
-        over: As in `stroboscopic_section`; over two parameters the largest exponents are a map.
+        system: A `MassSpring`, a `MotorCart`, a `LinearStructure` or one of your own, with any number of contacts.
+        base: A motion that repeats itself, such as `Constant`, `SquareWave` or `Harmonic`.
+        y0: The initial state, such as ``(position, velocity)``, zeros by default; or many of them, an array (starts,
+            coordinates).
+        over: A dict from names of parameters to values, ``{"mu": [0.5, 1.0]}``; over two parameters the largest
+            exponents are a map.
         exponents: How many, from the largest on; by default as many as the state has numbers. One alone is fastest.
         transient: Number of periods before the first that counts; in the last 50 the directions turn.
         kept: Number of periods that count.
-        period: As in `stroboscopic_section`. Where nothing drives the system, a time after which directions are made
-            orthogonal again.
+        period: s; by default that after which all motions that drive the system repeat themselves together. Where
+            nothing drives the system, a time after which directions are made orthogonal again.
         method: `Exact`.
-        progress: As in `simulate_ensemble`.
-        folder: As in `stroboscopic_section`.
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+        folder: Where what is done is kept, block after block, for the same call to go on from there; without it nothing
+            is kept.
 
     Returns:
         ``lyapunov_exponent`` (1/s) with the dimensions of the parameters, "start" if there are several, and "exponent",

@@ -314,8 +314,8 @@ def periodic_orbit(
     ``vmap`` and ``grad`` (the orbit's derivatives are those of the implicit function).
 
     Args:
-        system: As in `simulate`, with any number of contacts.
-        base: As in `simulate`; a motion that repeats itself.
+        system: A `MassSpring`, a `MotorCart`, a `LinearStructure` or one of your own, with any number of contacts.
+        base: A motion that repeats itself, such as `Constant`, `SquareWave` or `Harmonic`.
         y0: A state near the orbit, at a whole number of periods of the drive, as the last of a `stroboscopic_section`.
         periods: After how many periods of the drive the orbit closes.
         period: s. Of the drive, by default that after which all motions that drive the system repeat themselves. Where
@@ -323,7 +323,7 @@ def periodic_orbit(
             simulation that begins at `y0`.
         tolerance: Of the residual, relative; by default 1e-10 (float32: 1e-4).
         iterations: At most.
-        method: `Exact`. Under ``jit`` it must give `max_steps` for one period, as for `simulate`.
+        method: `Exact`. Under ``jit`` it must give `max_steps` for one period.
 
     Returns:
         The orbit; see whether it has `converged`.

@@ -61,10 +61,12 @@ def stroboscopic_section(
     """States once a period of what drives the system, after a transient: for many starts and parameters at once.
 
     Args:
-        system: As in `simulate`, with any number of contacts.
-        base: As in `simulate`; a motion that repeats itself.
-        y0: The initial state, as in `simulate`; or many of them, an array (starts, coordinates).
-        over: Values of parameters by name, as for `Sweep`: every combination is followed from every start.
+        system: A `MassSpring`, a `MotorCart`, a `LinearStructure` or one of your own, with any number of contacts.
+        base: A motion that repeats itself, such as `Constant`, `SquareWave` or `Harmonic`.
+        y0: The initial state, such as ``(position, velocity)``, zeros by default; or many of them, an array (starts,
+            coordinates).
+        over: A dict from names of parameters to values, ``{"mu": [0.5, 1.0]}``: every combination is followed from
+            every start.
         transient: Number of periods before the first that is kept, at least; 0 for motions as they begin.
         kept: Number of periods kept.
         longest_transient: Number of periods before the first that is kept, at most; by default 16 times `transient`.
@@ -74,7 +76,7 @@ def stroboscopic_section(
             your own whose rates depend on time). Where nothing changes with time, any time after which to look.
         tolerance: Relative, within which a state counts as the same for the variable ``recurrence``.
         method: `Exact`.
-        progress: As in `simulate_ensemble`.
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
         folder: Where what is done is kept, block after block; the same call goes on from there after an interrupt, or
             takes all from there, quickly. Without it nothing is kept.
 
@@ -153,22 +155,27 @@ def bifurcation_diagram(
     """States once a period over the values of parameters, from the same starts or following the attractor.
 
     Args:
-        system: As in `stroboscopic_section`.
-        base: As in `stroboscopic_section`.
-        over: As in `stroboscopic_section`.
+        system: A `MassSpring`, a `MotorCart`, a `LinearStructure` or one of your own, with any number of contacts.
+        base: A motion that repeats itself, such as `Constant`, `SquareWave` or `Harmonic`.
+        over: A dict from names of parameters to values, ``{"mu": np.linspace(0.2, 1.0, 81)}``; the first is drawn along
+            the abscissa.
         follow_attractor: "start": each value from `y0`. "up" or "down": each value of the first parameter, in the order
             in which they are given or backwards, from where the motion of the one before ended; "both", with a further
             dimension "direction": where two attractors are, a hysteresis shows.
-        y0: As in `stroboscopic_section`.
-        transient: As in `stroboscopic_section`.
-        kept: As in `stroboscopic_section`.
-        longest_transient: As in `stroboscopic_section`; where an attractor is followed, the next value begins from
+        y0: The initial state, such as ``(position, velocity)``, zeros by default; or many of them, an array (starts,
+            coordinates).
+        transient: Number of periods before the first that is kept, at least; 0 for motions as they begin.
+        kept: Number of periods kept.
+        longest_transient: Number of periods before the first that is kept, at most; by default 16 times `transient`.
+            Motions that have not settled go on up to it; where an attractor is followed, the next value begins from
             where a motion was before it went on.
-        period: As in `stroboscopic_section`.
-        tolerance: As in `stroboscopic_section`.
+        period: s; by default that after which all motions that drive the system repeat themselves together; needed
+            where none is known.
+        tolerance: Relative, within which a state counts as the same for the variable ``recurrence``.
         method: `Exact`.
-        progress: As in `simulate_ensemble`.
-        folder: As in `stroboscopic_section`.
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+        folder: Where what is done is kept, block after block, for the same call to go on from there; without it nothing
+            is kept.
 
     Returns:
         As `stroboscopic_section`. Warns likewise; where an attractor is followed, a motion that was not followed to the
@@ -264,19 +271,23 @@ def event_section(
     """States at events of one kind, after a transient: for many starts and parameters at once.
 
     Args:
-        system: As in `stroboscopic_section`.
-        base: As in `stroboscopic_section`; also one that nothing changes.
+        system: A `MassSpring`, a `MotorCart`, a `LinearStructure` or one of your own, with any number of contacts.
+        base: A motion that repeats itself, such as `Constant`, `SquareWave` or `Harmonic`.
         of: "stick_start" or "stick_end"; "slip_forward" or "slip_backward", where a slip with positive or negative
             relative velocity begins, out of a stick or of a slip the other way; or a `Crossing` of a coordinate.
         contact: Whose sticks and slips, from 0, for a system with several.
-        y0: As in `stroboscopic_section`.
-        over: As in `stroboscopic_section`.
+        y0: The initial state, such as ``(position, velocity)``, zeros by default; or many of them, an array (starts,
+            coordinates).
+        over: A dict from names of parameters to values, ``{"mu": [0.5, 1.0]}``: every combination is followed from
+            every start.
         transient: Number of events before the first that is kept.
         kept: Number of events kept.
-        period: As in `stroboscopic_section`; where nothing drives the system, none is needed.
+        period: s; by default that after which all motions that drive the system repeat themselves together; needed
+            where none is known; where nothing drives the system, it is not.
         method: `Exact`.
-        progress: As in `simulate_ensemble`.
-        folder: As in `stroboscopic_section`.
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+        folder: Where what is done is kept, block after block, for the same call to go on from there; without it nothing
+            is kept.
 
     Returns:
         ``time`` (s) and the numbers of the state at each event, with dimensions of the parameters, "start" if there are

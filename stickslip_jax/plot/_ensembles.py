@@ -263,12 +263,12 @@ def histogram(
 
     Args:
         result: A distribution, such as ``ensemble.statistics.duration`` or ``.order(2).start``. Its histogram is drawn
-            over all samples, with bars of one standard error and the mean; sticks and slips cut by the horizon are
+            over all samples, with bars of one standard error and the mean; sticks and slips cut by the end are
             included with the part seen. From a single sample there is no standard error.
 
             Or the sticks themselves: an `Ensemble` (the sticks that it kept; with ``keep="statistics"`` those of the
             first samples), ``first_stick(ensemble)``, or a `Simulation` (one, or a batch by ``vmap``). The durations of
-            complete sticks are drawn; the legend gives the number of those cut by the horizon, which are left out. So
+            complete sticks are drawn; the legend gives the number of those cut by the end, which are left out. So
             are samples that did not reach ``t1``.
         bins: Of a distribution, the largest number of bins, which have equal width and hold all values; by default 50,
             of whole numbers one for each number, centred on it. Of sticks, the number of equal bins from 0 to the
@@ -436,8 +436,8 @@ def joint_histogram(
 
     Args:
         result: A joint distribution, such as ``ensemble.statistics.joint("duration", "position")``: all pairs, sticks
-            cut by the horizon included with the part seen; the histograms beside it have bars of one standard error.
-            Or sticks as in `stick_map`, without those cut by the horizon: position at which they begin, and duration
+            cut by the end included with the part seen; the histograms beside it have bars of one standard error.
+            Or sticks as in `stick_map`, without those cut by the end: position at which they begin, and duration
             (of a `MotorCart`: Lima and Sampaio 2022, figures 4 and 5, right).
         bins: Of a joint distribution, the largest number of bins along each axis, at most 128. Of sticks, the number of
             equal bins each way, or two such numbers or sequences of increasing edges: of position (m, rad), then of
@@ -445,9 +445,9 @@ def joint_histogram(
         log: Whether colours follow the logarithm of the density, to show rare pairs beside frequent ones.
         conditional_mean: Whether to draw the mean ordinate of the retained pairs of a joint distribution in each bin of
             the abscissa (20 bins at most), with bars of one standard error.
-        system: With sticks only, as in `stick_map`.
-        bound: Likewise.
-        period: Likewise.
+        system: With sticks only: what was simulated, where they do not know it.
+        bound: With sticks only: the voltage of a `MotorCart` whose closed-form `stick_duration_bound` to draw.
+        period: With sticks only: angles are drawn modulo this, pi or 2 pi, rad; by default 2 pi.
         axes: Three, of the joint histogram, above and right of it; or one, for it alone. By default those of a figure.
 
     Returns:
@@ -557,7 +557,7 @@ def stick_map(
 ) -> Axes:
     """Draw the duration of each complete stick against the position at which it begins, a point for each.
 
-    For a `MotorCart` and first sticks this is Lima and Sampaio (2022), figures 4 and 5, left. Sticks cut by the horizon
+    For a `MotorCart` and first sticks this is Lima and Sampaio (2022), figures 4 and 5, left. Sticks cut by the end
     are left out, because only a part of them was seen; the legend gives their number. So are samples that did not reach
     ``t1``.
 
@@ -596,7 +596,7 @@ def stick_raster(
 ) -> Axes:
     """Draw each stick of the first realisations as a bar: time to the right, a row for each realisation.
 
-    Rows are the realisations that reached ``t1``, counted from 0 at the top. Sticks cut by the horizon end there.
+    Rows are the realisations that reached ``t1``, counted from 0 at the top. Sticks cut by the end stop there.
 
     Args:
         result: An `Ensemble` with ``keep="statistics"`` or ``"sticks"``. Or a simulation with several contacts: a row

@@ -32,7 +32,7 @@ def section(results: "xarray.Dataset", x: str | None = None, y: str | None = Non
         results: Of `stroboscopic_section` or `event_section`, at one point of the parameters:
             ``results.sel(mu=0.3)``. Starts have colours of their own, up to five.
         x: The name of a variable; by default the first number of the state.
-        y: Likewise; by default the second.
+        y: The name of another one; by default the second number of the state.
         ax: Where to draw; by default the axes of a new figure.
 
     Returns:

@@ -226,7 +226,7 @@ def run_study(config: StudyConfig, *, force: bool = False, progress: bool | None
     Args:
         config: The description of the study.
         force: Whether to replace a result that is there already, once the new one is complete.
-        progress: Whether to show a progress bar, as in `simulate_ensemble`.
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
 
     Returns:
         The study and its result.

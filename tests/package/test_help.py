@@ -1,7 +1,8 @@
-"""``help`` of a method shows its signature and docstring, not the module that it belongs to."""
+"""``help`` of a method shows its signature and docstring, not the module that it belongs to, and what arguments are."""
 
 import inspect
 import pydoc
+import re
 
 import equinox as eqx
 import jax
@@ -79,3 +80,34 @@ def test_methods_are_still_trees(one):
     exact = jax.grad(lambda law: law.kinetic(jnp.array(0.5)))(ss.VelocityWeakening(0.6, 0.4))
     assert jax.tree.leaves(slope) == jax.tree.leaves(exact)
     assert LAW.sample == LAW.sample
+
+
+def public():
+    """All public functions, and all methods of public classes, by name."""
+    modules = (ss, ss.design, ss.nonlinear, ss.plot, ss.papers, ss.study)
+    names = [(module, name) for module in modules for name in getattr(module, "__all__", dir(module)) if name[0] != "_"]
+    own = [getattr(module, name) for module, name in names]
+    own = [one for one in own if getattr(one, "__module__", "").startswith("stickslip_jax")]
+    found = {one.__name__: one for one in own if inspect.isfunction(inspect.unwrap(one))}
+    for kind in filter(inspect.isclass, own):
+        members = inspect.getmembers(kind, lambda member: inspect.isfunction(member) or inspect.ismethod(member))
+        found |= {f"{kind.__name__}.{name}": one for name, one in members if name[0] != "_"}
+    return found
+
+
+def described(function):
+    """What the docstring says of each argument, by name."""
+    heads = re.findall(r"^ {4}(\S.*?): (.*)", (inspect.getdoc(function) or "").partition("Args:\n")[2], re.MULTILINE)
+    return {name.strip(" *"): text for names, text in heads for name in names.split(",")}
+
+
+def test_help_says_of_each_argument_what_it_is():
+    """Of functions all; of methods, where one argument is described all are. In its own words, not "As in ..."."""
+    found = public()
+    assert len(found) > 400
+    for name, function in found.items():
+        said = described(function)
+        wanted = set(inspect.signature(function).parameters) - {"self", "cls"}
+        if "." not in name or said:
+            assert wanted <= set(said), f"{name} says nothing of {wanted - set(said)}"
+        assert not [one for one in wanted if re.match("(?i)as (in|for|there)|likewise", said.get(one, ""))], name

@@ -135,6 +135,7 @@ PRINTED = {
         r"mu, speed and start doubled: the same durations to the last bit: True",
         r"naive, 0\.268 s by differences",
         r"mu: 1\.20\d* \+- 0\.0\d+ from mean durations, 1\.20\d* \+- 0\.00\d+ from 12 moments",
+        r"mu: with 95 % confidence between 1\.1[89]\d and 1\.2[0-3]\d",
     ),
     "scaling": (
         r"numbers that are those of a sweep never stopped: (\d+) of \1\b",

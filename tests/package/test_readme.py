@@ -3,13 +3,16 @@
 import contextlib
 import io
 import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = {
-    "README.md": 5,
+    "README.md": 2,
     "docs/clusters.md": 2,
     "docs/designs.md": 8,
     "docs/howto/animation.md": 2,
@@ -17,7 +20,7 @@ DOCUMENTS = {
     "docs/howto/calibration_sticks.md": 2,
     "docs/howto/contacts.md": 11,
     "docs/howto/engine.md": 2,
-    "docs/howto/first_hour.md": 10,
+    "docs/howto/first_hour.md": 9,
     "docs/howto/friction_memory.md": 6,
     "docs/howto/memory.md": 1,
     "docs/howto/nonlinear.md": 8,
@@ -38,6 +41,8 @@ DOCUMENTS = {
     "docs/uncertain.md": 3,
 }
 """And how many pieces of code each holds, those that are only shown (other words after ``python``) not counted."""
+PROGRAMS = {"docs/howto/first_hour.md": 15}
+"""Documents whose pieces are programs of their own, of so many lines at most."""
 
 
 def test_every_document_with_code_is_tested():
@@ -50,13 +55,33 @@ def test_every_document_with_code_is_tested():
     "document",
     [name if name == "README.md" else pytest.param(name, marks=pytest.mark.documents) for name in DOCUMENTS],
 )
-def test_documents_print_what_they_say(document):
+def test_documents_print_what_they_say(document, tmp_path, monkeypatch):
     text = (ROOT / document).read_text(encoding="utf-8")
     parts = re.findall(r"```python\n(.*?)```\s+(?:[^`]*?```\n(.*?)```)?", text, flags=re.DOTALL)
     assert len(parts) == DOCUMENTS[document]
+    monkeypatch.chdir(tmp_path)  # some write files
     names: dict = {}
     for code, promised in parts:
+        if document in PROGRAMS:
+            names = {}
+            assert len([line for line in code.splitlines() if line.strip()]) <= PROGRAMS[document]
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             exec(code, names)
         assert printed.getvalue() == promised
+
+
+@pytest.mark.documents
+def test_the_commands_of_the_first_hour_print_what_it_says(tmp_path):
+    text = (ROOT / "docs/howto/first_hour.md").read_text(encoding="utf-8")
+    ((file, commands, promised),) = re.findall(
+        r"```toml\n(.*?)```.*?```bash\n(.*?)```\s+```\n(.*?)```", text, flags=re.DOTALL
+    )
+    (tmp_path / "sweep.toml").write_text(file)
+    entry = [sys.executable, "-c", "from stickslip_jax._cli import main; main()"]
+    printed = ""
+    for line in commands.splitlines():
+        command, *arguments = shlex.split(line)
+        assert command == "stickslip"
+        printed += subprocess.run([*entry, *arguments], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    assert re.sub(r"\d[\d.]* s, summed", "... s, summed", printed) == promised
