@@ -3,8 +3,9 @@
 import dataclasses
 import io
 import math
+import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -16,11 +17,14 @@ from bokeh.plotting import figure
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 
-from .._dynamics.common.method import EXACT, Exact, Regularized, slowest_time
+from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, slowest_time, step_for
+from .._dynamics.engine_choice import engine_for
+from .._dynamics.regularized.engine import ADAPTIVE_STEPS
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
+from .._dynamics.switched.engine import steps_for
 from .._ensemble.ensemble import Ensemble, simulate_ensemble
-from .._excitation.excitation import is_random, law_of
+from .._excitation.excitation import excitation_of, is_random, law_of
 from .._excitation.gaussian import GaussianProcess, KanaiTajimi, KanaiTajimiSpectrum
 from .._excitation.motion import Harmonic, RandomPhase, SourceVoltage
 from .._excitation.piecewise_constant import (
@@ -33,10 +37,10 @@ from .._excitation.piecewise_constant import (
 )
 from .._foundation import checks
 from .._foundation.fields import Quantity, modules_in
+from .._foundation.processes import available_memory
 from .._foundation.types import Status
 from .._sensitivity.call import sensitivity
 from .._sensitivity.estimate import Sensitivity
-from .._statistics.estimate import Estimate
 from .._statistics.totals import mean_stick_count, mean_stick_duration, stick_fraction
 from .._systems.friction import (
     Ageing,
@@ -79,7 +83,7 @@ class Scene(NamedTuple):
 
     def with_number(self, path: NumberPath, value: float) -> "Scene":
         """The scene with another number at `path`. Raises ValueError for one that a constructor refuses."""
-        quantity_of(self, path).check(shown(path), value)
+        quantity_of(self, path).check(without_unit(_label(self, path)), value)
         changed = with_numbers(self, [path], [value])
         check_numbers(changed)
         return changed
@@ -133,6 +137,23 @@ def read_number(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{checks.show(text)} is not a number; write one such as 0.25 or 1e-3.")
     return value
+
+
+def without_unit(label: str) -> str:
+    """The name of a number, from its label."""
+    return re.sub(r" \([^()]*(\([^()]*\)[^()]*)?\)$", "", label)
+
+
+def in_words(said: str, numbers: Sequence[MovableNumber]) -> str:
+    """What the package says of a scene, with the names that its numbers have in the page, and without those of code."""
+    names = {one.name: without_unit(one.label) for one in numbers}
+    names |= {one.path[-1]: label for one, label in zip(numbers, names.values(), strict=True) if one.path[0] != "y0"}
+    known = sorted((name for name in names if name in _NAMES or "_" in name or "." in name), key=len, reverse=True)
+    said = re.sub(r"(?<![\w.])(?:%s)(?![\w\]])" % "|".join(map(re.escape, known)), lambda of: names[of[0]], said)
+    said = re.sub(r"\bArguments? (?:law\.|system\.)?", "", said).replace("samples", "realisations")
+    clauses = [one for one in re.split(r"(?<=[.;]) ", said) if not re.search(r"`|docs/|\w=|\by0\b", one)]
+    said = " ".join(clauses).rstrip(" ;.") + "."
+    return said[:1].upper() + said[1:]
 
 
 def _label(scene: Scene, path: NumberPath) -> str:
@@ -268,11 +289,11 @@ Data: TypeAlias = dict[str, Any]
 class Motion(NamedTuple):
     """What is drawn of the first realisation.
 
-    - `curves`: of "slip" and "stick", the time "t" and two coordinates "x" and "y", NaN where a line breaks.
+    - `curves`: of "slip" and "stick", the time "t", a coordinate "x" and its rate "y"; of "belt" the time "t" and the
+      velocity "y" of the base, where it moves. NaN where a line breaks.
     - `problem`: why it is not drawn, or "".
     """
 
-    one: Simulation
     curves: dict[str, Data]
     problem: str
 
@@ -282,17 +303,18 @@ class Statistics(NamedTuple):
 
     - `bars`: the histograms of sticks in those that reached the end, with their sides "left" and "right" and the height
       "top".
+    - `rows`: of the table: a statistic, its mean with the standard error, and the 95 % interval.
     - `unfinished`: how many did not.
     """
 
-    ensemble: Ensemble
     bars: dict[str, Data]
-    means: tuple[Estimate, ...]
+    rows: list[tuple[str, str, str]]
     unfinished: int
 
 
 def motion_of(scene: Scene) -> Motion:
-    """Simulate the first realisation of a scene. Raises ValueError for what `simulate` refuses."""
+    """Simulate the first realisation of a scene. Raises ValueError for what `simulate` refuses, and for too much."""
+    require_little(scene)
     one = realization(scene)
     is_whole = int(one.status) == Status.FINISHED
     phases = phases_of(one, (0.0, min(scene.t1, LONGEST_HISTORY))) if is_whole else []
@@ -301,16 +323,28 @@ def motion_of(scene: Scene) -> Motion:
     for name in _CURVES:
         parts = [one for one in phases if one.sticks == (name == "stick")]
         curves[name] = {column: joined(parts, values) for column, values in columns.items()}
+    belt = joined(phases, "base_velocity")
+    moves = scene.system.look.second_is_base_velocity and bool(np.any(np.nan_to_num(belt)))
+    curves["belt"] = {"t": joined(phases, "times"), "y": belt} if moves else {"t": np.zeros(0), "y": np.zeros(0)}
     problem = "" if is_whole else f"This realisation has no end: {Status(int(one.status)).meaning}."
-    return Motion(one, curves, problem)
+    return Motion(curves, problem)
 
 
-def statistics_of(scene: Scene) -> Statistics:
-    """Simulate all realisations of a scene. Raises ValueError for what `simulate_ensemble` refuses."""
+def ensemble_of(scene: Scene) -> Ensemble:
+    """Simulate all realisations of a scene. Raises ValueError for what `simulate_ensemble` refuses, and for too much."""
+    steps, kind = require_little(scene)
     many = simulate_ensemble(
         scene.system, scene.law, t1=scene.t1, samples=scene.samples, key=jax.random.key(scene.seed), y0=scene.y0,
         method=scene.method, keep="sticks", progress=False,
     )  # fmt: skip
+    if many.run_seconds > _MEASURABLE:
+        _seconds_of_step[kind] = many.run_seconds / steps
+    return many
+
+
+def statistics_of(scene: Scene) -> Statistics:
+    """What is drawn of `ensemble_of` the scene."""
+    many = ensemble_of(scene)
     sticks = many.finished_sticks()
     # The share of realisations with each number of sticks; of neighbouring numbers together where they are many.
     counts = sticks.count
@@ -323,8 +357,54 @@ def statistics_of(scene: Scene) -> Statistics:
         "starts": _bars_of_times(sticks.start, scene.t1),
         "numbers": _bars(shares, edges),
     }
-    means = tuple(of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction))
-    return Statistics(many, bars, means, scene.samples - int(many.status_counts.get(Status.FINISHED, 0)))
+    rows = []
+    for one in (of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction)):
+        low, high = one.interval()
+        between = f"{low:.4g} to {high:.4g}" if math.isfinite(low + high) else ""
+        rows.append((one.name, one.without_name().replace("+-", "±"), between))
+    return Statistics(bars, rows, scene.samples - int(many.status_counts.get(Status.FINISHED, 0)))
+
+
+# What a simulation would cost, before it begins.
+
+
+LONGEST_RUN = 60.0  # s
+_BYTES_OF_STEP = 100  # of the sticks, at most
+_MEASURABLE = 0.05  # s
+_seconds_of_step: dict[str, float] = {}
+"""Measured in this process, by what is simulated."""
+
+
+def require_little(scene: Scene) -> tuple[float, str]:
+    """The steps of all realisations together, at most, and what kind of simulation this is.
+
+    Raises ValueError with the time and memory that it would take, where that is more than `LONGEST_RUN` or half of what
+    is free.
+    """
+    model = StochasticModel(scene.system, law_of(scene.law), scene.y0)
+    inputs = Inputs.of(model, scene.samples, jax.random.key(scene.seed))
+    system, law, _ = inputs.of_sample(0, jnp.dtype(jnp.result_type(float)))
+    if engine_for(Arguments(system, law, scene.method, scene.t1)).by_intervals:
+        each = float(law.capacity(scene.t1))
+    elif isinstance(scene.method, Regularized) and scene.method.step is None:
+        each = float(ADAPTIVE_STEPS)
+    else:
+        excitation = excitation_of(law, "law")
+        each = float(steps_for(system, excitation, scene.t1, step_for(system, excitation, scene.method)))
+    steps, kind = scene.samples * each, str(jax.tree.structure((scene.system, scene.law, scene.method)))
+    seconds, size = steps * _seconds_of_step.get(kind, 1e-6), steps * _BYTES_OF_STEP
+    if seconds > LONGEST_RUN or size > available_memory() / 2:
+        raise ValueError(
+            f"This was not begun: {steps:.0e} steps would take about {_time(seconds)} and up to {size / 1e9:,.1f} GB of "
+            f"memory. Begun is what takes less than {LONGEST_RUN:g} s and half of the memory that is free: choose a "
+            "shorter duration, a slower base, or fewer realisations."
+        )
+    return steps, kind
+
+
+def _time(seconds: float) -> str:
+    size, name = next((one for one in ((86400, "days"), (3600, "hours"), (60, "minutes")) if seconds > 2 * one[0]), (1, "s"))
+    return f"{seconds / size:,.0f} {name}"
 
 
 def slope_of(scene: Scene, name: str) -> tuple[Sensitivity, list[str]]:
@@ -398,13 +478,14 @@ def is_deterministic(scene: Scene) -> bool:
     return not is_random(scene.law)
 
 
-def section_of(scene: Scene, number: MovableNumber) -> Data:
-    """The first coordinate once a period, "state", over the range of the slider of `number`, "value".
+def section_of(scene: Scene, number: MovableNumber) -> tuple[Data, str]:
+    """The first coordinate once a period, "state", over the range of the slider of `number`, "value"; and a sentence.
 
-    It starts as the scene does; a random start counts by its median. Raises ValueError for a base without a period, and
-    for numbers that `bifurcation_diagram` refuses.
+    It starts as the scene does; a random start counts by its median. Values that the system does not allow are left
+    out. Raises ValueError for a base without a period, and for numbers that `bifurcation_diagram` refuses.
     """
-    values = np.linspace(number.low, number.high, _VALUES)
+    every = np.linspace(number.low, number.high, _VALUES)
+    values = np.array([one for one in every if _is_allowed(scene, number.path, one)])
     start = [float(one.icdf(jnp.asarray(0.5))) if isinstance(one, RandomNumber) else float(one) for one in scene.y0]
     period = slowest_time(scene.system, scene.law) if getattr(scene.law, "repeats_after", None) in (0, 0.0) else None
     with warnings.catch_warnings():
@@ -413,8 +494,19 @@ def section_of(scene: Scene, number: MovableNumber) -> Data:
             scene.system, scene.law, {number.name: values}, y0=start, transient=_TRANSIENT, kept=_KEPT, period=period,
             longest_transient=_TRANSIENT, progress=False,
         )  # fmt: skip
-    states = np.asarray(found[scene.system.coordinates[0].variable]).reshape(_VALUES, -1)
-    return {"value": np.repeat(values, states.shape[1]), "state": states.ravel()}
+    states = np.asarray(found[scene.system.coordinates[0].variable]).reshape(len(values), -1)
+    note = f"From one start at each value, after {_TRANSIENT} periods."
+    if len(values) < len(every):
+        note += f" Only from {values[0]:.4g} to {values[-1]:.4g}, which the other numbers of the system allow."
+    return {"value": np.repeat(values, states.shape[1]), "state": states.ravel()}, note
+
+
+def _is_allowed(scene: Scene, path: NumberPath, value: float) -> bool:
+    try:
+        scene.with_number(path, float(value))
+    except ValueError:
+        return False
+    return True
 
 
 # The pictures of the explorer, by Bokeh: made once, then given new numbers.
@@ -430,15 +522,20 @@ _BARS = {
 
 
 class Figures:
-    """The phase portrait, the time history, and the histograms of durations, starts and numbers of sticks; `all`."""
+    """The phase portrait, the histories, and the histograms of durations, starts and numbers of sticks; `all`."""
 
     def __init__(self, scene: Scene):
         x, y = labels_of(scene)
         self.curves = {name: ColumnDataSource({"t": [], "x": [], "y": []}) for name in _CURVES}
         self.bars = {name: ColumnDataSource({"left": [], "right": [], "top": []}) for name in _BARS}
         self.portrait = _figure("Phase portrait", x, y, **_ranges())
-        self.history = _figure("Time history", "time (s)", x, **_ranges())
-        for plot, across, up in ((self.portrait, "x", "y"), (self.history, "t", "x")):
+        self.history = _figure("Position over time", "time (s)", x, **_ranges())
+        self.velocities = _figure("Velocity over time", "time (s)", y, **_ranges())
+        self.belt = ColumnDataSource({"t": [], "y": []})
+        self.velocities.line("t", "y", source=self.belt, color=_style.BASE, line_dash="dashed", legend_label="base")
+        for plot, across, up in (
+            (self.portrait, "x", "y"), (self.history, "t", "x"), (self.velocities, "t", "y"),
+        ):  # fmt: skip
             for name, (color, width) in _CURVES.items():
                 plot.line(across, up, source=self.curves[name], color=color, line_width=width, legend_label=name)
             plot.add_layout(plot.legend[0], "above")
@@ -449,17 +546,19 @@ class Figures:
                 left="left", right="right", top="top", bottom=0, source=self.bars[name], color=_style.STICK,
                 line_color="white", line_width=0.5,
             )  # fmt: skip
-        self.all = self.portrait, self.history, *self.histograms.values()
+        self.all = self.portrait, self.history, self.velocities, *self.histograms.values()
 
     def show_motion(self, scene: Scene, motion: Motion) -> None:
         """Draw another realisation."""
-        self.history.x_range.end = min(scene.t1, LONGEST_HISTORY)
-        for name, curve in motion.curves.items():
-            self.curves[name].data = curve
-        for axis, column in (
-            (self.portrait.x_range, "x"), (self.portrait.y_range, "y"), (self.history.y_range, "x"),
+        self.history.x_range.end = self.velocities.x_range.end = min(scene.t1, LONGEST_HISTORY)
+        for name, source in self.curves.items():
+            source.data = motion.curves[name]
+        self.belt.data = motion.curves["belt"]
+        for axis, column, names in (
+            (self.portrait.x_range, "x", _CURVES), (self.portrait.y_range, "y", _CURVES),
+            (self.history.y_range, "x", _CURVES), (self.velocities.y_range, "y", motion.curves),
         ):  # fmt: skip
-            values = np.concatenate([curve[column] for curve in motion.curves.values()])
+            values = np.concatenate([motion.curves[name][column] for name in names])
             known = values[np.isfinite(values)]
             if len(known):
                 margin = 0.05 * float(np.ptp(known)) or 0.5
@@ -498,7 +597,9 @@ def _figure(title: str, x_label: str, y_label: str, height: int = _HEIGHT, **opt
         toolbar_location=None, tools="", output_backend="canvas", **options,
     )  # fmt: skip
     plot.axis.axis_label_text_font_style = "normal"
-    plot.yaxis.formatter = BasicTickFormatter(power_limit_low=-4)
+    plot.axis.formatter = BasicTickFormatter(power_limit_low=-4)
+    plot.axis.minor_tick_line_color = None
+    plot.xaxis.ticker.desired_num_ticks = 5  # which a telephone has room for
     plot.grid.grid_line_alpha = 0.4
     return plot
 
@@ -508,13 +609,13 @@ def _figure(title: str, x_label: str, y_label: str, height: int = _HEIGHT, **opt
 
 def sheet_of(scene: Scene) -> bytes:
     """A PDF: phase portrait and time history of a realisation, histograms of the sticks of all, a page for each."""
-    motion, many = motion_of(scene), statistics_of(scene).ensemble
+    one, many = realization(scene), ensemble_of(scene)
     pages: list[Axes] = []
-    if not motion.problem:
+    if int(one.status) == Status.FINISHED:
         window = (0.0, min(scene.t1, LONGEST_HISTORY))
-        if motion.one.sticks.contact is None:
-            pages.append(phase_portrait(motion.one, window=window))
-        pages.append(time_history(motion.one, window=window)[0])
+        if one.sticks.contact is None:
+            pages.append(phase_portrait(one, window=window))
+        pages.append(time_history(one, window=window)[0])
     of_all = many.statistics
     has_sticks = len(many.finished_sticks().duration) > 0
     pages += map(histogram, (of_all.stick_count, *((of_all.duration, of_all.start) if has_sticks else ())))
