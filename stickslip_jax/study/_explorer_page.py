@@ -1,7 +1,6 @@
 """The page of the explorer: controls on the left, pictures on the right, what connects them, and its server."""
 
 import asyncio
-import dataclasses
 import io
 import math
 import multiprocessing
@@ -9,7 +8,6 @@ import pickle
 import secrets
 import signal
 import socket
-import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterable, Sequence
@@ -18,10 +16,8 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import panel as pn
 from bokeh.document import Document, without_document_lock
 from tornado.routing import HostMatches, Rule
@@ -31,8 +27,9 @@ from .._compiler import programs
 from .._foundation import html
 from .._sensitivity.estimate import Sensitivity
 from . import _explorer_scene as scenes
-from ._config import StudyConfig, config_of
+from ._config import config_of
 from ._explorer_scene import MovableNumber, Scene
+from ._reading import MOST_SAMPLES
 
 # The controls of the explorer: what is simulated, and a slider with a box for each of its numbers.
 
@@ -57,19 +54,26 @@ class _Box(pn.widgets.TextInput):
 class NumberControl:
     """A slider, and a box for a number that the slider does not reach. `moved` is called with it and a number.
 
-    A box with something else in it says what is wrong, and nothing moves. `problem` is that, or "".
+    Of many moves of the slider only the last is taken when `soon` calls what it is given. A box with something else in
+    it says what is wrong, and nothing moves. `problem` is that, or "".
     """
 
-    def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
+    def __init__(
+        self,
+        number: MovableNumber,
+        moved: Callable[["NumberControl", MovableNumber], None],
+        soon: Callable[[Callable[[], None]], object],
+    ):
         self.number, self.problem = number, ""
-        self._moved, self._is_quiet = moved, False
+        self._moved, self._soon, self._is_quiet = moved, soon, False
+        self._slid_to: float | None = None
         slider = _Slider(
             label=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
-            show_value=False, sizing_mode="stretch_width", margin=(0, 10, 0, 5),
+            show_value=False, sizing_mode="stretch_width", margin=(0, 15, 0, 10),
         )  # fmt: skip
         # Screen readers read the label of the box; others see that of the slider, on the same line.
         box = _Box(
-            label=f"{number.label}, as a number", value=f"{number.value:.6g}", width=_BOX, margin=(0, 0, 0, 5),
+            label=f"{number.label}, as a number", value=f"{number.value:.6g}", width=_BOX, margin=(2, 10, 2, 0),
             align="center", stylesheets=[_UNSEEN],
         )  # fmt: skip
         self._slider, self._box = watched(slider, self._slid), watched(box, self._written)
@@ -87,8 +91,15 @@ class NumberControl:
 
     def _slid(self, value: float) -> None:
         if not self._is_quiet:
+            is_first, self._slid_to = self._slid_to is None, value
+            if is_first:
+                self._soon(self._take)
+
+    def _take(self) -> None:
+        if self._slid_to is not None:
             # The ends of the range and the step are not round in binary.
-            self._show(float(f"{value:.6g}"), slider=False)
+            value, self._slid_to = float(f"{self._slid_to:.6g}"), None
+            self._show(value, slider=False)
 
     def _written(self, text: str) -> None:
         if self._is_quiet:
@@ -242,7 +253,7 @@ class Worker:
     """Computes for one page, always the latest wish; without `processes` (in a notebook) at once.
 
     While it computes, `waits` is told what it does, and for how many seconds. A newer wish overtakes: one for another
-    system at once; one for other numbers after `_PATIENCE`, but not while their program is compiled, which they need too.
+    system at once; one for other numbers after `_PATIENCE`, but not while their program is compiled: they need it too.
     """
 
     _LOOK, _PATIENCE = 0.25, 1.0  # s
@@ -321,97 +332,21 @@ def _show(then: Then, found: Any) -> None:
         then(found)
 
 
-# What the explorer shows as a Python program that runs as it is.
-
-
-_PACKAGE = __name__.partition(".")[0]
-_WIDTH = 88
-
-
-class NotWritable(ValueError):
-    """Raised for what has no expression in Python that a program could hold."""
-
-
-def as_python(scene: Scene) -> str:
-    """A program that simulates the same ensemble, prints its statistics and draws its first realisation.
-
-    Raises NotWritable for a system or base made of something else than numbers and objects with fields.
-    """
-    imports: set[tuple[str, str]] = set()
-    is_usual = scene.method == Scene._field_defaults["method"]
-    names = ("system", "law", "y0", *(() if is_usual else ("method",)))
-    parts = "".join(f"{name} = {_expression(getattr(scene, name), imports)}\n" for name in names)
-    option = "" if is_usual else ", method=method"
-    own = "".join(f"from {module} import {name}\n" for module, name in sorted(imports) if module != "__main__")
-    x64 = "True" if jnp.result_type(float) == jnp.float64 else "False"
-    return f"""\
-import jax
-
-jax.config.update("jax_enable_x64", {x64})
-
-import stickslip_jax as ss
-{own}
-{parts}
-many = ss.simulate_ensemble(
-    system, law, t1={scene.t1!r}, samples={scene.samples},
-    key=jax.random.key({scene.seed}), y0=y0{option},
-)
-print(ss.mean_stick_duration(many))
-print(ss.mean_stick_count(many))
-print(ss.stick_fraction(many))
-
-first_system, base, start = many.realization(0)
-one = ss.simulate(first_system, base, t1={scene.t1!r}, y0=start{option})
-ss.plot.save(ss.plot.phase_portrait(one), "phase_portrait.png", overwrite=True)
-"""
-
-
-def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> str:
-    """The Python expression of a value; classes of others are added to `imports`."""
-    if isinstance(value, (bool, int, float, str)) or value is None:
-        return repr(value)
-    if isinstance(value, (np.number, np.ndarray, jax.Array)):
-        return repr(np.asarray(value).tolist())
-    if isinstance(value, tuple):
-        return _call("", [_expression(one, imports, indent + 4) for one in value], indent, comma=len(value) == 1)
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        given = [
-            f"{field.name}={_expression(getattr(value, field.name), imports, indent + 4)}"
-            for field in dataclasses.fields(value)
-            if field.init
-            and (field.default is dataclasses.MISSING or not eqx.tree_equal(field.default, getattr(value, field.name)))
-        ]
-        kind = type(value)
-        if kind.__module__.partition(".")[0] != _PACKAGE:
-            if "." in kind.__qualname__:
-                raise NotWritable(f"{kind.__qualname__} is defined in a function, where no program can import it.")
-            imports.add((kind.__module__, kind.__qualname__))
-            return _call(kind.__name__, given, indent)
-        if getattr(sys.modules[_PACKAGE], kind.__name__, None) is not kind:
-            raise NotWritable(f"{kind.__name__} has no public name; keep the program that made it.")
-        return _call(f"ss.{kind.__name__}", given, indent)
-    raise NotWritable(f"{type(value).__name__} cannot be written as Python; keep the program that made it.")
-
-
-def _call(name: str, arguments: list[str], indent: int, comma: bool = False) -> str:
-    line = f"{name}({', '.join(arguments)}{',' if comma else ''})"
-    if "\n" not in line and len(line) + indent <= _WIDTH - 12:
-        return line
-    inside = "".join(f"{' ' * (indent + 4)}{one},\n" for one in arguments)
-    return f"{name}(\n{inside}{' ' * indent})"
-
-
 # The page of the explorer: controls on the left, pictures on the right, and what connects them.
 
 
 GIVEN = "as given"
-MOST_SAMPLES = 20_000
+_COLLECTED = 20  # ms: moves of a slider in between are one
 _SIDE = {"flex": "1 1 320px", "min-width": "0"}
 _MAIN = {"flex": "999 1 560px", "min-width": "0"}
-_ROWS_OF_NUMBERS = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(280px, 1fr))", "column-gap": "20px"}
-_GRID = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(min(100%, max(340px, 40%)), 1fr))"}
+_ROWS_OF_NUMBERS = {
+    "display": "grid",
+    "grid-template-columns": "repeat(auto-fit, minmax(280px, 1fr))",
+    "column-gap": "20px",
+}
+_GRID = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(min(100%, max(420px, 40%)), 1fr))"}
 _NEW, _OLD = {"opacity": "1", "filter": "none"}, {"opacity": "0.3", "filter": "grayscale(1)"}
-_TO_BE_READ = "textarea:disabled { color: inherit; opacity: 1; font-family: monospace; }"
+_TO_BE_READ = "textarea.bk-input[disabled] { opacity: 1; font-family: monospace; }"
 _COPY = """
 navigator.clipboard.writeText(code.value).then(() => { button.label = "Copied"; });
 setTimeout(() => { button.label = "Copy as Python"; }, 2000);
@@ -463,7 +398,7 @@ class Explorer(pn.viewable.Viewer):
             stylesheets=[_TO_BE_READ],
         )  # fmt: skip
         self._section_note = pn.pane.HTML("", css_classes=["section-note"])
-        self._tabs = pn.Tabs(sizing_mode="stretch_width")
+        self._tabs = pn.Tabs(sizing_mode="stretch_width", stylesheets=[".bk-tab { color: inherit; }"])
         self._tabs.param.watch(lambda _: self._draw_section(), "active")
         self._results = pn.Column(self.statistics, self.slope, self._tabs, css_classes=["results"], styles=_NEW)
         self._results.sizing_mode = "stretch_width"
@@ -502,7 +437,7 @@ class Explorer(pn.viewable.Viewer):
 
     def _choose_system(self, name: str) -> None:
         if not self._is_switching:
-            new = scenes.scene_of(StudyConfig.model_validate(dict(scenes.SYSTEMS[name]))) if name != GIVEN else self._given
+            new = self._given if name == GIVEN else scenes.scene_called(name)
             self._begin_with(new._replace(samples=self.scene.samples, seed=self.scene.seed), name)
 
     def _begin_with(self, scene: Scene, name: str) -> None:
@@ -538,6 +473,13 @@ class Explorer(pn.viewable.Viewer):
             self.scene = self.scene._replace(**{which: number})
             self._compute()
 
+    def _soon(self, take: Callable[[], None]) -> None:
+        document = pn.state.curdoc
+        if document is None or self._processes is None:
+            take()
+        else:
+            document.add_timeout_callback(cast(Any, take), _COLLECTED)
+
     def _moved(self, control: NumberControl, number: MovableNumber) -> None:
         try:
             self.scene = self.scene.with_number(number.path, number.value)
@@ -552,7 +494,7 @@ class Explorer(pn.viewable.Viewer):
     def _renew(self) -> None:
         """Make controls and figures for another system or base."""
         numbers = scenes.numbers_of(self.scene)
-        self.controls = [NumberControl(number, self._moved) for number in numbers]
+        self.controls = [NumberControl(number, self._moved, self._soon) for number in numbers]
         self._numbers.objects = [one.view for one in self.controls]
         self._moving = next((one for one in numbers if one.path[-1] in ("mu", "mu_static")), numbers[0])
         self._figures = scenes.Figures(self.scene)
@@ -581,7 +523,7 @@ class Explorer(pn.viewable.Viewer):
         self._status.object = "Simulating ..."
         self.slope.object = ""
         try:
-            self._code.value = as_python(scene)
+            self._code.value = scenes.as_python(scene)
         except ValueError as error:
             self._code.value = f"# {error}"
         for beside in (self._slopes, self._sections):
@@ -622,11 +564,11 @@ class Explorer(pn.viewable.Viewer):
         if math.isfinite(slope.derivative):
             # The derivative, its error and their unit, and then how it was found.
             unit = slope.unit if slope.parameter_unit == "1" else f"{slope.unit} per {slope.parameter_unit}"
-            number, bracket, how = str(slope).replace("+-", "±").partition(" (central")
-            said = " ".join((f"{number} {unit}{bracket}{how}.", *remarks))
+            number, bracket, how = str(slope).replace("+-", "±").partition(": ")[2].partition(" (central")
+            said = f"Derivative of the {slope.statistic} by {slope.parameter}: {number} {unit}{bracket}{how}"
         else:
-            said = f"No derivative by {slope.parameter}: too few sticks."
-        self.slope.object = html.escaped(self._in_words(said))
+            said = f"No derivative by {slope.parameter}: too few sticks"
+        self.slope.object = "".join(f"<p>{html.escaped(self._in_words(one))}</p>" for one in (said, *remarks))
 
     def _no_slope(self, scene: Scene, error: BaseException) -> None:
         if scene is self.scene:
@@ -711,15 +653,16 @@ class Explorer(pn.viewable.Viewer):
 #
 # It listens on the loopback address. All addresses begin with a secret, so that only who was told it gets a page, and
 # data comes only from pages of the same origin (Bokeh checks it): another page in the same browser, which can guess the
-# port, has neither. A name of another host that leads here (DNS rebinding) is not answered. What pages send are values of
-# controls; none is run.
+# port, has neither. A name of another host that leads here (DNS rebinding) is not answered. What pages send are values
+# of controls; none is run.
 
 
 ADDRESS = "127.0.0.1"
 _HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; script-src 'self' blob: 'unsafe-inline' 'unsafe-eval'; style-src 'self' "
-    "'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; object-src 'none'; base-uri 'none'; form-action "
-    "'none'; frame-ancestors 'none'",
+    # Bokeh makes functions of the scripts that a page brings along, and Panel asks by a blob what modules can do.
+    "Content-Security-Policy": "default-src 'self'; script-src 'self' blob: 'unsafe-inline' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; object-src 'none'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -732,7 +675,7 @@ _TEXT, _PAPER, _SURFACE, _LINE = "#dee2e6", "#212529", "#343a40", "#495057"
 _DARK = {
     "background-fill-color": _PAPER, "border-fill-color": _PAPER, "outline-line-color": _LINE, "grid-line-color": _LINE,
     "text-color": _TEXT, "axis-label-text-color": _TEXT, "major-label-text-color": _TEXT, "label-text-color": _TEXT,
-    "axis-line-color": _TEXT, "major-tick-line-color": _TEXT, "border-line-color": _LINE,
+    "axis-line-color": _TEXT, "major-tick-line-color": _TEXT,
 }  # fmt: skip
 """Colours of Bokeh's figures where the reader's browser prefers dark pages."""
 

@@ -4,10 +4,12 @@ import dataclasses
 import io
 import math
 import re
+import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -57,7 +59,7 @@ from .._uncertainty.inputs import Inputs, StochasticModel
 from .._uncertainty.numbers import NumberPath, check_numbers, numbers_in, quantity_at, shown, with_numbers
 from ..nonlinear import bifurcation_diagram
 from ..plot import _style, histogram, phase_portrait, time_history
-from ..plot._trajectory import joined, phases_of
+from ..plot._trajectory import joined, phases_of, whole
 from ._config import StudyConfig
 from ._reading import EXAMPLES
 
@@ -149,7 +151,8 @@ def in_words(said: str, numbers: Sequence[MovableNumber]) -> str:
     names = {one.name: without_unit(one.label) for one in numbers}
     names |= {one.path[-1]: label for one, label in zip(numbers, names.values(), strict=True) if one.path[0] != "y0"}
     known = sorted((name for name in names if name in _NAMES or "_" in name or "." in name), key=len, reverse=True)
-    said = re.sub(r"(?<![\w.])(?:%s)(?![\w\]])" % "|".join(map(re.escape, known)), lambda of: names[of[0]], said)
+    any_of = "|".join(map(re.escape, known))
+    said = re.sub(rf"(?<![\w.])(?:{any_of})(?![\w\]])", lambda of: names[of[0]], said)
     said = re.sub(r"\bArguments? (?:law\.|system\.)?", "", said).replace("samples", "realisations")
     clauses = [one for one in re.split(r"(?<=[.;]) ", said) if not re.search(r"`|docs/|\w=|\by0\b", one)]
     said = " ".join(clauses).rstrip(" ;.") + "."
@@ -203,7 +206,7 @@ def _round_up(value: float) -> float:
 
 
 SYSTEMS: Mapping[str, Mapping[str, Any]] = {
-    "mass on a spring": {},
+    "mass on a spring": {"system": {"mu": 0.8}},  # no number at which derivatives do not exist (docs/sensitivity.md)
     "building on isolators": EXAMPLES["base-isolation"],
     "two blocks": EXAMPLES["two-blocks"],
     "motor and cart": EXAMPLES["motor-cart"],
@@ -237,6 +240,11 @@ def scene_of(config: StudyConfig) -> Scene:
     y0 = run.y0() or tuple(0.0 for _ in system.coordinates)
     method = run.method(config.system.has_inner_states)
     return Scene(system, config.base.build(), y0, run.t1, run.samples, run.seed, method)
+
+
+def scene_called(name: str) -> Scene:
+    """The one of `SYSTEMS` with this name."""
+    return scene_of(StudyConfig.model_validate(dict(SYSTEMS[name])))
 
 
 def has_friction_to_choose(system: object) -> bool:
@@ -274,6 +282,86 @@ def with_friction(system: Any, law: FrictionLaw) -> Any:
     return dataclasses.replace(system, **new)
 
 
+# What the explorer shows as a Python program that runs as it is.
+
+
+_PACKAGE = __name__.partition(".")[0]
+_WIDTH = 88
+
+
+class NotWritable(ValueError):
+    """Raised for what has no expression in Python that a program could hold."""
+
+
+def as_python(scene: Scene) -> str:
+    """A program that simulates the same ensemble, prints its statistics and draws its first realisation.
+
+    Raises NotWritable for a system or base made of something else than numbers and objects with fields.
+    """
+    imports: set[tuple[str, str]] = set()
+    is_usual = scene.method == Scene._field_defaults["method"]
+    names = ("system", "law", "y0", *(() if is_usual else ("method",)))
+    parts = "".join(f"{name} = {_expression(getattr(scene, name), imports)}\n" for name in names)
+    option = "" if is_usual else ", method=method"
+    own = "".join(f"from {module} import {name}\n" for module, name in sorted(imports) if module != "__main__")
+    x64 = "True" if jnp.result_type(float) == jnp.float64 else "False"
+    return f"""\
+import jax
+
+jax.config.update("jax_enable_x64", {x64})
+
+import stickslip_jax as ss
+{own}
+{parts}
+many = ss.simulate_ensemble(
+    system, law, t1={scene.t1!r}, samples={scene.samples},
+    key=jax.random.key({scene.seed}), y0=y0{option},
+)
+print(ss.mean_stick_duration(many))
+print(ss.mean_stick_count(many))
+print(ss.stick_fraction(many))
+
+first_system, base, start = many.realization(0)
+one = ss.simulate(first_system, base, t1={scene.t1!r}, y0=start{option})
+ss.plot.save(ss.plot.phase_portrait(one), "phase_portrait.png", overwrite=True)
+"""
+
+
+def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> str:
+    """The Python expression of a value; classes of others are added to `imports`."""
+    if isinstance(value, (bool, int, float, str)) or value is None:
+        return repr(value)
+    if isinstance(value, (np.number, np.ndarray, jax.Array)):
+        return repr(np.asarray(value).tolist())
+    if isinstance(value, tuple):
+        return _call("", [_expression(one, imports, indent + 4) for one in value], indent, comma=len(value) == 1)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        given = [
+            f"{field.name}={_expression(getattr(value, field.name), imports, indent + 4)}"
+            for field in dataclasses.fields(value)
+            if field.init
+            and (field.default is dataclasses.MISSING or not eqx.tree_equal(field.default, getattr(value, field.name)))
+        ]
+        kind = type(value)
+        if kind.__module__.partition(".")[0] != _PACKAGE:
+            if "." in kind.__qualname__:
+                raise NotWritable(f"{kind.__qualname__} is defined in a function, where no program can import it.")
+            imports.add((kind.__module__, kind.__qualname__))
+            return _call(kind.__name__, given, indent)
+        if getattr(sys.modules[_PACKAGE], kind.__name__, None) is not kind:
+            raise NotWritable(f"{kind.__name__} has no public name; keep the program that made it.")
+        return _call(f"ss.{kind.__name__}", given, indent)
+    raise NotWritable(f"{type(value).__name__} cannot be written as Python; keep the program that made it.")
+
+
+def _call(name: str, arguments: list[str], indent: int, comma: bool = False) -> str:
+    line = f"{name}({', '.join(arguments)}{',' if comma else ''})"
+    if "\n" not in line and len(line) + indent <= _WIDTH - 12:
+        return line
+    inside = "".join(f"{' ' * (indent + 4)}{one},\n" for one in arguments)
+    return f"{name}(\n{inside}{' ' * indent})"
+
+
 # The numbers of all pictures of a scene: one realisation, and the sticks of thousands.
 
 
@@ -289,8 +377,8 @@ Data: TypeAlias = dict[str, Any]
 class Motion(NamedTuple):
     """What is drawn of the first realisation.
 
-    - `curves`: of "slip" and "stick", the time "t", a coordinate "x" and its rate "y"; of "belt" the time "t" and the
-      velocity "y" of the base, where it moves. NaN where a line breaks.
+    - `curves`: of "slip" and "stick", the time "t", a coordinate "x" and its rate "y", NaN where a line breaks; of
+      "base" the time "t" and the velocity "y", where it is one that the body can have.
     - `problem`: why it is not drawn, or "".
     """
 
@@ -323,15 +411,15 @@ def motion_of(scene: Scene) -> Motion:
     for name in _CURVES:
         parts = [one for one in phases if one.sticks == (name == "stick")]
         curves[name] = {column: joined(parts, values) for column, values in columns.items()}
-    belt = joined(phases, "base_velocity")
-    moves = scene.system.look.second_is_base_velocity and bool(np.any(np.nan_to_num(belt)))
-    curves["belt"] = {"t": joined(phases, "times"), "y": belt} if moves else {"t": np.zeros(0), "y": np.zeros(0)}
+    columns = {"t": "times", "y": "base_velocity"}
+    shows_base = bool(phases) and scene.system.look.second_is_base_velocity
+    curves["base"] = {name: whole(phases, of) if shows_base else np.zeros(0) for name, of in columns.items()}
     problem = "" if is_whole else f"This realisation has no end: {Status(int(one.status)).meaning}."
     return Motion(curves, problem)
 
 
 def ensemble_of(scene: Scene) -> Ensemble:
-    """Simulate all realisations of a scene. Raises ValueError for what `simulate_ensemble` refuses, and for too much."""
+    """Simulate all realisations. Raises ValueError for what `simulate_ensemble` refuses, and for too much."""
     steps, kind = require_little(scene)
     many = simulate_ensemble(
         scene.system, scene.law, t1=scene.t1, samples=scene.samples, key=jax.random.key(scene.seed), y0=scene.y0,
@@ -384,6 +472,7 @@ def require_little(scene: Scene) -> tuple[float, str]:
     model = StochasticModel(scene.system, law_of(scene.law), scene.y0)
     inputs = Inputs.of(model, scene.samples, jax.random.key(scene.seed))
     system, law, _ = inputs.of_sample(0, jnp.dtype(jnp.result_type(float)))
+    law = inputs.realization_of(0, law, scene.t1) if inputs.has_sampled_law else law
     if engine_for(Arguments(system, law, scene.method, scene.t1)).by_intervals:
         each = float(law.capacity(scene.t1))
     elif isinstance(scene.method, Regularized) and scene.method.step is None:
@@ -395,15 +484,16 @@ def require_little(scene: Scene) -> tuple[float, str]:
     seconds, size = steps * _seconds_of_step.get(kind, 1e-6), steps * _BYTES_OF_STEP
     if seconds > LONGEST_RUN or size > available_memory() / 2:
         raise ValueError(
-            f"This was not begun: {steps:.0e} steps would take about {_time(seconds)} and up to {size / 1e9:,.1f} GB of "
-            f"memory. Begun is what takes less than {LONGEST_RUN:g} s and half of the memory that is free: choose a "
-            "shorter duration, a slower base, or fewer realisations."
+            f"This was not begun: it would take about {_time(seconds)} and up to {size / 1e9:,.1f} GB of memory. Begun "
+            f"is what takes at most {LONGEST_RUN:g} s and half of the memory that is free: choose a shorter duration, "
+            "a slower base, or fewer realisations."
         )
     return steps, kind
 
 
 def _time(seconds: float) -> str:
-    size, name = next((one for one in ((86400, "days"), (3600, "hours"), (60, "minutes")) if seconds > 2 * one[0]), (1, "s"))
+    units = {"days": 86400, "hours": 3600, "minutes": 60, "s": 1}
+    name, size = next(one for one in units.items() if seconds > 2 * one[1] or one[0] == "s")
     return f"{seconds / size:,.0f} {name}"
 
 
@@ -513,6 +603,10 @@ def _is_allowed(scene: Scene, path: NumberPath, value: float) -> bool:
 
 
 _HEIGHT = 250
+_PLAIN_LEGEND = """
+:host { background: none !important; border: none !important; }
+.bk-label { color: var(--design-background-text-color, inherit) !important; }
+"""
 _CURVES = {"slip": (_style.FORWARD, _style.SLIP_WIDTH), "stick": (_style.STICK, _style.STICK_WIDTH)}
 _BARS = {
     "durations": ("Stick durations", "duration (s)", "density (1/s)"),
@@ -531,15 +625,15 @@ class Figures:
         self.portrait = _figure("Phase portrait", x, y, **_ranges())
         self.history = _figure("Position over time", "time (s)", x, **_ranges())
         self.velocities = _figure("Velocity over time", "time (s)", y, **_ranges())
-        self.belt = ColumnDataSource({"t": [], "y": []})
-        self.velocities.line("t", "y", source=self.belt, color=_style.BASE, line_dash="dashed", legend_label="base")
+        self.base = ColumnDataSource({"t": [], "y": []})
+        self.velocities.line("t", "y", source=self.base, color=_style.BASE, line_dash="dashed", legend_label="base")
         for plot, across, up in (
             (self.portrait, "x", "y"), (self.history, "t", "x"), (self.velocities, "t", "y"),
         ):  # fmt: skip
             for name, (color, width) in _CURVES.items():
                 plot.line(across, up, source=self.curves[name], color=color, line_width=width, legend_label=name)
             plot.add_layout(plot.legend[0], "above")
-            plot.legend[0].update(orientation="horizontal", padding=2, margin=2)
+            plot.legend[0].update(orientation="horizontal", padding=2, margin=2, stylesheets=[_PLAIN_LEGEND])
         self.histograms = {name: _figure(*labels, **_ranges()) for name, labels in _BARS.items()}
         for name, plot in self.histograms.items():
             plot.quad(
@@ -553,7 +647,7 @@ class Figures:
         self.history.x_range.end = self.velocities.x_range.end = min(scene.t1, LONGEST_HISTORY)
         for name, source in self.curves.items():
             source.data = motion.curves[name]
-        self.belt.data = motion.curves["belt"]
+        self.base.data = motion.curves["base"]
         for axis, column, names in (
             (self.portrait.x_range, "x", _CURVES), (self.portrait.y_range, "y", _CURVES),
             (self.history.y_range, "x", _CURVES), (self.velocities.y_range, "y", motion.curves),
