@@ -347,6 +347,7 @@ _ROWS_OF_NUMBERS = {
 _GRID = {"display": "grid", "grid-template-columns": "repeat(auto-fit, minmax(min(100%, max(420px, 40%)), 1fr))"}
 _NEW, _OLD = {"opacity": "1", "filter": "none"}, {"opacity": "0.3", "filter": "grayscale(1)"}
 _TO_BE_READ = "textarea.bk-input[disabled] { opacity: 1; font-family: monospace; }"
+_TABS = ".bk-header .bk-tab, .bk-header .bk-tab.bk-active { color: inherit; background: none; }"
 _COPY = """
 navigator.clipboard.writeText(code.value).then(() => { button.label = "Copied"; });
 setTimeout(() => { button.label = "Copy as Python"; }, 2000);
@@ -398,7 +399,7 @@ class Explorer(pn.viewable.Viewer):
             stylesheets=[_TO_BE_READ],
         )  # fmt: skip
         self._section_note = pn.pane.HTML("", css_classes=["section-note"])
-        self._tabs = pn.Tabs(sizing_mode="stretch_width", stylesheets=[".bk-tab { color: inherit; }"])
+        self._tabs = pn.Tabs(sizing_mode="stretch_width", stylesheets=[_TABS])
         self._tabs.param.watch(lambda _: self._draw_section(), "active")
         self._results = pn.Column(self.statistics, self.slope, self._tabs, css_classes=["results"], styles=_NEW)
         self._results.sizing_mode = "stretch_width"

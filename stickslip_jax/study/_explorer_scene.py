@@ -59,7 +59,7 @@ from .._uncertainty.inputs import Inputs, StochasticModel
 from .._uncertainty.numbers import NumberPath, check_numbers, numbers_in, quantity_at, shown, with_numbers
 from ..nonlinear import bifurcation_diagram
 from ..plot import _style, histogram, phase_portrait, time_history
-from ..plot._trajectory import joined, phases_of, whole
+from ..plot._trajectory import joined, phases_of
 from ._config import StudyConfig
 from ._reading import EXAMPLES
 
@@ -413,7 +413,7 @@ def motion_of(scene: Scene) -> Motion:
         curves[name] = {column: joined(parts, values) for column, values in columns.items()}
     columns = {"t": "times", "y": "base_velocity"}
     shows_base = bool(phases) and scene.system.look.second_is_base_velocity
-    curves["base"] = {name: whole(phases, of) if shows_base else np.zeros(0) for name, of in columns.items()}
+    curves["base"] = {name: joined(phases, of) if shows_base else np.zeros(0) for name, of in columns.items()}
     problem = "" if is_whole else f"This realisation has no end: {Status(int(one.status)).meaning}."
     return Motion(curves, problem)
 
@@ -626,7 +626,7 @@ class Figures:
         self.history = _figure("Position over time", "time (s)", x, **_ranges())
         self.velocities = _figure("Velocity over time", "time (s)", y, **_ranges())
         self.base = ColumnDataSource({"t": [], "y": []})
-        self.velocities.line("t", "y", source=self.base, color=_style.BASE, line_dash="dashed", legend_label="base")
+        self.velocities.line("t", "y", source=self.base, color=_style.BASE, line_width=1.5, legend_label="base")
         for plot, across, up in (
             (self.portrait, "x", "y"), (self.history, "t", "x"), (self.velocities, "t", "y"),
         ):  # fmt: skip
