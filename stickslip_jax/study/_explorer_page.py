@@ -39,34 +39,30 @@ _RED = "light-dark(#b00020, #ff8a80)"
 _UNSEEN = "label { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }"
 
 
-class _Slider(pn.widgets.FloatSlider):
-    """A slider whose moves are told at once, not after the 50 ms in which Panel collects further ones."""
+_COLLECTED = 20  # ms: of the moves of a slider in between only the last is taken (Panel collects those of 50 ms)
 
-    _debounce = 0
+
+class _Slider(pn.widgets.FloatSlider):
+    """A slider whose moves are told soon."""
+
+    _debounce = _COLLECTED
 
 
 class _Box(pn.widgets.TextInput):
     """The same for a box."""
 
-    _debounce = 0
+    _debounce = _COLLECTED
 
 
 class NumberControl:
     """A slider, and a box for a number that the slider does not reach. `moved` is called with it and a number.
 
-    Of many moves of the slider only the last is taken when `soon` calls what it is given. A box with something else in
-    it says what is wrong, and nothing moves. `problem` is that, or "".
+    A box with something else in it says what is wrong, and nothing moves. `problem` is that, or "".
     """
 
-    def __init__(
-        self,
-        number: MovableNumber,
-        moved: Callable[["NumberControl", MovableNumber], None],
-        soon: Callable[[Callable[[], None]], object],
-    ):
+    def __init__(self, number: MovableNumber, moved: Callable[["NumberControl", MovableNumber], None]):
         self.number, self.problem = number, ""
-        self._moved, self._soon, self._is_quiet = moved, soon, False
-        self._slid_to: float | None = None
+        self._moved, self._is_quiet = moved, False
         slider = _Slider(
             label=number.label, start=number.low, end=number.high, step=number.step, value=number.value,
             show_value=False, sizing_mode="stretch_width", margin=(0, 15, 0, 10),
@@ -91,15 +87,8 @@ class NumberControl:
 
     def _slid(self, value: float) -> None:
         if not self._is_quiet:
-            is_first, self._slid_to = self._slid_to is None, value
-            if is_first:
-                self._soon(self._take)
-
-    def _take(self) -> None:
-        if self._slid_to is not None:
             # The ends of the range and the step are not round in binary.
-            value, self._slid_to = float(f"{self._slid_to:.6g}"), None
-            self._show(value, slider=False)
+            self._show(float(f"{value:.6g}"), slider=False)
 
     def _written(self, text: str) -> None:
         if self._is_quiet:
@@ -336,7 +325,6 @@ def _show(then: Then, found: Any) -> None:
 
 
 GIVEN = "as given"
-_COLLECTED = 20  # ms: moves of a slider in between are one
 _SIDE = {"flex": "1 1 320px", "min-width": "0"}
 _MAIN = {"flex": "999 1 560px", "min-width": "0"}
 _ROWS_OF_NUMBERS = {
@@ -474,13 +462,6 @@ class Explorer(pn.viewable.Viewer):
             self.scene = self.scene._replace(**{which: number})
             self._compute()
 
-    def _soon(self, take: Callable[[], None]) -> None:
-        document = pn.state.curdoc
-        if document is None or self._processes is None:
-            take()
-        else:
-            document.add_timeout_callback(cast(Any, take), _COLLECTED)
-
     def _moved(self, control: NumberControl, number: MovableNumber) -> None:
         try:
             self.scene = self.scene.with_number(number.path, number.value)
@@ -495,7 +476,7 @@ class Explorer(pn.viewable.Viewer):
     def _renew(self) -> None:
         """Make controls and figures for another system or base."""
         numbers = scenes.numbers_of(self.scene)
-        self.controls = [NumberControl(number, self._moved, self._soon) for number in numbers]
+        self.controls = [NumberControl(number, self._moved) for number in numbers]
         self._numbers.objects = [one.view for one in self.controls]
         self._moving = next((one for one in numbers if one.path[-1] in ("mu", "mu_static")), numbers[0])
         self._figures = scenes.Figures(self.scene)

@@ -39,7 +39,7 @@ class Served:
 
     def __init__(self, folder, *options, **variables):
         (folder / "study.toml").write_text(CONFIG, encoding="utf-8")
-        command = [sys.executable, *START, "study.toml", "--samples", str(SAMPLES), *options]
+        command = [sys.executable, *START, *(options or ("study.toml", "--samples", str(SAMPLES)))]
         self.process = subprocess.Popen(
             command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             env=os.environ | {"PYTHONUNBUFFERED": "1"} | variables,
@@ -80,7 +80,7 @@ def page(browser, served):
     resize(browser, 1280, 1400)
     browser.get(served.address)
     page = Page(browser)
-    page.wait_for("mean stick duration")
+    page.wait_for("mean stick duration", 300)
     return page
 
 
@@ -155,7 +155,7 @@ def test_bifurcation_where_the_base_is_deterministic(page):
     page.choose("Base", "SquareWave")
     page.wait_for("Bifurcation")
     page.click("Bifurcation")
-    page.wait_for("From one start at each value, after 100 periods.")
+    page.wait_for("From one start at each value, after 100 periods.", 300)
 
 
 def test_two_pages_at_once(page, served):
@@ -202,7 +202,7 @@ def test_everything_fits_into_the_width(page, width, columns, theme):
     resize(page.browser, width, 900)
     time.sleep(1)
     assert page.browser.execute_script("return document.documentElement.scrollWidth") <= width
-    boxes = [one.rect for one in page.all("canvas") if one.rect["width"] > 0]
+    boxes = [one.rect for one in page.all("canvas") if one.rect["width"] > 200]  # not of legends
     for box in boxes:
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= width
@@ -264,8 +264,8 @@ def test_overload_is_told_and_not_begun(page, label, text):
     page.write(label, text)
     page.wait_for("This was not begun: it would take about", 30)
     assert is_marked_old(page)
-    page.write(label, "2")
-    page.wait_for("Derivative of the mean stick duration")
+    page.write(label, "40")
+    page.wait_for("Derivative of the mean stick duration", 300)
     assert "not begun" not in page.text()
 
 
@@ -278,7 +278,7 @@ def test_thousand_quick_moves(page):
     slider.value = 1.25;
     """
     page.browser.execute_script(move)
-    page.wait_for(row(ss.mean_stick_duration(ensemble(speed=1.25))), 10)
+    page.wait_for(row(ss.mean_stick_duration(ensemble(speed=1.25))))
     assert page.box("speed (m/s)") == "1.25"
 
 
@@ -288,7 +288,7 @@ def test_fifty_pages(page, served):
         answers = threads.map(lambda _: urllib.request.urlopen(served.address).status, range(50))
         assert set(answers) == {200}
     page.write("speed (m/s)", "1.35")
-    page.wait_for(row(ss.mean_stick_duration(ensemble(speed=1.35))), 10)
+    page.wait_for(row(ss.mean_stick_duration(ensemble(speed=1.35))))
 
 
 def test_newer_choice_overtakes_and_work_is_ended(browser, tmp_path):

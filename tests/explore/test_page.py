@@ -355,8 +355,8 @@ def test_reset():
     assert explorer._counts[0].value == 20
 
 
-def test_moves_are_told_at_once():
+def test_moves_are_told_soon():
     """By an attribute of Panel's widgets, which it does not promise."""
     for control in shown(samples=5).controls:
         for part in (control._slider, control._box):
-            assert (part._debounce, type(part).__base__._debounce) == (0, 50)
+            assert (part._debounce, type(part).__base__._debounce) == (20, 50)
