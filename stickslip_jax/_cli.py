@@ -49,6 +49,7 @@ def _answer(tokens: Sequence[str]) -> int:
     """Run the command; every expected failure becomes one sentence and an exit code."""
     is_stored = list(tokens[:1]) in (["sweep"], ["resume"])
     left = "what is done is kept, and the same command goes on from there." if is_stored else "no result was written."
+    left = "the explorer has ended." if list(tokens[:1]) == ["explore"] else left
     try:
         return _run_or_fail(tokens, left)
     except (KeyboardInterrupt, _Terminated) as stop:

@@ -51,8 +51,9 @@ def explore(
         raise checks.refused("system", "be a system such as MassSpring", system)
     import panel as pn  # noqa: PLC0415 - an extra
 
-    from .study._explorer_page import MOST_SAMPLES, Explorer  # noqa: PLC0415
+    from .study._explorer_page import Explorer  # noqa: PLC0415
     from .study._explorer_scene import Scene  # noqa: PLC0415
+    from .study._reading import MOST_SAMPLES  # noqa: PLC0415
 
     checks.positive("t1", t1, "s")
     number = checks.whole_number("samples", samples, minimum=2, maximum=MOST_SAMPLES)

@@ -60,7 +60,7 @@ def measured(browser: Any, address: str, moves: int) -> list[dict[str, float]]:
     resize(browser, 1400, 1200)
     browser.get(address)
     page = Page(browser)
-    page.wait_for("d / d", 300)
+    page.wait_for("Derivative of", 300)
     for name, css in (("means", ".statistics"), ("derivative", ".slope")):
         browser.execute_script("window.watch(arguments[0], arguments[1])", page.all(css)[0], name)
     found = []

@@ -268,11 +268,20 @@ def _this_generation() -> int:
 
 
 _PATIENCE = 2.0  # s, until a line tells what is waited for
+hears_compiling: Callable[[bool], object] | None = None
+"""In a process that works for another one: what tells that one that a compilation begins (True), or has ended."""
 
 
 @contextlib.contextmanager
 def _telling_that_it_compiles() -> Iterator[None]:
     """A line on the terminal while the block takes long; it goes when that ends."""
+    if hears_compiling is not None:
+        hears_compiling(True)
+        try:
+            yield
+        finally:
+            hears_compiling(False)
+        return
     if not sys.stderr.isatty():
         yield
         return

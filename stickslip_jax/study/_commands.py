@@ -17,7 +17,7 @@ from .. import __version__
 from .._foundation.extras import require_explorer
 from .._foundation.files import file_to_write
 from . import StudyError, _reading
-from ._reading import FIGURES, ExecutorOptions, StudyOptions, SweepOptions, Switch
+from ._reading import FIGURES, MOST_SAMPLES, ExecutorOptions, StudyOptions, SweepOptions, Switch
 
 _STUDY, _SWEEP, _EXECUTORS = StudyOptions(), SweepOptions(), ExecutorOptions()
 
@@ -208,7 +208,7 @@ def explore(config: Path | None = None, /, *, samples: int = 2000, port: int = 0
     Parameters
     ----------
     config
-        TOML file of a study to begin with; without it, the default study.
+        TOML file of a study to begin with; without it, a mass on a spring.
     samples
         Number of realisations that are simulated whenever a slider moves.
     port
@@ -217,13 +217,18 @@ def explore(config: Path | None = None, /, *, samples: int = 2000, port: int = 0
         Whether to open the page; its address is printed.
     """
     require_explorer()
-    described = _reading.read_config(config, {"samples": samples})
+    if not 0 <= port < 2**16:
+        raise StudyError(f"Option --port must be from 1 to {2**16 - 1}, or 0 for any free one, but {port} was given.")
+    if not 2 <= samples <= MOST_SAMPLES:
+        raise StudyError(f"Option --samples must be from 2 to {MOST_SAMPLES:,}, but {samples:,} was given.")
+    described = _reading.read_config(config)
     prepare_jax(described.run.dtype)
     from ._explorer_page import serve  # noqa: PLC0415
-    from ._explorer_scene import scene_of  # noqa: PLC0415
+    from ._explorer_scene import scene_called, scene_of  # noqa: PLC0415
 
     try:
-        scene = scene_of(described)
+        first = scene_called("mass on a spring") if config is None else scene_of(described)
+        scene = first._replace(samples=samples)
     except ValueError as error:
         raise StudyError(str(error)) from None
     with suppress(KeyboardInterrupt):  # before the server stops at Ctrl-C by itself

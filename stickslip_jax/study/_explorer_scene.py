@@ -3,10 +3,13 @@
 import dataclasses
 import io
 import math
+import re
+import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -16,11 +19,14 @@ from bokeh.plotting import figure
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
 
-from .._dynamics.common.method import EXACT, Exact, Regularized, slowest_time
+from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, slowest_time, step_for
+from .._dynamics.engine_choice import engine_for
+from .._dynamics.regularized.engine import ADAPTIVE_STEPS
 from .._dynamics.simulate import simulate
 from .._dynamics.simulation import Simulation
+from .._dynamics.switched.engine import steps_for
 from .._ensemble.ensemble import Ensemble, simulate_ensemble
-from .._excitation.excitation import is_random, law_of
+from .._excitation.excitation import excitation_of, is_random, law_of
 from .._excitation.gaussian import GaussianProcess, KanaiTajimi, KanaiTajimiSpectrum
 from .._excitation.motion import Harmonic, RandomPhase, SourceVoltage
 from .._excitation.piecewise_constant import (
@@ -33,10 +39,10 @@ from .._excitation.piecewise_constant import (
 )
 from .._foundation import checks
 from .._foundation.fields import Quantity, modules_in
+from .._foundation.processes import available_memory
 from .._foundation.types import Status
 from .._sensitivity.call import sensitivity
 from .._sensitivity.estimate import Sensitivity
-from .._statistics.estimate import Estimate
 from .._statistics.totals import mean_stick_count, mean_stick_duration, stick_fraction
 from .._systems.friction import (
     Ageing,
@@ -79,7 +85,7 @@ class Scene(NamedTuple):
 
     def with_number(self, path: NumberPath, value: float) -> "Scene":
         """The scene with another number at `path`. Raises ValueError for one that a constructor refuses."""
-        quantity_of(self, path).check(shown(path), value)
+        quantity_of(self, path).check(without_unit(_label(self, path)), value)
         changed = with_numbers(self, [path], [value])
         check_numbers(changed)
         return changed
@@ -135,6 +141,24 @@ def read_number(text: str) -> float:
     return value
 
 
+def without_unit(label: str) -> str:
+    """The name of a number, from its label."""
+    return re.sub(r" \([^()]*(\([^()]*\)[^()]*)?\)$", "", label)
+
+
+def in_words(said: str, numbers: Sequence[MovableNumber]) -> str:
+    """What the package says of a scene, with the names that its numbers have in the page, and without those of code."""
+    names = {one.name: without_unit(one.label) for one in numbers}
+    names |= {one.path[-1]: label for one, label in zip(numbers, names.values(), strict=True) if one.path[0] != "y0"}
+    known = sorted((name for name in names if name in _NAMES or "_" in name or "." in name), key=len, reverse=True)
+    any_of = "|".join(map(re.escape, known))
+    said = re.sub(rf"(?<![\w.])(?:{any_of})(?![\w\]])", lambda of: names[of[0]], said)
+    said = re.sub(r"\bArguments? (?:law\.|system\.)?", "", said).replace("samples", "realisations")
+    clauses = [one for one in re.split(r"(?<=[.;]) ", said) if not re.search(r"`|docs/|\w=|\by0\b", one)]
+    said = " ".join(clauses).rstrip(" ;.") + "."
+    return said[:1].upper() + said[1:]
+
+
 def _label(scene: Scene, path: NumberPath) -> str:
     unit = "s" if path == ("t1",) else unit_at(scene, path)
     if path[0] == "y0":
@@ -182,7 +206,7 @@ def _round_up(value: float) -> float:
 
 
 SYSTEMS: Mapping[str, Mapping[str, Any]] = {
-    "mass on a spring": {},
+    "mass on a spring": {"system": {"mu": 0.8}},  # no number at which derivatives do not exist (docs/sensitivity.md)
     "building on isolators": EXAMPLES["base-isolation"],
     "two blocks": EXAMPLES["two-blocks"],
     "motor and cart": EXAMPLES["motor-cart"],
@@ -216,6 +240,11 @@ def scene_of(config: StudyConfig) -> Scene:
     y0 = run.y0() or tuple(0.0 for _ in system.coordinates)
     method = run.method(config.system.has_inner_states)
     return Scene(system, config.base.build(), y0, run.t1, run.samples, run.seed, method)
+
+
+def scene_called(name: str) -> Scene:
+    """The one of `SYSTEMS` with this name."""
+    return scene_of(StudyConfig.model_validate(dict(SYSTEMS[name])))
 
 
 def has_friction_to_choose(system: object) -> bool:
@@ -253,6 +282,86 @@ def with_friction(system: Any, law: FrictionLaw) -> Any:
     return dataclasses.replace(system, **new)
 
 
+# What the explorer shows as a Python program that runs as it is.
+
+
+_PACKAGE = __name__.partition(".")[0]
+_WIDTH = 88
+
+
+class NotWritable(ValueError):
+    """Raised for what has no expression in Python that a program could hold."""
+
+
+def as_python(scene: Scene) -> str:
+    """A program that simulates the same ensemble, prints its statistics and draws its first realisation.
+
+    Raises NotWritable for a system or base made of something else than numbers and objects with fields.
+    """
+    imports: set[tuple[str, str]] = set()
+    is_usual = scene.method == Scene._field_defaults["method"]
+    names = ("system", "law", "y0", *(() if is_usual else ("method",)))
+    parts = "".join(f"{name} = {_expression(getattr(scene, name), imports)}\n" for name in names)
+    option = "" if is_usual else ", method=method"
+    own = "".join(f"from {module} import {name}\n" for module, name in sorted(imports) if module != "__main__")
+    x64 = "True" if jnp.result_type(float) == jnp.float64 else "False"
+    return f"""\
+import jax
+
+jax.config.update("jax_enable_x64", {x64})
+
+import stickslip_jax as ss
+{own}
+{parts}
+many = ss.simulate_ensemble(
+    system, law, t1={scene.t1!r}, samples={scene.samples},
+    key=jax.random.key({scene.seed}), y0=y0{option},
+)
+print(ss.mean_stick_duration(many))
+print(ss.mean_stick_count(many))
+print(ss.stick_fraction(many))
+
+first_system, base, start = many.realization(0)
+one = ss.simulate(first_system, base, t1={scene.t1!r}, y0=start{option})
+ss.plot.save(ss.plot.phase_portrait(one), "phase_portrait.png", overwrite=True)
+"""
+
+
+def _expression(value: Any, imports: set[tuple[str, str]], indent: int = 0) -> str:
+    """The Python expression of a value; classes of others are added to `imports`."""
+    if isinstance(value, (bool, int, float, str)) or value is None:
+        return repr(value)
+    if isinstance(value, (np.number, np.ndarray, jax.Array)):
+        return repr(np.asarray(value).tolist())
+    if isinstance(value, tuple):
+        return _call("", [_expression(one, imports, indent + 4) for one in value], indent, comma=len(value) == 1)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        given = [
+            f"{field.name}={_expression(getattr(value, field.name), imports, indent + 4)}"
+            for field in dataclasses.fields(value)
+            if field.init
+            and (field.default is dataclasses.MISSING or not eqx.tree_equal(field.default, getattr(value, field.name)))
+        ]
+        kind = type(value)
+        if kind.__module__.partition(".")[0] != _PACKAGE:
+            if "." in kind.__qualname__:
+                raise NotWritable(f"{kind.__qualname__} is defined in a function, where no program can import it.")
+            imports.add((kind.__module__, kind.__qualname__))
+            return _call(kind.__name__, given, indent)
+        if getattr(sys.modules[_PACKAGE], kind.__name__, None) is not kind:
+            raise NotWritable(f"{kind.__name__} has no public name; keep the program that made it.")
+        return _call(f"ss.{kind.__name__}", given, indent)
+    raise NotWritable(f"{type(value).__name__} cannot be written as Python; keep the program that made it.")
+
+
+def _call(name: str, arguments: list[str], indent: int, comma: bool = False) -> str:
+    line = f"{name}({', '.join(arguments)}{',' if comma else ''})"
+    if "\n" not in line and len(line) + indent <= _WIDTH - 12:
+        return line
+    inside = "".join(f"{' ' * (indent + 4)}{one},\n" for one in arguments)
+    return f"{name}(\n{inside}{' ' * indent})"
+
+
 # The numbers of all pictures of a scene: one realisation, and the sticks of thousands.
 
 
@@ -268,11 +377,11 @@ Data: TypeAlias = dict[str, Any]
 class Motion(NamedTuple):
     """What is drawn of the first realisation.
 
-    - `curves`: of "slip" and "stick", the time "t" and two coordinates "x" and "y", NaN where a line breaks.
+    - `curves`: of "slip" and "stick", the time "t", a coordinate "x" and its rate "y", NaN where a line breaks; of
+      "base" the time "t" and the velocity "y", where it is one that the body can have.
     - `problem`: why it is not drawn, or "".
     """
 
-    one: Simulation
     curves: dict[str, Data]
     problem: str
 
@@ -282,17 +391,18 @@ class Statistics(NamedTuple):
 
     - `bars`: the histograms of sticks in those that reached the end, with their sides "left" and "right" and the height
       "top".
+    - `rows`: of the table: a statistic, its mean with the standard error, and the 95 % interval.
     - `unfinished`: how many did not.
     """
 
-    ensemble: Ensemble
     bars: dict[str, Data]
-    means: tuple[Estimate, ...]
+    rows: list[tuple[str, str, str]]
     unfinished: int
 
 
 def motion_of(scene: Scene) -> Motion:
-    """Simulate the first realisation of a scene. Raises ValueError for what `simulate` refuses."""
+    """Simulate the first realisation of a scene. Raises ValueError for what `simulate` refuses, and for too much."""
+    require_little(scene)
     one = realization(scene)
     is_whole = int(one.status) == Status.FINISHED
     phases = phases_of(one, (0.0, min(scene.t1, LONGEST_HISTORY))) if is_whole else []
@@ -301,16 +411,28 @@ def motion_of(scene: Scene) -> Motion:
     for name in _CURVES:
         parts = [one for one in phases if one.sticks == (name == "stick")]
         curves[name] = {column: joined(parts, values) for column, values in columns.items()}
+    columns = {"t": "times", "y": "base_velocity"}
+    shows_base = bool(phases) and scene.system.look.second_is_base_velocity
+    curves["base"] = {name: joined(phases, of) if shows_base else np.zeros(0) for name, of in columns.items()}
     problem = "" if is_whole else f"This realisation has no end: {Status(int(one.status)).meaning}."
-    return Motion(one, curves, problem)
+    return Motion(curves, problem)
 
 
-def statistics_of(scene: Scene) -> Statistics:
-    """Simulate all realisations of a scene. Raises ValueError for what `simulate_ensemble` refuses."""
+def ensemble_of(scene: Scene) -> Ensemble:
+    """Simulate all realisations. Raises ValueError for what `simulate_ensemble` refuses, and for too much."""
+    steps, kind = require_little(scene)
     many = simulate_ensemble(
         scene.system, scene.law, t1=scene.t1, samples=scene.samples, key=jax.random.key(scene.seed), y0=scene.y0,
         method=scene.method, keep="sticks", progress=False,
     )  # fmt: skip
+    if many.run_seconds > _MEASURABLE:
+        _seconds_of_step[kind] = many.run_seconds / steps
+    return many
+
+
+def statistics_of(scene: Scene) -> Statistics:
+    """What is drawn of `ensemble_of` the scene."""
+    many = ensemble_of(scene)
     sticks = many.finished_sticks()
     # The share of realisations with each number of sticks; of neighbouring numbers together where they are many.
     counts = sticks.count
@@ -323,8 +445,56 @@ def statistics_of(scene: Scene) -> Statistics:
         "starts": _bars_of_times(sticks.start, scene.t1),
         "numbers": _bars(shares, edges),
     }
-    means = tuple(of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction))
-    return Statistics(many, bars, means, scene.samples - int(many.status_counts.get(Status.FINISHED, 0)))
+    rows = []
+    for one in (of(many) for of in (mean_stick_duration, mean_stick_count, stick_fraction)):
+        low, high = one.interval()
+        between = f"{low:.4g} to {high:.4g}" if math.isfinite(low + high) else ""
+        rows.append((one.name, one.without_name().replace("+-", "±"), between))
+    return Statistics(bars, rows, scene.samples - int(many.status_counts.get(Status.FINISHED, 0)))
+
+
+# What a simulation would cost, before it begins.
+
+
+LONGEST_RUN = 60.0  # s
+_BYTES_OF_STEP = 100  # of the sticks, at most
+_MEASURABLE = 0.05  # s
+_seconds_of_step: dict[str, float] = {}
+"""Measured in this process, by what is simulated."""
+
+
+def require_little(scene: Scene) -> tuple[float, str]:
+    """The steps of all realisations together, at most, and what kind of simulation this is.
+
+    Raises ValueError with the time and memory that it would take, where that is more than `LONGEST_RUN` or half of what
+    is free.
+    """
+    model = StochasticModel(scene.system, law_of(scene.law), scene.y0)
+    inputs = Inputs.of(model, scene.samples, jax.random.key(scene.seed))
+    system, law, _ = inputs.of_sample(0, jnp.dtype(jnp.result_type(float)))
+    law = inputs.realization_of(0, law, scene.t1) if inputs.has_sampled_law else law
+    if engine_for(Arguments(system, law, scene.method, scene.t1)).by_intervals:
+        each = float(law.capacity(scene.t1))
+    elif isinstance(scene.method, Regularized) and scene.method.step is None:
+        each = float(ADAPTIVE_STEPS)
+    else:
+        excitation = excitation_of(law, "law")
+        each = float(steps_for(system, excitation, scene.t1, step_for(system, excitation, scene.method)))
+    steps, kind = scene.samples * each, str(jax.tree.structure((scene.system, scene.law, scene.method)))
+    seconds, size = steps * _seconds_of_step.get(kind, 1e-6), steps * _BYTES_OF_STEP
+    if seconds > LONGEST_RUN or size > available_memory() / 2:
+        raise ValueError(
+            f"This was not begun: it would take about {_time(seconds)} and up to {size / 1e9:,.1f} GB of memory. Begun "
+            f"is what takes at most {LONGEST_RUN:g} s and half of the memory that is free: choose a shorter duration, "
+            "a slower base, or fewer realisations."
+        )
+    return steps, kind
+
+
+def _time(seconds: float) -> str:
+    units = {"days": 86400, "hours": 3600, "minutes": 60, "s": 1}
+    name, size = next(one for one in units.items() if seconds > 2 * one[1] or one[0] == "s")
+    return f"{seconds / size:,.0f} {name}"
 
 
 def slope_of(scene: Scene, name: str) -> tuple[Sensitivity, list[str]]:
@@ -398,13 +568,14 @@ def is_deterministic(scene: Scene) -> bool:
     return not is_random(scene.law)
 
 
-def section_of(scene: Scene, number: MovableNumber) -> Data:
-    """The first coordinate once a period, "state", over the range of the slider of `number`, "value".
+def section_of(scene: Scene, number: MovableNumber) -> tuple[Data, str]:
+    """The first coordinate once a period, "state", over the range of the slider of `number`, "value"; and a sentence.
 
-    It starts as the scene does; a random start counts by its median. Raises ValueError for a base without a period, and
-    for numbers that `bifurcation_diagram` refuses.
+    It starts as the scene does; a random start counts by its median. Values that the system does not allow are left
+    out. Raises ValueError for a base without a period, and for numbers that `bifurcation_diagram` refuses.
     """
-    values = np.linspace(number.low, number.high, _VALUES)
+    every = np.linspace(number.low, number.high, _VALUES)
+    values = np.array([one for one in every if _is_allowed(scene, number.path, one)])
     start = [float(one.icdf(jnp.asarray(0.5))) if isinstance(one, RandomNumber) else float(one) for one in scene.y0]
     period = slowest_time(scene.system, scene.law) if getattr(scene.law, "repeats_after", None) in (0, 0.0) else None
     with warnings.catch_warnings():
@@ -413,14 +584,29 @@ def section_of(scene: Scene, number: MovableNumber) -> Data:
             scene.system, scene.law, {number.name: values}, y0=start, transient=_TRANSIENT, kept=_KEPT, period=period,
             longest_transient=_TRANSIENT, progress=False,
         )  # fmt: skip
-    states = np.asarray(found[scene.system.coordinates[0].variable]).reshape(_VALUES, -1)
-    return {"value": np.repeat(values, states.shape[1]), "state": states.ravel()}
+    states = np.asarray(found[scene.system.coordinates[0].variable]).reshape(len(values), -1)
+    note = f"From one start at each value, after {_TRANSIENT} periods."
+    if len(values) < len(every):
+        note += f" Only from {values[0]:.4g} to {values[-1]:.4g}, which the other numbers of the system allow."
+    return {"value": np.repeat(values, states.shape[1]), "state": states.ravel()}, note
+
+
+def _is_allowed(scene: Scene, path: NumberPath, value: float) -> bool:
+    try:
+        scene.with_number(path, float(value))
+    except ValueError:
+        return False
+    return True
 
 
 # The pictures of the explorer, by Bokeh: made once, then given new numbers.
 
 
 _HEIGHT = 250
+_PLAIN_LEGEND = """
+:host { background: none !important; border: none !important; }
+.bk-label { color: var(--design-background-text-color, inherit) !important; }
+"""
 _CURVES = {"slip": (_style.FORWARD, _style.SLIP_WIDTH), "stick": (_style.STICK, _style.STICK_WIDTH)}
 _BARS = {
     "durations": ("Stick durations", "duration (s)", "density (1/s)"),
@@ -430,36 +616,43 @@ _BARS = {
 
 
 class Figures:
-    """The phase portrait, the time history, and the histograms of durations, starts and numbers of sticks; `all`."""
+    """The phase portrait, the histories, and the histograms of durations, starts and numbers of sticks; `all`."""
 
     def __init__(self, scene: Scene):
         x, y = labels_of(scene)
         self.curves = {name: ColumnDataSource({"t": [], "x": [], "y": []}) for name in _CURVES}
         self.bars = {name: ColumnDataSource({"left": [], "right": [], "top": []}) for name in _BARS}
         self.portrait = _figure("Phase portrait", x, y, **_ranges())
-        self.history = _figure("Time history", "time (s)", x, **_ranges())
-        for plot, across, up in ((self.portrait, "x", "y"), (self.history, "t", "x")):
+        self.history = _figure("Position over time", "time (s)", x, **_ranges())
+        self.velocities = _figure("Velocity over time", "time (s)", y, **_ranges())
+        self.base = ColumnDataSource({"t": [], "y": []})
+        self.velocities.line("t", "y", source=self.base, color=_style.BASE, line_width=1.5, legend_label="base")
+        for plot, across, up in (
+            (self.portrait, "x", "y"), (self.history, "t", "x"), (self.velocities, "t", "y"),
+        ):  # fmt: skip
             for name, (color, width) in _CURVES.items():
                 plot.line(across, up, source=self.curves[name], color=color, line_width=width, legend_label=name)
             plot.add_layout(plot.legend[0], "above")
-            plot.legend[0].update(orientation="horizontal", padding=2, margin=2)
+            plot.legend[0].update(orientation="horizontal", padding=2, margin=2, stylesheets=[_PLAIN_LEGEND])
         self.histograms = {name: _figure(*labels, **_ranges()) for name, labels in _BARS.items()}
         for name, plot in self.histograms.items():
             plot.quad(
                 left="left", right="right", top="top", bottom=0, source=self.bars[name], color=_style.STICK,
                 line_color="white", line_width=0.5,
             )  # fmt: skip
-        self.all = self.portrait, self.history, *self.histograms.values()
+        self.all = self.portrait, self.history, self.velocities, *self.histograms.values()
 
     def show_motion(self, scene: Scene, motion: Motion) -> None:
         """Draw another realisation."""
-        self.history.x_range.end = min(scene.t1, LONGEST_HISTORY)
-        for name, curve in motion.curves.items():
-            self.curves[name].data = curve
-        for axis, column in (
-            (self.portrait.x_range, "x"), (self.portrait.y_range, "y"), (self.history.y_range, "x"),
+        self.history.x_range.end = self.velocities.x_range.end = min(scene.t1, LONGEST_HISTORY)
+        for name, source in self.curves.items():
+            source.data = motion.curves[name]
+        self.base.data = motion.curves["base"]
+        for axis, column, names in (
+            (self.portrait.x_range, "x", _CURVES), (self.portrait.y_range, "y", _CURVES),
+            (self.history.y_range, "x", _CURVES), (self.velocities.y_range, "y", motion.curves),
         ):  # fmt: skip
-            values = np.concatenate([curve[column] for curve in motion.curves.values()])
+            values = np.concatenate([motion.curves[name][column] for name in names])
             known = values[np.isfinite(values)]
             if len(known):
                 margin = 0.05 * float(np.ptp(known)) or 0.5
@@ -498,7 +691,9 @@ def _figure(title: str, x_label: str, y_label: str, height: int = _HEIGHT, **opt
         toolbar_location=None, tools="", output_backend="canvas", **options,
     )  # fmt: skip
     plot.axis.axis_label_text_font_style = "normal"
-    plot.yaxis.formatter = BasicTickFormatter(power_limit_low=-4)
+    plot.axis.formatter = BasicTickFormatter(power_limit_low=-4)
+    plot.axis.minor_tick_line_color = None
+    plot.xaxis.ticker.desired_num_ticks = 5  # which a telephone has room for
     plot.grid.grid_line_alpha = 0.4
     return plot
 
@@ -508,13 +703,13 @@ def _figure(title: str, x_label: str, y_label: str, height: int = _HEIGHT, **opt
 
 def sheet_of(scene: Scene) -> bytes:
     """A PDF: phase portrait and time history of a realisation, histograms of the sticks of all, a page for each."""
-    motion, many = motion_of(scene), statistics_of(scene).ensemble
+    one, many = realization(scene), ensemble_of(scene)
     pages: list[Axes] = []
-    if not motion.problem:
+    if int(one.status) == Status.FINISHED:
         window = (0.0, min(scene.t1, LONGEST_HISTORY))
-        if motion.one.sticks.contact is None:
-            pages.append(phase_portrait(motion.one, window=window))
-        pages.append(time_history(motion.one, window=window)[0])
+        if one.sticks.contact is None:
+            pages.append(phase_portrait(one, window=window))
+        pages.append(time_history(one, window=window)[0])
     of_all = many.statistics
     has_sticks = len(many.finished_sticks().duration) > 0
     pages += map(histogram, (of_all.stick_count, *((of_all.duration, of_all.start) if has_sticks else ())))

@@ -48,6 +48,7 @@ def _whole_number(kind: type, tokens: Sequence[Token]) -> int:
 
 _Whole = Annotated[int | None, Parameter(converter=_whole_number)]
 FIGURES = (".png", ".pdf", ".svg")
+MOST_SAMPLES = 20_000  # of the explorer, which simulates them at each move
 Switch = Annotated[bool, Parameter(negative="", show_default=False)]
 
 

@@ -9,6 +9,8 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -35,23 +37,34 @@ START = ["-c", "import sys; from stickslip_jax._cli import main; sys.exit(main()
 class Served:
     """The command as a process, and the address that it printed."""
 
-    def __init__(self, folder, *options):
+    def __init__(self, folder, *options, **variables):
         (folder / "study.toml").write_text(CONFIG, encoding="utf-8")
-        command = [sys.executable, *START, "study.toml", "--samples", str(SAMPLES), *options]
+        command = [sys.executable, *START, *(options or ("study.toml", "--samples", str(SAMPLES)))]
         self.process = subprocess.Popen(
             command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            env=os.environ | {"PYTHONUNBUFFERED": "1"} | variables,
         )  # fmt: skip
         line = self.process.stdout.readline()
         found = re.search(r"http://127\.0\.0\.1:\d+/\S+", line)
         assert found, line + self.process.stdout.read()
         self.address = found[0]
 
-    def interrupt(self):
+    def interrupt(self, number=signal.SIGINT, seconds=60):
         """Ctrl-C. The exit code, and what was printed since."""
-        self.process.send_signal(signal.SIGINT)
-        said, _ = self.process.communicate(timeout=60)
+        self.process.send_signal(number)
+        said, _ = self.process.communicate(timeout=seconds)
         return self.process.returncode, said
+
+    def descendants(self):
+        """The numbers of all processes that it has started, and of those that these have."""
+        parents = {}
+        for status in Path("/proc").glob("[0-9]*/stat"):
+            with suppress(OSError):
+                parents[int(status.parent.name)] = int(status.read_text().rpartition(")")[2].split()[1])
+        own = {self.process.pid}
+        while new := {number for number, above in parents.items() if above in own} - own:
+            own |= new
+        return own - {self.process.pid}
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +80,7 @@ def page(browser, served):
     resize(browser, 1280, 1400)
     browser.get(served.address)
     page = Page(browser)
-    page.wait_for("mean stick duration")
+    page.wait_for("mean stick duration", 300)
     return page
 
 
@@ -93,7 +106,8 @@ def test_first_numbers_are_those_of_the_package(page):
         ss.mean_stick_duration, system, law, wrt="system.friction.mu", t1=T1, samples=SAMPLES,
         key=jax.random.key(0), y0=Y0,
     )  # fmt: skip
-    page.wait_for(str(slope).replace("+-", "±"))
+    number = str(slope).replace("+-", "±").partition(": ")[2]
+    page.wait_for(f"Derivative of the mean stick duration (pooled) by friction coefficient: {number}")
 
 
 def test_three_sliders_by_the_keyboard(page):
@@ -106,14 +120,14 @@ def test_three_sliders_by_the_keyboard(page):
     assert rate > 1.0
     assert mass > 1.0
     page.wait_for(row(ss.mean_stick_duration(ensemble(mu=mu, rate=rate, mass=mass))))
-    page.wait_for("d / d system.mass of mean stick duration")
+    page.wait_for("Derivative of the mean stick duration (pooled) by mass:")
 
 
 def test_bad_input_in_a_box(page):
     before = page.table()
     for text, why in (
         ("fast", "'fast' is not a number; write one such as 0.25 or 1e-3."),
-        ("-1", "Argument law.speed must be positive (in m/s), but -1.0 was given."),
+        ("-1", "Speed must be positive (in m/s), but -1.0 was given."),
         ("<script>document.title = 'driven'</script>", "is not a number"),
     ):
         page.write("speed (m/s)", text)
@@ -141,7 +155,7 @@ def test_bifurcation_where_the_base_is_deterministic(page):
     page.choose("Base", "SquareWave")
     page.wait_for("Bifurcation")
     page.click("Bifurcation")
-    page.wait_for("From one start at each value, after 100 periods.")
+    page.wait_for("From one start at each value, after 100 periods.", 300)
 
 
 def test_two_pages_at_once(page, served):
@@ -173,15 +187,137 @@ def test_program_is_copied(page):
     assert "law = ss.PoissonSwitching(speed=1.25, rate=1.0)" in copied
 
 
-@pytest.mark.parametrize("width", [390, 1280])
-def test_everything_fits_into_the_width(page, width):
+def is_marked_old(page):
+    """Whether the results are pale: those of numbers of before."""
+    (results,) = page.all(".results")
+    return float(results.value_of_css_property("opacity")) < 0.5
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "columns"), [(390, 1), (800, 1), (1920, 2)])
+def test_everything_fits_into_the_width(page, width, columns, theme):
+    """In so many columns of pictures, and readable in the colours that the reader prefers."""
+    preferred = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
+    page.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", preferred)
     resize(page.browser, width, 900)
     time.sleep(1)
     assert page.browser.execute_script("return document.documentElement.scrollWidth") <= width
-    for one in page.all("canvas"):
-        box = one.rect
+    boxes = [one.rect for one in page.all("canvas") if one.rect["width"] > 200]  # not of legends
+    for box in boxes:
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= width
+    assert len({round(box["x"] / 100) for box in boxes}) == columns
+    assert page.browser.find_element("css selector", "meta[name=viewport]").get_attribute("content")
+
+    def brightness(element, of):
+        red, green, blue = re.findall(r"[0-9.]+", element.value_of_css_property(of))[:3]
+        return 0.3 * float(red) + 0.6 * float(green) + 0.1 * float(blue)
+
+    paper = brightness(page.browser.find_element("css selector", "html"), "background-color")
+    texts = [page.all(css)[0] for css in ("h1", "table", ".bk-slider-title", "label", ".bk-tab", "select", "textarea")]
+    texts += page.all(".bk-label")
+    for one in texts:
+        assert abs(brightness(one, "color") - paper) > 120, one.text
+    page.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_no_warning_on_the_first_screen(browser, tmp_path):
+    """Nor anything in the browser's log."""
+    one = Served(tmp_path, "--port", "0")
+    browser.get_log("browser")
+    browser.get(one.address)
+    page = Page(browser)
+    page.wait_for("Derivative of the mean stick duration", 300)
+    page.wait_for("±", 10)
+    assert not any(word in page.text() for word in ("rests on", "exactly", "does not exist", "not begun"))
+    assert [said for said in browser.get_log("browser") if said["source"] != "rendering"] == []
+    browser.get("about:blank")
+    assert one.interrupt()[1] == "\nThe explorer has ended.\n"
+
+
+def test_no_number_stands_as_new_that_is_old(page):
+    """From the first frame in which the page knows of the change on."""
+    old = page.table().splitlines()[1]
+    watch = """
+    window.frames_seen = [];
+    const [results, statistics] = arguments;
+    const look = () => {
+      frames_seen.push([getComputedStyle(results).opacity, statistics.shadowRoot.textContent]);
+      requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+    """
+    page.browser.execute_script(watch, page.all(".results")[0], page.all(".statistics")[0])
+    page.write("rate (1/s)", "1.75")
+    page.wait_for(row(ss.mean_stick_duration(ensemble(rate=1.75))))
+    assert not is_marked_old(page)
+    seen = page.browser.execute_script("return window.frames_seen")
+    number = old.split("\t")[1]
+    marked = [float(opacity) < 0.5 for opacity, _ in seen]
+    assert True in marked
+    assert not any(number in said for (_, said), is_old in zip(seen, marked, strict=True)
+                   if not is_old and seen.index([_, said]) > marked.index(True))  # fmt: skip
+
+
+@pytest.mark.parametrize(("label", "text"), [("rate (1/s)", "110001"), ("duration of a realisation (s)", "1e9")])
+def test_overload_is_told_and_not_begun(page, label, text):
+    page.write(label, text)
+    page.wait_for("This was not begun: it would take about", 30)
+    assert is_marked_old(page)
+    page.write(label, "40")
+    page.wait_for("Derivative of the mean stick duration", 300)
+    assert "not begun" not in page.text()
+
+
+def test_thousand_quick_moves(page):
+    """The page follows the last; those in between are left out."""
+    move = """
+    const models = [...Bokeh.documents[0]._all_models.values()];
+    const slider = models.find((one) => one.title === "speed (m/s)" && one.type.endsWith("Slider"));
+    for (let at = 0; at < 1000; at++) slider.value = 0.5 + at * 0.001;
+    slider.value = 1.25;
+    """
+    page.browser.execute_script(move)
+    page.wait_for(row(ss.mean_stick_duration(ensemble(speed=1.25))))
+    assert page.box("speed (m/s)") == "1.25"
+
+
+def test_fifty_pages(page, served):
+    """Opened at once; the one that is used does not wait for what the others show."""
+    with ThreadPoolExecutor(8) as threads:
+        answers = threads.map(lambda _: urllib.request.urlopen(served.address).status, range(50))
+        assert set(answers) == {200}
+    page.write("speed (m/s)", "1.35")
+    page.wait_for(row(ss.mean_stick_duration(ensemble(speed=1.35))))
+
+
+def test_newer_choice_overtakes_and_work_is_ended(browser, tmp_path):
+    """Of programs that are not compiled yet: what is shown, a choice that overtakes, Cancel, and Ctrl-C meanwhile."""
+    (tmp_path / "programs").mkdir(mode=0o700)
+    one = Served(tmp_path, STICKSLIP_PROGRAMS=str(tmp_path / "programs"))
+    resize(browser, 1280, 1400)
+    browser.get(one.address)
+    page, first = Page(browser), row(ss.mean_stick_duration(ensemble()))
+    page.wait_for(first, 300)
+    page.choose("System", "building on isolators")
+    page.wait_for("ompiling, ")
+    assert first.partition("\t")[2] not in page.text()
+    assert is_marked_old(page)
+    page.choose("System", "as given")
+    page.wait_for(first, 10)  # known: the compilation is not waited for
+    page.choose("System", "two blocks")
+    page.wait_for("ompiling, ")
+    page.click("Cancel")
+    page.wait_for("Cancelled. Pale pictures and numbers are those of before.", 10)
+    page.choose("System", "motor and cart")
+    page.wait_for("ompiling, ")
+    others = one.descendants()
+    assert others
+    code, said = one.interrupt(seconds=5)
+    assert (code, said) == (0, "\nThe explorer has ended.\n")
+    time.sleep(2)
+    assert [number for number in others if Path(f"/proc/{number}/cmdline").exists()
+            and Path(f"/proc/{number}/cmdline").read_bytes()] == []  # fmt: skip
 
 
 def test_page_takes_nothing_from_elsewhere(page, served):
@@ -226,6 +362,18 @@ def test_another_origin_is_refused(served):
         assert status(other) == 403
 
 
+def test_another_host_is_not_answered(served):
+    """A name that was made to lead here, with the whole address; and no other page can hold this one in a frame."""
+    place = urlsplit(served.address)
+    for host in ("evil.example", f"evil.example:{place.port}", "localhost", "127.0.0.1.evil.example"):
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(urllib.request.Request(served.address, headers={"Host": host}))
+    headers = urllib.request.urlopen(served.address).headers
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    assert "default-src 'self'" in headers["Content-Security-Policy"]
+    assert (headers["X-Frame-Options"], headers["Referrer-Policy"]) == ("DENY", "no-referrer")
+
+
 def test_only_this_machine_is_served(served):
     port = urlsplit(served.address).port
     with open("/proc/net/tcp", encoding="ascii") as table:
@@ -241,6 +389,24 @@ def test_interrupt_ends_the_server(tmp_path):
     assert "Traceback" not in said
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(one.address)
+
+
+def test_terminated_server_says_so(tmp_path):
+    code, said = Served(tmp_path).interrupt(signal.SIGTERM)
+    assert (code, said.splitlines()[-1]) == (143, "stickslip: Terminated; the explorer has ended.")
+
+
+def test_closed_page_leaves_no_traceback(browser, tmp_path):
+    """While its pictures and derivative are computed; what is computed for it then ends."""
+    one = Served(tmp_path)
+    browser.get(one.address)
+    page = Page(browser)
+    page.wait_for("mean stick duration", 300)
+    page.write("speed (m/s)", "1.4")
+    browser.get("about:blank")
+    time.sleep(40)  # until the server forgets a page that has gone
+    code, said = one.interrupt()
+    assert (code, said) == (0, "\nThe explorer has ended.\n")
 
 
 def test_taken_port_is_told(served, tmp_path):

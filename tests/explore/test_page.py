@@ -2,7 +2,6 @@
 
 import html
 import re
-from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -11,7 +10,17 @@ import pytest
 import stickslip_jax as ss
 from stickslip_jax.study import read_config
 from stickslip_jax.study._explorer_page import GIVEN, NumberControl, Worker
-from stickslip_jax.study._explorer_scene import Scene, motion_of, realization, statistics_of
+from stickslip_jax.study._explorer_scene import (
+    Scene,
+    _seconds_of_step,
+    ensemble_of,
+    motion_of,
+    numbers_of,
+    realization,
+    require_little,
+    section_of,
+    statistics_of,
+)
 
 T1, SAMPLES, Y0 = 20.0, 300, (0.0, 1.0)
 
@@ -62,7 +71,8 @@ def test_numbers_are_those_of_the_package():
         row = f"{statistic.name} {statistic.without_name().replace('+-', '±')}"
         assert row in " ".join(said(explorer.statistics).split())
     slope = ss.sensitivity(ss.mean_stick_duration, *new, wrt="law.rate", **options)
-    assert str(slope).replace("+-", "±") + " s per 1/s" in said(explorer.slope)
+    number = str(slope).replace("+-", "±").partition(": ")[2]
+    assert f"Derivative of the mean stick duration (pooled) by rate: {number} s per 1/s." in said(explorer.slope)
     assert explorer.scene.law.rate == 1.25
     assert explorer.scene.system.friction.mu == 0.65
 
@@ -70,7 +80,7 @@ def test_numbers_are_those_of_the_package():
 def test_without_sticks():
     explorer = shown(system=system(0.0))
     assert "nan" not in said(explorer.statistics) + said(explorer.slope)
-    assert "No derivative by system.friction.mu: too few sticks." in said(explorer.slope)
+    assert "No derivative by friction coefficient: too few sticks." in said(explorer.slope)
 
 
 def test_unit_of_a_difference_quotient():
@@ -80,8 +90,8 @@ def test_unit_of_a_difference_quotient():
 
 def test_pictures_are_those_of_the_sticks():
     scene = Scene(system(), ss.PoissonSwitching(0.9, 1.0), Y0, T1, SAMPLES)
-    motion, found = motion_of(scene), statistics_of(scene)
-    sticks = found.ensemble.finished_sticks()
+    motion, found, many = motion_of(scene), statistics_of(scene), ensemble_of(scene)
+    sticks = many.finished_sticks()
     durations, numbers = found.bars["durations"], found.bars["numbers"]
     assert np.sum(durations["top"] * (durations["right"] - durations["left"])) == pytest.approx(1)
     assert durations["right"][-1] == sticks.duration.max()
@@ -89,10 +99,10 @@ def test_pictures_are_those_of_the_sticks():
     centres = (numbers["right"] + numbers["left"]) / 2
     assert centres @ numbers["top"] == pytest.approx(np.mean(sticks.count))
     # The first realisation, at its own sticks.
-    own = ss.simulate(*found.ensemble.realization(0)[:2], t1=T1, y0=found.ensemble.realization(0).y0)
-    mask = np.asarray(own.sticks.mask)
+    own = ss.simulate(*many.realization(0)[:2], t1=T1, y0=many.realization(0).y0)
+    mask, one = np.asarray(own.sticks.mask), realization(scene)
     np.testing.assert_allclose(
-        np.asarray(motion.one.sticks.start)[np.asarray(motion.one.sticks.mask)],
+        np.asarray(one.sticks.start)[np.asarray(one.sticks.mask)],
         np.asarray(own.sticks.start)[mask],
         rtol=0,
     )
@@ -106,6 +116,11 @@ def test_pictures_are_those_of_the_sticks():
     slip = motion.curves["slip"]
     drawn = np.isfinite(slip["t"])
     np.testing.assert_allclose(slip["x"][drawn], np.asarray(own.evaluate(slip["t"][drawn])[0]), atol=1e-12)
+    base = motion.curves["base"]
+    assert set(np.abs(base["y"][np.isfinite(base["y"])])) == {0.9}
+    held = np.isfinite(motion.curves["stick"]["y"])
+    assert set(np.abs(motion.curves["stick"]["y"][held])) == {0.9}
+    assert (base["t"][0], base["t"][-1]) == (0.0, T1)
 
 
 def test_axes_hold_what_is_drawn():
@@ -129,7 +144,7 @@ def test_axes_hold_what_is_drawn():
 def test_base_with_random_numbers():
     """The realisation has those of the first sample."""
     scene = Scene(system(), ss.PoissonSwitching(ss.Uniform(0.5, 1.0), ss.Uniform(0.5, 2.0)), Y0, T1, 50, 0)
-    sticks = statistics_of(scene).ensemble.finished_sticks()
+    sticks = ensemble_of(scene).finished_sticks()
     assert float(realization(scene).stick_time) == pytest.approx(sticks.duration[: sticks.count[0]].sum(), rel=1e-12)
 
 
@@ -166,7 +181,7 @@ def test_bad_input_says_why_and_moves_nothing(text):
     one = control(explorer, "system.mass")
     write(one, text)
     assert (explorer.scene, said(explorer.statistics)) == before
-    assert one.problem.startswith(("Argument system.mass must be positive (in kg), but", f"{text!r} is not a number"))
+    assert one.problem.startswith(("Mass must be positive (in kg), but", f"{text!r} is not a number"))
     write(one, "1.5")
     assert one.problem == ""
     assert explorer.scene.system.mass == 1.5
@@ -261,7 +276,7 @@ class Own:
 )
 def test_realization_is_the_first_of_the_ensemble(law):
     scene = Scene(system(), law, (ss.Uniform(-0.5, 0.5), 0.0), T1, 5, seed=4)
-    many = statistics_of(scene).ensemble
+    many = ensemble_of(scene)
     assert float(realization(scene).stick_time) == pytest.approx(many.totals.stick_time[0], rel=1e-12)
     assert many.totals.stick_time[0] > 0
 
@@ -272,15 +287,76 @@ def test_steps_end_at_the_first_failure():
     def failing():
         raise ValueError("no")
 
-    worker = Worker(None, ThreadPoolExecutor(1))
-    worker.do(
-        [(lambda: 1, done.append), (failing, done.append), (lambda: 3, done.append)], lambda e: done.append(str(e))
+    worker = Worker(None, None, lambda *told: None)
+    steps = [((int,), done.append), ((failing,), done.append), ((list,), done.append)]
+    worker.do([((task, ()), then) for (task,), then in steps], lambda error: done.append(str(error)))
+    assert done == [0, "no"]
+
+
+@pytest.mark.parametrize(("name", "value"), [("law.rate", "110001"), ("t1", "2e8")])
+def test_what_takes_too_long_is_not_begun(name, value):
+    """The page says what it would take; what is shown stays, and is marked as old until something else is shown."""
+    explorer = shown(samples=2000)
+    table = explorer.statistics.object
+    write(control(explorer, name), value)
+    told = said(explorer._alert)
+    assert re.match(
+        r"This was not begun: it would take about [0-9,]+ (s|minutes|hours|days) and up to [0-9.,]+ GB", told
     )
-    assert done == [1, "no"]
+    assert explorer.statistics.object == table
+    assert float(explorer._results.styles["opacity"]) < 0.5
+    write(control(explorer, "law.rate"), "1.5")
+    write(control(explorer, "t1"), "20")
+    assert (explorer._results.styles["opacity"], explorer._alert.visible) == ("1", False)
+    assert explorer.statistics.object != table
 
 
-def test_moves_are_told_at_once():
+def test_estimate_follows_the_sizes():
+    """Twice the realisations, or the duration, are twice the steps; a step costs what was measured."""
+    scene = Scene(system(), ss.SquareWave(0.9, 3.0), Y0, 300.0, 2000)
+    steps, kind = require_little(scene)
+    assert require_little(scene._replace(samples=4000)) == (2 * steps, kind)
+    assert require_little(scene._replace(t1=600.0))[0] == pytest.approx(2 * steps, rel=0.05)
+    ensemble_of(scene._replace(samples=20_000))
+    many = ss.simulate_ensemble(*scene[:2], t1=300.0, samples=20_000, key=jax.random.key(0), y0=Y0, progress=False)
+    assert 0.1 < _seconds_of_step[kind] * 10 * steps / many.run_seconds < 10
+
+
+def test_messages_are_in_the_words_of_the_page():
+    """Of what the package says, the names of code are those of the controls, and advice about code is left out."""
+    explorer = shown(system=ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8, 1.0)))
+    one = control(explorer, "system.friction.mu")
+    write(one, "1.5")
+    assert one.problem == "Static friction coefficient must be at least friction coefficient, 1.5, but 1.0 was given."
+    special = shown(system=system(1.8))  # w = 1
+    assert "w = speed / (a omega) is exactly 1, where the mean number of sticks" in said(special.slope)
+    for word in ("relative_bandwidth", "docs/", "system.", "law."):
+        assert word not in said(special.slope)
+
+
+def test_diagram_is_clipped_to_what_the_system_allows():
+    scene = Scene(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8, 1.0)), ss.SquareWave(0.9, 3.0), Y0, T1, 20)
+    (number,) = (one for one in numbers_of(scene) if one.path[-1] == "mu")
+    assert number.high > 1.0
+    points, note = section_of(scene, number)
+    assert points["value"].max() <= 1.0
+    assert re.search(r"Only from [0-9.]+ to (1|0\.99\d+), which the other numbers of the system allow\.", note)
+
+
+def test_reset():
+    explorer = shown(samples=20)
+    before = explorer.scene
+    write(control(explorer, "law.speed"), "0.75")
+    choose(explorer, "Friction", "Stribeck")
+    explorer._counts[0].value = 30
+    explorer._begin_with(explorer._given, GIVEN)
+    assert explorer.scene == before
+    assert [one.value for one in explorer._lists.values()] == [GIVEN] * 3
+    assert explorer._counts[0].value == 20
+
+
+def test_moves_are_told_soon():
     """By an attribute of Panel's widgets, which it does not promise."""
     for control in shown(samples=5).controls:
         for part in (control._slider, control._box):
-            assert (part._debounce, type(part).__base__._debounce) == (0, 50)
+            assert (part._debounce, type(part).__base__._debounce) == (20, 50)

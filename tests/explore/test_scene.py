@@ -6,25 +6,22 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax.study import StudyConfig, StudyError, read_config
+from stickslip_jax.study import StudyError, read_config
 from stickslip_jax.study._config import config_of
-from stickslip_jax.study._explorer_page import NotWritable, as_python
 from stickslip_jax.study._explorer_scene import (
     FRICTIONS,
     SYSTEMS,
+    NotWritable,
     Scene,
+    as_python,
     bases_for,
     friction_called,
     numbers_of,
     quantity_of,
     read_number,
-    scene_of,
+    scene_called,
     with_friction,
 )
-
-
-def scene_called(name):
-    return scene_of(StudyConfig.model_validate(dict(SYSTEMS[name])))
 
 
 def every_scene():
@@ -109,7 +106,7 @@ def test_damping_can_be_added():
 
 def test_number_outside_its_bounds_is_refused():
     scene = scene_called("mass on a spring")
-    with pytest.raises(ValueError, match=r"\AArgument system\.mass must be positive \(in kg\), but -1\.0 was given"):
+    with pytest.raises(ValueError, match=r"\AArgument mass must be positive \(in kg\), but -1\.0 was given"):
         scene.with_number(("system", "mass"), -1.0)
     static = scene._replace(system=with_friction(scene.system, ss.Coulomb(0.5, 0.7)))
     with pytest.raises(ValueError, match="mu_static"):
@@ -191,7 +188,7 @@ def test_program_of_a_users_class_imports_it():
 
 
 def test_scene_of_float32_says_so(monkeypatch):
-    monkeypatch.setattr("stickslip_jax.study._explorer_page.jnp.result_type", lambda kind: np.dtype("float32"))
+    monkeypatch.setattr("stickslip_jax.study._explorer_scene.jnp.result_type", lambda kind: np.dtype("float32"))
     assert '"jax_enable_x64", False' in as_python(scene_called("mass on a spring"))
 
 
