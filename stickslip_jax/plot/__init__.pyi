@@ -38,4 +38,9 @@ from ._sensitivities import (
     tornado as tornado,
 )
 from ._style import save as save
-from ._trajectory import energies as energies, phase_portrait as phase_portrait, time_history as time_history
+from ._trajectory import (
+    energies as energies,
+    friction_force as friction_force,
+    phase_portrait as phase_portrait,
+    time_history as time_history,
+)

@@ -613,9 +613,10 @@ def stick_raster(
     """
     if isinstance(result, Simulation) and result.sticks.contact is not None:
         check_simulation(result, of_one_contact=False)
-        shown = check_window(window, float(result.t1))
+        shown = check_window(window, float(result.time_reached))
         ax = _style.axes_or_new(ax, (6.4, 1.4 + 0.3 * min(result.totals.sticks.shape[-1], 16)))
         contact_rows(ax, result, shown)
+        _style.mark_unfinished(ax, result)
         legend_above(ax)
         return ax
     result = require_ensemble(result)

@@ -26,7 +26,7 @@ from .._ensemble.ensemble import Ensemble
 from .._excitation.motion import RandomPhase, SourceVoltage
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
-from .._foundation.types import AnyArray
+from .._foundation.types import AnyArray, Status
 from .._statistics.estimate import Estimate, check_level
 from .._statistics.quantities import FirstSticks
 
@@ -131,6 +131,14 @@ def time_axis(ax: Axes, window: Window, t1: float | None = None) -> None:
     if ax.xaxis.get_tick_params().get("labelbottom", True):
         part = "" if t1 is None or window[1] == t1 else f": the first {window[1]:g} s of {t1:g} s"
         ax.set_xlabel(f"time $t$ (s){part}")
+
+
+def mark_unfinished(ax: Axes, one: Simulation) -> None:
+    """Say in `ax` where a motion stopped that did not reach ``t1``; nothing of one that did."""
+    if one.status != Status.FINISHED:
+        text = f"NOT FINISHED: stopped at {float(one.time_reached):.4g} of {float(one.t1):g} s"
+        box = {"boxstyle": "round", "facecolor": "white", "edgecolor": MASS, "alpha": 0.8}
+        ax.text(0.98, 0.95, text, transform=ax.transAxes, ha="right", va="top", bbox=box, zorder=9, fontsize="small")
 
 
 def log_axis(axis: XAxis | YAxis) -> None:
