@@ -441,7 +441,7 @@ class Simulation(WithMethods):
         return self._friction(times)[0]
 
     def relative_velocity(self, times: AnyArray | float) -> FloatArray:
-        """The velocity that the friction force opposes, at `times` (s, any shape), m/s: of the mass relative to the base.
+        """The velocity of the mass relative to the base, which friction opposes, at `times` (s, any shape), m/s.
 
         Of a `MotorCart` it is that of the cart. ``-friction_force * relative_velocity`` is the power that friction
         dissipates. 0 in a stick; with `Regularized`, and of friction with an inner state, the velocity of the creep.

@@ -500,7 +500,8 @@ class LinearStructure(WithContacts):
         rotates: Whether the positions are angles in rad, and the masses inertias. Directions of contacts are then
             radii in m.
         drawn_as: How `plot.animate` draws it: "blocks" in a row on a belt, "storeys" of a building over its base mat,
-            or "bars", one for each coordinate. With `rotates` it is always drawn as disks in a row.
+            or "bars", one for each coordinate. By default blocks where each contact is one of a mass with the base, as
+            `Contact.of_mass`, and springs join neighbours only, else bars. With `rotates` always disks in a row.
 
     Raises:
         ValueError: For a mass that is singular, matrices that are not symmetric or of another size, contacts that
@@ -514,12 +515,13 @@ class LinearStructure(WithContacts):
     force: tuple[Signal | Recorded | Number | None, ...] | None = eqx.field(default=None, converter=entries_of)
     uncoupled: bool | None = eqx.field(static=True, default=None)
     rotates: bool = eqx.field(static=True, default=False)
-    drawn_as: str = eqx.field(static=True, default=BARS, kw_only=True)
+    drawn_as: str | None = eqx.field(static=True, default=None, kw_only=True)
 
     def __post_init__(self):
         # Equinox converts the fields after this.
         contacts, force = entries_of(self.contacts), entries_of(self.force)
-        checks.chosen("drawn_as", self.drawn_as, _DRAWN_AS)
+        if self.drawn_as is not None:
+            checks.chosen("drawn_as", self.drawn_as, _DRAWN_AS)
         check_structure(self.mass, self.stiffness, self.damping, contacts, force)
         if self.uncoupled is None:
             object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, contacts))
@@ -673,11 +675,13 @@ class LinearStructure(WithContacts):
     def _mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
         positions, stiffness = state[: self.size], np.asarray(_matrix(self.stiffness))
         directions = np.stack([np.asarray(contact.direction) for contact in self.contacts])
+        on_base = np.array([float(contact.on_base) for contact in self.contacts])
         if self.rotates:
-            on_base = np.array([float(contact.on_base) for contact in self.contacts])
             return disks(positions, base, stiffness, directions, on_base)
         on = tuple(tuple(np.flatnonzero(column).tolist()) for column in directions.T)
-        if self.drawn_as == BLOCKS:
+        touched = np.count_nonzero(directions, axis=1)
+        is_row = np.all(touched == 1) and np.all(on_base) and not np.any(np.triu(stiffness, 2))
+        if self.drawn_as == BLOCKS or (self.drawn_as is None and is_row):
             return blocks(positions, base, stiffness, on)
         if self.drawn_as == STOREYS:
             return storeys(positions, base, on)

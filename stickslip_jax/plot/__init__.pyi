@@ -35,6 +35,7 @@ from ._sensitivities import (
     calibration as calibration,
     calibration_moments as calibration_moments,
     sensitivity_curve as sensitivity_curve,
+    sobol_indices as sobol_indices,
     tornado as tornado,
 )
 from ._style import save as save

@@ -418,7 +418,8 @@ def animate(
         An `Animation`: ``animate(one).save("motion.gif")``.
 
     Raises:
-        ValueError: For arguments of another kind, for a simulation that `Simulation.of_contact` returned, and for fewer than 2 or more than 3,000 frames.
+        ValueError: For arguments of another kind, for one that `Simulation.of_contact` returned, and for
+            fewer than 2 or more than 3,000 frames.
     """
     check_simulation(result, of_one_contact=False)
     names = [one.name for one in result.system.coordinates]

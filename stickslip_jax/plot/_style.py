@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from textwrap import fill
@@ -323,6 +323,19 @@ def draw_histogram(
         centers, tops = ((edges[1:] + edges[:-1]) / 2)[known], heights[known]
         x, y = (centers, tops) if upright else (tops, centers)
         ax.errorbar(x, y, **{"yerr" if upright else "xerr": errors[known]}, ls="none", **ERROR_LOOK)
+
+
+def draw_quantiles(ax: Axes, shares: Sequence[float], value_at: Callable[[float], Any], unit: str) -> None:
+    """Mark quantiles with lines behind the bars of a histogram and a band between the outer ones.
+
+    `shares`: of the values, each between 0 and 1; `value_at` says where. Raises ValueError for other shares.
+    """
+    checks.bounded("quantiles", np.asarray(shares, float), above=0, below=1, ndim=1)
+    look, values = {"color": BASE, "zorder": 0.5}, [float(value_at(share)) for share in shares]
+    for share, value in sorted(zip(shares, values, strict=True)):
+        ax.axvline(value, ls=":", lw=SLIP_WIDTH, label=quantity_label(f"{100 * share:g} %: {value:.4g}", unit), **look)
+    if len(values) > 1:
+        ax.axvspan(min(values), max(values), alpha=0.08, lw=0, **look)
 
 
 def draw_cells(

@@ -341,9 +341,7 @@ def test_given_axes_are_used_and_no_other_figure_is_made(one, ensemble):
 @pytest.mark.parametrize("window", [(5.0, 3.0), (-1.0, 3.0), (0.0, T1 + 1), (1.0, 1.0), 3.0, (1.0, np.nan), ("a", "b")])
 @pytest.mark.parametrize("draw", [plot.time_history, plot.phase_portrait])
 def test_bad_windows(one, draw, window, annotations_unchecked):
-    with pytest.raises(
-        ValueError, match=r"Argument window must be two times \(in s\) with 0 <= t_a < t_b <= 40, the end"
-    ):
+    with pytest.raises(ValueError, match=r"Argument window must be two times .* 0 <= t_a < t_b <= 40, the end of the"):
         draw(one, window=window)
 
 
