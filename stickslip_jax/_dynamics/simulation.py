@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +17,7 @@ from .._compiler.programs import is_compiling, kept_jit
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
-from .._foundation.fields import WithMethods, with_fields
+from .._foundation.fields import WithMethods, in_one_line, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
@@ -214,7 +213,7 @@ def source() -> dict[str, object]:
 def provenance(system: object, base: object, method: object, t1: float | None = None) -> dict[str, object]:
     """Attributes that say what was simulated and how, and for how long. Numbers are in SI units."""
     horizon = {} if t1 is None else {"t1": t1}
-    return {"system": _brief(system), "base": _brief(base), **horizon, **method_attributes(method)}
+    return {"system": in_one_line(system), "base": in_one_line(base), **horizon, **method_attributes(method)}
 
 
 def method_attributes(method: object) -> dict[str, object]:
@@ -243,10 +242,6 @@ def _in_order(sticks: Sticks) -> tuple[FlatSticks, np.ndarray]:
     columns = {name: np.asarray(getattr(sticks, name))[mask] for name in (*NUMBERS, "ending")}
     flat = FlatSticks.of(np.array([mask.sum()]), **columns)
     return flat, np.arange(len(flat.start)) + (0 if flat.begins_at_zero[0] else 1)
-
-
-def _brief(module: object) -> str:
-    return " ".join(eqx.tree_pformat(module, short_arrays=True).split())
 
 
 # One simulated trajectory: `Simulation`.

@@ -12,7 +12,6 @@ import numpy as np
 from .._compiler.programs import kept_jit
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Harmonic, RandomPhase, RandomSignal, Signal, SumOfHarmonics
-from .._excitation.recorded import Recorded
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import with_fields
@@ -117,11 +116,12 @@ def check_forces(name: str, forces: Any, size: int) -> None:
     if not isinstance(forces, tuple) or len(forces) != size:
         raise checks.refused(name, f"be a tuple of {size} forces, one for each mass (None for no force)", forces)
     for number, part in enumerate(forces):
-        if part is not None and not isinstance(part, (Signal, Recorded)):
+        if part is not None and not is_function(part):
             try:
                 checks.bounded(f"{name}[{number}]", part)
             except ValueError:
-                raise checks.refused(f"{name}[{number}]", "be a number, a Signal, a Recorded or None", part) from None
+                demand = "be a number, a Signal, a Recorded, a ForceSteps or None"
+                raise checks.refused(f"{name}[{number}]", demand, part) from None
 
 
 def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:
@@ -493,8 +493,8 @@ class LinearStructure(WithContacts):
         stiffness: N/m (or N m/rad), (d, d) symmetric, or (d,); zeros for masses without springs.
         damping: N s/m (or N m s/rad), likewise; None is zero.
         contacts: Up to 64, each a `Contact`.
-        force: External forces, N (or N m): for each mass None, a number, a `Signal` or a `Recorded`; None for no
-            forces.
+        force: External forces, N (or N m): for each mass None, a number, a `Signal`, a `Recorded` or a `ForceSteps`;
+            None for no forces.
         uncoupled: Whether friction in one contact has no effect on the relative velocity of another, which is faster.
             Found from the numbers; to be given only where JAX traces the masses or directions.
         rotates: Whether the positions are angles in rad, and the masses inertias. Directions of contacts are then
@@ -512,7 +512,7 @@ class LinearStructure(WithContacts):
     stiffness: Any = eqx.field(converter=numbers_of)
     damping: Any = eqx.field(default=None, converter=numbers_of)
     contacts: tuple[Contact, ...] = eqx.field(default=(), converter=entries_of)
-    force: tuple[Signal | Recorded | Number | None, ...] | None = eqx.field(default=None, converter=entries_of)
+    force: tuple[NormalForce | None, ...] | None = eqx.field(default=None, converter=entries_of)
     uncoupled: bool | None = eqx.field(static=True, default=None)
     rotates: bool = eqx.field(static=True, default=False)
     drawn_as: str | None = eqx.field(static=True, default=None, kw_only=True)
@@ -537,8 +537,7 @@ class LinearStructure(WithContacts):
 
     @property
     def recorded(self) -> RecordedForces:
-        loads = tuple(force for force in self.force or () if isinstance(force, Recorded))
-        return RecordedForces(loads, recorded_in(self.normal_forces))
+        return RecordedForces(recorded_in(self.force or ()), recorded_in(self.normal_forces))
 
     @property
     def size(self) -> int:
