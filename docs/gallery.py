@@ -89,6 +89,20 @@ def energies():
     return plot.energies(one, window=(25.0, 50.0))
 
 
+def friction_force():
+    """A period of a mass with Dahl's friction on a base that moves to and fro."""
+    system = ss.MassSpring(
+        mass=1.0,
+        stiffness=4.0,
+        normal_force=1.0,
+        friction=ss.Dahl(mu=0.4, stiffness=20.0),
+    )
+    base = ss.Harmonic(amplitude=0.5, angular_frequency=1.3)
+    one = ss.simulate(system, base, t1=40.0, method=ss.Regularized())
+    last = (40.0 - 2 * math.pi / 1.3, 40.0)
+    return plot.friction_force(one, over="slip", window=last)
+
+
 def stick_raster():
     """The sticks of sixty realisations."""
     many = ss.simulate_ensemble(SYSTEM, LAW, **STUDY)
@@ -98,7 +112,7 @@ def stick_raster():
 def histogram():
     """The durations of all sticks."""
     many = ss.simulate_ensemble(SYSTEM, LAW, **STUDY)
-    return plot.histogram(many.statistics.duration)
+    return plot.histogram(many.statistics.duration, quantiles=(0.05, 0.5, 0.95))
 
 
 def joint_histogram():
@@ -214,6 +228,22 @@ def tornado():
         **STUDY | {"y0": anywhere},
     )
     return plot.tornado(found)
+
+
+def sobol_indices():
+    """Which random number matters most for the total stick time."""
+    system = ss.MassSpring(
+        mass=1.0,
+        stiffness=ss.Uniform(3.0, 5.0),
+        normal_force=1.0,
+        friction=ss.Coulomb(mu=ss.Uniform(0.5, 1.5)),
+    )
+    names = ["mu", "stiffness"]
+    design = ss.design.saltelli(1024, names, realization="factor")
+    study = STUDY | {"t1": 50.0, "samples": design}
+    many = ss.simulate_ensemble(system, LAW, keep="totals", **study)
+    found = ss.sobol_indices(many.totals.stick_time, design)
+    return plot.sobol_indices(found)
 
 
 def forced(angular_frequency):

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +17,7 @@ from .._compiler.programs import is_compiling, kept_jit
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
-from .._foundation.fields import WithMethods, with_fields
+from .._foundation.fields import WithMethods, in_one_line, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
@@ -113,15 +112,15 @@ def _forces(
     sticks: Sticks,
     last: FloatScalar,
     times: Times,
-) -> Times:
-    def at(time: FloatScalar) -> FloatScalar:
+) -> tuple[Times, Times]:
+    """The friction force, and the relative velocity that it opposes."""
+
+    def at(time: FloatScalar) -> tuple[FloatScalar, FloatScalar]:
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
-        inside = (time >= 0) & (time <= last)
+        now = jnp.zeros((), bool)
         if isinstance(model, InnerStates):
             coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
-            known: Any = model.inner
-            return jnp.where(inside, known.friction_force(y[:-1], coefficient), jnp.nan)
-        if isinstance(method, Regularized):
+        elif isinstance(method, Regularized):
             assert method.width is not None
             speed = model.relative_velocity(forcing, jnp.zeros_like(time), y)
             coefficient = Switch(method.width, method.shape).coefficient(model.friction_at(y), speed)
@@ -131,8 +130,12 @@ def _forces(
             sign = jnp.where(model.at_rest(forcing, y), model.release_sign(forcing, y), model.slip_sign(forcing, y))
             now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
             coefficient = _coefficient(model, forcing, y, sign, now)
-        known, y = model.without_age(y)
-        return jnp.where(inside, known.friction_force(y, coefficient), jnp.nan)
+        known: Any
+        known, y = (model.inner, y[:-1]) if isinstance(model, InnerStates) else model.without_age(y)
+        # The power of friction is linear in the force, and minus the velocity its slope.
+        velocity = jnp.where(now, 0, -known.powers(forcing, y, jnp.ones_like(time)).dissipated["friction"])
+        inside = (time >= 0) & (time <= last)
+        return tuple(jnp.where(inside, one, jnp.nan) for one in (known.friction_force(y, coefficient), velocity))
 
     return jax.vmap(at)(times)
 
@@ -210,7 +213,7 @@ def source() -> dict[str, object]:
 def provenance(system: object, base: object, method: object, t1: float | None = None) -> dict[str, object]:
     """Attributes that say what was simulated and how, and for how long. Numbers are in SI units."""
     horizon = {} if t1 is None else {"t1": t1}
-    return {"system": _brief(system), "base": _brief(base), **horizon, **method_attributes(method)}
+    return {"system": in_one_line(system), "base": in_one_line(base), **horizon, **method_attributes(method)}
 
 
 def method_attributes(method: object) -> dict[str, object]:
@@ -239,10 +242,6 @@ def _in_order(sticks: Sticks) -> tuple[FlatSticks, np.ndarray]:
     columns = {name: np.asarray(getattr(sticks, name))[mask] for name in (*NUMBERS, "ending")}
     flat = FlatSticks.of(np.array([mask.sum()]), **columns)
     return flat, np.arange(len(flat.start)) + (0 if flat.begins_at_zero[0] else 1)
-
-
-def _brief(module: object) -> str:
-    return " ".join(eqx.tree_pformat(module, short_arrays=True).split())
 
 
 # One simulated trajectory: `Simulation`.
@@ -432,8 +431,28 @@ class Simulation(WithMethods):
             The force, N; NaN outside ``[0, time_reached]``.
 
         Raises:
-            ValueError: For a `SwitchedSystem`, and for a batch.
+            ValueError: For a `SwitchedSystem`, a list of contacts, and a batch.
         """
+        return self._friction(times)[0]
+
+    def relative_velocity(self, times: AnyArray | float) -> FloatArray:
+        """The velocity of the mass relative to the base, which friction opposes, at `times` (s, any shape), m/s.
+
+        Of a `MotorCart` it is that of the cart. ``-friction_force * relative_velocity`` is the power that friction
+        dissipates. 0 in a stick; with `Regularized`, and of friction with an inner state, the velocity of the creep.
+
+        Args:
+            times: s, any shape.
+
+        Returns:
+            The velocity, m/s; NaN outside ``[0, time_reached]``.
+
+        Raises:
+            ValueError: As `friction_force`.
+        """
+        return self._friction(times)[1]
+
+    def _friction(self, times: AnyArray | float) -> tuple[FloatArray, FloatArray]:
         times = self._checked(times)
         inner = self.system.inner_model(self._path.smooth)
         if inner is not None and isinstance(inner.inner, OneContactModel):
@@ -619,11 +638,9 @@ class Simulation(WithMethods):
             ("stick fraction", f"{float(self.stick_time) / float(self.t1):.6g}"),
             ("near-grazing instants", f"{int(self.near_grazing_count):,}"),
         ]
-        title = f"Simulation on [0, {float(self.t1):g}] s"
-        if status != Status.FINISHED:
-            reached = f", NOT FINISHED: stopped at {float(self.time_reached):g} s"
-            return html.titled(title + reached) + html.table(rows)
-        return html.titled(title) + html.table(rows) + html.small_figure(self)
+        title, reached = f"Simulation on [0, {float(self.t1):g}] s", float(self.time_reached)
+        title += "" if status == Status.FINISHED else f", NOT FINISHED: stopped at {reached:g} s"
+        return html.titled(title) + html.table(rows) + (html.small_figure(self) if reached > 0 else "")
 
     @property
     def _is_one(self) -> bool:

@@ -243,6 +243,8 @@ class Slips(eqx.Module):
         """Number of slips."""
         return _number_in(self.mask)
 
+    __repr__ = Sticks.__repr__
+
 
 def _number_in(mask: AnyArray) -> Any:
     """How many slots are used; counted by NumPy where JAX traces nothing, which compiles nothing."""

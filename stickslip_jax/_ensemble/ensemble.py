@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,7 @@ from .._dynamics.sticks import Slips, Sticks, in_slots, stick_columns, time_colu
 from .._excitation.excitation import BaseMotion, is_random
 from .._foundation import checks, html
 from .._foundation.extras import require
+from .._foundation.fields import in_one_line
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import InitialState, Status
 from .._numerics.sums import DyadicCounts, PowerSums
@@ -414,7 +414,7 @@ class Ensemble(EnsembleData):
 def _brief(module: object) -> str:
     if isinstance(module, (Unknown, UnknownSystem)):
         return str(module)
-    text = " ".join(eqx.tree_pformat(module, short_arrays=False).split())
+    text = in_one_line(module)
     return text if len(text) <= 110 else text[:107] + "..."
 
 

@@ -19,7 +19,7 @@ from .._numerics.derivatives import NotKnown
 from .._numerics.elementary import key_data_of, random_words
 from .._uncertainty.inputs import SampledLaw, UserLaw
 from .motion import Motion, RandomSignal, Signal, SourceVoltage, UserMotion
-from .piecewise_constant import Interval, PiecewiseConstantLaw, VelocitySteps
+from .piecewise_constant import Constant, Interval, PiecewiseConstantLaw, VelocitySteps
 from .segments import SegmentLaw, SegmentTable, marked, no_key
 
 # The excitation of a system: a smooth part and piecewise-linear parts, as the switched engine follows them.
@@ -140,8 +140,9 @@ class UserBaseMotion(Protocol):
         """Its time derivative, m/s^2."""
 
 
-BaseMotion: TypeAlias = Motion | UserBaseMotion | UserLaw
-"""Excitation of a system: a law or a realisation of base velocity, ground acceleration or source voltage."""
+BaseMotion: TypeAlias = Motion | UserBaseMotion | UserLaw | Number
+"""Excitation of a system: a law or a realisation of base velocity, ground acceleration or source voltage; a number is a
+constant base velocity, m/s."""
 
 
 def motion_of(base: BaseMotion, name: str = "base") -> Motion:
@@ -150,10 +151,13 @@ def motion_of(base: BaseMotion, name: str = "base") -> Motion:
         return base
     if _is_users(base):
         return UserMotion(base)
-    raise ValueError(
-        f"Argument {name} must be a base motion such as Harmonic(...) or a law, or an object with methods velocity(t) "
-        f"and acceleration(t), but {checks.show(base)} was given."
-    )
+    if _is_number(base):
+        return Constant(base)
+    hint = ""
+    if callable(base) and not isinstance(base, type):
+        hint = "of a function make a signal, ss.Signal.of(function, shortest_period=...)"
+    demand = "be a base motion such as Harmonic(...), a law, a constant velocity (m/s), or an object with methods "
+    raise checks.refused(name, f"{demand}velocity(t) and acceleration(t)", base, hint)
 
 
 def realisation_of(base: BaseMotion) -> Motion:
@@ -186,13 +190,21 @@ def _is_users(base: object) -> bool:
     return is_other and all(callable(getattr(base, name, None)) for name in ("velocity", "acceleration"))
 
 
+def _is_number(base: object) -> bool:
+    """Whether `base` is a constant velocity."""
+    is_array = isinstance(base, (np.generic, np.ndarray, jax.Array)) and np.ndim(base) == 0
+    return is_array or (isinstance(base, (int, float)) and not isinstance(base, bool))
+
+
 def is_random(base: BaseMotion | SampledLaw) -> bool:
     """Whether `base` is a law whose realisations differ, so that one must be drawn before `simulate`."""
     return isinstance(base, (Motion, SampledLaw)) and base.is_random
 
 
 def law_of(base: BaseMotion) -> BaseMotion | SampledLaw:
-    """`base`; an object of the user's with a method ``sample(key, t1)`` as a `SampledLaw`."""
+    """`base`; a number as a `Constant`, the user's object with a method ``sample(key, t1)`` as a `SampledLaw`."""
+    if _is_number(base):
+        return motion_of(base, "law")
     draws = callable(getattr(base, "sample", None)) and not hasattr(base, "__array__")  # as tables of pandas do
     is_known = isinstance(base, (Motion, SampledLaw, type)) or _is_users(base)
     return SampledLaw(cast(UserLaw, base)) if draws and not is_known else base

@@ -91,6 +91,20 @@ class Signal(Checked, Motion):
         "is_harmonic": ("value", "rate", "curvature", "integral"),
     }
 
+    @staticmethod
+    def of(function: Callable[[FloatArray], Any], *, shortest_period: Scalar | None = None) -> "Signal":
+        """The signal that a function of time is: ``ss.Signal.of(lambda t: 2 * jnp.sin(t) ** 3, shortest_period=6.28)``.
+
+        Args:
+            function: Takes the time t (s, a scalar) and returns the signal, m/s for a base velocity, N for a force.
+                JAX traces it: write it in ``jax.numpy``, and numbers to differentiate by as fields of a subclass.
+            shortest_period: As the attribute. Without it, give the step: ``method=ss.Exact(step=...)``.
+
+        Raises:
+            ValueError: For what is no function that JAX can trace, and a period that is not positive.
+        """
+        return _OfFunction(function, shortest_period)
+
     def check_relations(self) -> None:
         if not is_of_package(self):
             with checks.traceable(f"The method value of {type(self).__name__}"):
@@ -116,6 +130,27 @@ class Signal(Checked, Motion):
     @property
     def shortest_period(self) -> Scalar | None:
         return None
+
+
+class _OfFunction(Signal):
+    """A function of a user's as a signal."""
+
+    function: Callable[[FloatArray], Any] = eqx.field(static=True)
+    period: Annotated[Number | None, Quantity("s", above=0)] = None
+    holds_users_code = True
+
+    def check_relations(self) -> None:
+        if not callable(self.function):
+            raise checks.refused("function", "be a function of the time t (s)", self.function)
+        with checks.traceable("Argument function of Signal.of"):
+            jax.make_jaxpr(self.value)(jnp.zeros(()))
+
+    def value(self, t: FloatArray) -> FloatArray:
+        return jnp.asarray(self.function(t))
+
+    @property
+    def shortest_period(self) -> Scalar | None:
+        return self.period
 
 
 class _Tones(Signal):

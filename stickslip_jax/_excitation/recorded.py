@@ -308,6 +308,13 @@ class GroundAcceleration(GroundMotion, Points):
     )
     is_record = True
     duration = Recorded.duration
+
+    def __repr__(self) -> str:
+        if checks.is_traced(self.times) or checks.is_traced(self.accelerations):
+            return super().__repr__()
+        peak = np.max(np.abs(np.asarray(self.accelerations)))
+        return f"{type(self).__name__}({len(self.times)} points, {float(self.times[-1]):g} s, peak {peak:.4g} m/s^2)"
+
     covered_time = Recorded.covered_time  # pyright: ignore[reportIncompatibleMethodOverride] - of another class
     rests_on: ClassVar = {"covered_time": ("draw", "next_segment")}
     only_with: ClassVar = {"acceleration": ("draw", "next_segment")}

@@ -108,7 +108,7 @@ def progress_bar(progress: bool | None, samples: int, unit: str = "sample") -> I
         progress = bool(progress)
     notebook = in_notebook()
     if progress is False or (progress is None and not (notebook or sys.stderr.isatty())):
-        yield _NO_BAR
+        yield NO_BAR
         return
     try:
         # A bar of the notebook where it can be shown, else one of text; ``tqdm.auto`` would warn that it cannot.
@@ -118,7 +118,7 @@ def progress_bar(progress: bool | None, samples: int, unit: str = "sample") -> I
             from tqdm.std import tqdm  # noqa: PLC0415 - an extra, loaded when asked for
     except ImportError:
         if progress is None:
-            yield _NO_BAR
+            yield NO_BAR
             return
         raise ImportError("A progress bar needs tqdm: pip install 'stickslip_jax[study]', or progress=False.") from None
     # In a notebook, what stays is saved with it.
@@ -137,4 +137,4 @@ def _nothing(*_: object) -> None:
     pass
 
 
-_NO_BAR = Progress(_nothing, _nothing)
+NO_BAR = Progress(_nothing, _nothing)

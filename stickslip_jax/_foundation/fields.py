@@ -142,7 +142,33 @@ if TYPE_CHECKING:  # for which constructors keep their signatures
 else:
 
     class Module(eqx.Module, metaclass=_Constructor):
-        """A module whose constructor takes no arguments that JAX cannot go through."""
+        """A module whose constructor takes no arguments that JAX cannot go through, printed on one line."""
+
+        def __repr__(self) -> str:
+            parts = []
+            for field in dataclasses.fields(self):
+                value = getattr(self, field.name, None)
+                if field.repr and not field.name.startswith("_") and value is not field.default:
+                    parts.append(f"{field.name}={in_one_line(value)}")
+            return f"{type(self).__name__}({', '.join(parts)})"
+
+
+_FEW = 4  # numbers that are printed one by one
+
+
+def in_one_line(value: object) -> str:
+    """A value of a field as it is printed: numbers as such, of many how many there are and from what to what."""
+    if isinstance(value, (tuple, list)):
+        inside = ", ".join(map(in_one_line, value[:_FEW])) + (", ..." if len(value) > _FEW else "")
+        return f"({inside}{',' * (len(value) == 1)})" if isinstance(value, tuple) else f"[{inside}]"
+    is_array = isinstance(value, (np.generic, np.ndarray, jax.Array)) and not checks.is_traced(value)
+    if not is_array or value.dtype.kind not in "biuf":
+        return " ".join(repr(value).split())
+    array = np.asarray(value)
+    if array.ndim == 0 or array.size <= _FEW:
+        return " ".join(np.array2string(array, separator=", ", precision=6).split())
+    shape = f"{len(array)} numbers" if array.ndim == 1 else f"numbers {array.shape}"
+    return f"<{shape} from {np.min(array):.6g} to {np.max(array):.6g}>"
 
 
 @cache

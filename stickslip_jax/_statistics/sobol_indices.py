@@ -80,21 +80,36 @@ class SobolIndices:
         return labeled_dataset(variables, coordinates, {name: getattr(self, name) for name in names})
 
     def __repr__(self) -> str:
+        return self.table()
+
+    def table(self, *, second_order: bool = False) -> str:
+        """The indices with their intervals, a line for each factor, as ``print`` shows them.
+
+        Args:
+            second_order: Whether to show those of each pair of factors too.
+
+        Raises:
+            ValueError: For second-order indices of a design that has no rows for them.
+        """
+        checks.truth("second_order", second_order)
+        if second_order and self.second is None:
+            hint = "make the design with design.saltelli(..., second_order=True)"
+            raise checks.refused("second_order", "be False for a design without rows for it", second_order, hint)
         lines = [
             f"Sobol' indices from {self.base_samples} base rows ({self.samples} samples), with {self.level * 100:g} % "
             "bootstrap intervals"
         ]
         if not self.outputs:
-            return "\n".join([*lines, *self._table(...)])
+            return "\n".join([*lines, *self._lines(..., second_order)])
         for index, output in enumerate(self.outputs[:_SHOWN]):
-            lines += [f"{output}:", *(f"  {line}" for line in self._table((..., index)))]
+            lines += [f"{output}:", *(f"  {line}" for line in self._lines((..., index), second_order))]
         if len(self.outputs) > _SHOWN:
             lines.append(f"and {len(self.outputs) - _SHOWN} more outputs")
         return "\n".join(lines)
 
-    def _table(self, of: EllipsisType | tuple[EllipsisType, int]) -> list[str]:
+    def _lines(self, of: EllipsisType | tuple[EllipsisType, int], second_order: bool) -> list[str]:
         """The lines that show one output; `of`: its place in the last dimension."""
-        pairs = list(combinations(range(len(self.factors)), 2)) if self.second is not None else []
+        pairs = list(combinations(range(len(self.factors)), 2)) if second_order else []
         labels = [*self.factors, *(f"{self.factors[i]}, {self.factors[j]}" for i, j in pairs)]
         width = max(len(label) for label in labels)
 

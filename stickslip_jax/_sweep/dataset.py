@@ -2,9 +2,12 @@
 
 import contextlib
 import json
+import math
 import pickle
+import re
 import weakref
 from collections.abc import Hashable, Iterator
+from datetime import datetime
 from pathlib import Path
 from tempfile import SpooledTemporaryFile, gettempdir
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,7 +18,7 @@ from .._dynamics.simulation import source
 from .._ensemble.encoding import DamagedFileError, SweepError, as_netcdf, cannot_write, read_netcdf, sum_of, verified
 from .._ensemble.ensemble import Ensemble
 from .._ensemble.points import POINT, label_and_unit
-from .._foundation.extras import Entries, labeled_dataset, require, variable
+from .._foundation.extras import NO_BAR, Entries, Progress, labeled_dataset, require, variable
 from .._foundation.files import write_whole
 from .._foundation.types import Status
 from .._numerics.sums import CommonBins
@@ -26,7 +29,7 @@ from .._statistics.quantities import DISTRIBUTIONS, SampledQuantity
 from .._statistics.totals import DIFFERENTIABLE, STATISTICS
 from .._systems.system import require_system
 from .batches import Plan, Task, derivatives_of, head_of, joined, packed, unpacked
-from .store import DATA, Batch, Store, derivative_name
+from .store import DATA, LOG, Batch, Store, derivative_name
 
 if TYPE_CHECKING:
     import xarray
@@ -290,7 +293,8 @@ class Variables:
         self.estimate(point, f"{name}_standard_deviation", of.standard_deviation)
         if has_skewness:
             self.estimate(point, f"{name}_skewness", of.skewness)
-        quantiles = [float(of.quantile(level).value) for level in LEVELS]
+        # Without the errors that quantile() finds too, which take longer than all else here.
+        quantiles = [float(of._value_at(level)) if of.number else math.nan for level in LEVELS]
         self.put(point, f"{name}_quantile", quantiles, f"quantile of {of.name}", of.unit, dimensions=("quantile",))
 
     def entries(self) -> Entries:
@@ -307,12 +311,16 @@ def require_packages() -> None:
     require("Sweeps need", "study", "xarray", "h5netcdf", "h5py", "filelock")
 
 
-def dataset_of(work: Work) -> "xarray.Dataset":
-    """All stored results. Points are read twice, one at a time: first for the bins, which all points share."""
+def dataset_of(work: Work, bar: Progress = NO_BAR) -> "xarray.Dataset":
+    """All stored results. Points are read twice, one at a time: first for the bins, which all points share.
+
+    `bar` advances by one for each reading.
+    """
     plan, variables = work.plan, Variables(work.plan)
-    bins = _common_bins(work)
+    bins = _common_bins(work, bar)
     for point in range(plan.points.number):
         ensemble = work.ensemble(point)
+        bar.advance(1)
         samples, near, spent, counts = 0, 0, np.nan, dict.fromkeys(Status, 0)
         if ensemble is not None:
             samples, near, spent = ensemble.samples, ensemble.near_grazing_samples, ensemble.run_seconds
@@ -373,12 +381,13 @@ def dataset_of(work: Work) -> "xarray.Dataset":
     return labeled_dataset(variables.entries(), coordinates, about_all)
 
 
-def _common_bins(work: Work) -> dict[str, CommonBins]:
+def _common_bins(work: Work, bar: Progress) -> dict[str, CommonBins]:
     """The bins that the histograms of each quantity share over all points."""
     plan, held = work.plan, {}
     names = [name for name in plan.statistics if name in _BY_NAME]
     for point in range(plan.points.number) if names and plan.keep != "totals" else ():
         ensemble = work.ensemble(point)
+        bar.advance(1)
         if ensemble is None:
             continue
         for name in names:
@@ -482,6 +491,7 @@ class SweepStatus(NamedTuple):
       (`is_adaptive`), the largest number.
     - `endings`: how many samples have each status. `seconds`: time spent simulating, summed over threads.
     - `is_running`: whether a run works on it now. `is_finished`: whether its data set is complete.
+    - `seconds_left`: how long the run under way still needs at its present pace; None where that is not known.
     """
 
     points: int
@@ -493,6 +503,7 @@ class SweepStatus(NamedTuple):
     seconds: float
     is_running: bool
     is_finished: bool
+    seconds_left: float | None
 
 
 def status_of(folder: Path) -> SweepStatus:
@@ -513,7 +524,20 @@ def status_of(folder: Path) -> SweepStatus:
     points = plan.points.number
     complete, most = points if is_finished else work.complete, points * plan.samples
     how_far = (points, complete, sum(work.done), most, bool(plan.standard_errors))
-    return SweepStatus(*how_far, endings, seconds, is_running, is_finished)
+    left = _seconds_left(folder, most - sum(work.done)) if is_running and not plan.standard_errors else None
+    return SweepStatus(*how_far, endings, seconds, is_running, is_finished, left)
+
+
+def _seconds_left(folder: Path, samples: int) -> float | None:
+    """How long so many samples take at the pace since the last begin in the log; None before the first are done."""
+    with contextlib.suppress(OSError, ValueError):
+        lines = (folder / LOG).read_text(encoding="utf-8", errors="replace").splitlines()
+        begun = max(at for at, line in enumerate(lines) if " begun: " in line)
+        found = (re.search(r": samples (\d+) to (\d+) in ", line) for line in lines[begun:])
+        done = sum(int(one[2]) - int(one[1]) + 1 for one in found if one)
+        spent = datetime.now() - datetime.fromisoformat(lines[begun][:19])  # both without a zone
+        return samples * spent.total_seconds() / done if done else None
+    return None
 
 
 def stored_dataset(folder: Path) -> "xarray.Dataset":

@@ -519,14 +519,12 @@ def run_sweep(
         )
     if plan.dtype == "float32":
         warnings.warn("This sweep runs in float32.", stacklevel=3)
+    number = plan.points.number
     with ExitStack() as stack:
-        there = folder
-        if there is None:
-            there = Path(stack.enter_context(TemporaryDirectory(prefix="stickslip-sweep-")))
+        there = folder or Path(stack.enter_context(TemporaryDirectory(prefix="stickslip-sweep-")))
         store, plan = stack.enter_context(opened(there, plan))
         stopping = stack.enter_context(stoppable())
         stack.enter_context(batches.warnings_by_thread())
-        number = plan.points.number
         store.log(f"begun: {number} points, {plan.samples} samples each")
         for _ in range(_ROUNDS):
             work = Work(plan, store)
@@ -555,7 +553,8 @@ def run_sweep(
                         "keeps what is done."
                     )
                 )
-            dataset = dataset_of(work)
+            with progress_bar(progress, number * (1 if plan.keep == "totals" else 2), "point put together") as bar:
+                dataset = dataset_of(work, bar)
             if work.damaged:
                 continue
             path = write_dataset(store, dataset)

@@ -336,7 +336,9 @@ class Store:
         try:
             plan = _plan(self.body, to_run)
             if every_point:
-                plan.check()
+                with warnings.catch_warnings():  # a run says it; who only reads need not know
+                    warnings.filterwarnings("ignore", "stickslip_jax runs in float32")
+                    plan.check()
             elif to_run:
                 plan.setting_at(0)
             return plan

@@ -5,12 +5,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from .._excitation.motion import Signal
-from .._excitation.recorded import Recorded
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity
 from .._foundation.types import AnyArray, Number
-from .contacts import Contact, NormalForce, NormalForceQuantity, entries_of
+from .contacts import Contact, ForceQuantity, NormalForce, entries_of
 from .friction import Coulomb, FrictionLaw, require_law
 from .structure import BLOCKS, STOREYS, LinearStructure, check_forces, numbers_in
 
@@ -156,7 +154,7 @@ class FrictionDisk(Checked):
         ValueError: If a number is out of its range or not finite, or `friction` is no friction law.
     """
 
-    normal_force: Annotated[NormalForce, NormalForceQuantity("N", above=0, hint=_OPENS)]
+    normal_force: Annotated[NormalForce, ForceQuantity("N", above=0, hint=_OPENS)]
     friction: FrictionLaw
     radius: Annotated[Number, Quantity("m", above=0)] = 1.0
 
@@ -177,7 +175,7 @@ def drivetrain(
     drag: Sequence[Number] | AnyArray | None = None,
     clutches: Sequence[FrictionDisk | None] | None = None,
     brakes: Sequence[FrictionDisk | None] | None = None,
-    torque: Sequence[Signal | Recorded | Number | None] | None = None,
+    torque: Sequence[NormalForce | None] | None = None,
 ) -> LinearStructure:
     """Inertias in a row, joined by shafts or clutches or both, and slowed down by brakes.
 
@@ -193,7 +191,7 @@ def drivetrain(
         drag: Viscous damping between each inertia and the housing, N m s/rad, (inertias,), zero or positive.
         clutches: Between each and the next, (inertias - 1,), None where there is none.
         brakes: Between each and the housing, (inertias,), None where there is none.
-        torque: On each, N m, (inertias,): None, a number, a `Signal` or a `Recorded`.
+        torque: On each, N m, (inertias,): None, a number, a `Signal`, a `Recorded` or a `ForceSteps`.
 
     Raises:
         ValueError: For a number out of its range, sequences of lengths that do not fit, or no clutch and no brake.
@@ -228,7 +226,7 @@ def drill_string(
     friction: FrictionLaw,
     damping: Sequence[Number] | AnyArray | None = None,
     drag: Sequence[Number] | AnyArray | None = None,
-    torque: Signal | Recorded | Number | None = None,
+    torque: NormalForce | None = None,
     drive_torque: Number | None = None,
 ) -> LinearStructure:
     """A drill string: inertias in a row from the rotary table down to the bit, which rubs on the rock.
@@ -270,7 +268,7 @@ def drill_string(
     springs = _numbers("stiffness", stiffness, size - 1)
     if not checks.is_traced(springs) and not np.all(springs > 0):
         raise checks.refused("stiffness", "hold positive numbers", stiffness)
-    NormalForceQuantity("N", above=0, hint=_OPENS).check("weight_on_bit", weight_on_bit)
+    ForceQuantity("N", above=0, hint=_OPENS).check("weight_on_bit", weight_on_bit)
     contacts = (FrictionDisk(weight_on_bit, friction, bit_radius).contact(np.eye(size)[-1]),)
     if drive_torque is not None:
         Quantity("N m", above=0).check("drive_torque", drive_torque)

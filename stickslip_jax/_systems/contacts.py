@@ -20,7 +20,7 @@ from jaxtyping import Array
 from .._excitation.motion import Harmonic, Signal, SumOfHarmonics
 from .._excitation.recorded import ForceSteps, Recorded
 from .._foundation import checks
-from .._foundation.fields import Checked, Quantity
+from .._foundation.fields import Checked, Quantity, is_distribution
 from .._foundation.types import (
     BoolArray,
     BoolScalar,
@@ -48,21 +48,36 @@ _FUNCTIONS = Signal, *_PIECES
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class NormalForceQuantity(Quantity):
+class ForceQuantity(Quantity):
     """A number, or a function of time."""
 
     def is_function(self, value: object) -> bool:
         return isinstance(value, _FUNCTIONS)
 
+    def check(self, name: str, value: object) -> None:
+        is_other = callable(value) or isinstance(value, eqx.Module)
+        if is_other and not (self.is_function(value) or is_distribution(value) or checks.is_traced(value)):
+            hint = "of a function of your own make a signal, ss.Signal.of(function, shortest_period=...)"
+            demand = f"be a number (in {self.unit}), a Signal such as Harmonic, a Recorded or a ForceSteps"
+            raise checks.refused(name, demand, value, hint)
+        super().check(name, value)
 
-def is_function(normal_force: NormalForce) -> bool:
+
+def is_function(force: NormalForce | None) -> bool:
     """Whether it varies in time."""
-    return isinstance(normal_force, _FUNCTIONS)
+    return isinstance(force, _FUNCTIONS)
 
 
-def recorded_in(normal_forces: tuple[NormalForce, ...]) -> tuple[Recorded | ForceSteps, ...]:
+def recorded_in(forces: tuple[NormalForce | None, ...]) -> tuple[Recorded | ForceSteps, ...]:
     """Those that are piecewise linear in time."""
-    return tuple(one for one in normal_forces if isinstance(one, _PIECES))
+    return tuple(one for one in forces if isinstance(one, _PIECES))
+
+
+def force_at(force: NormalForce | None, times: FloatArray) -> FloatArray:
+    """Its values at `times` (s), (times,), N."""
+    if isinstance(force, Signal):
+        return jax.vmap(force.value)(times)
+    return force.value(times) if isinstance(force, _PIECES) else jnp.full_like(times, 0.0 if force is None else force)
 
 
 Recordings: TypeAlias = tuple[tuple[FloatScalar, FloatScalar], ...]
@@ -186,7 +201,7 @@ class Contact(Checked):
     direction: Any = eqx.field(converter=numbers_of)
     normal_force: Annotated[
         NormalForce,
-        NormalForceQuantity("N", above=0, hint="a contact that opens has a function of time, such as a ForceSteps"),
+        ForceQuantity("N", above=0, hint="a contact that opens has a function of time, such as a ForceSteps"),
     ]
     friction: FrictionLaw
     on_base: Annotated[Number, Quantity("", meaning="share of the base velocity that is subtracted")] = 1.0

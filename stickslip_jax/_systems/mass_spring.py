@@ -16,7 +16,6 @@ from jaxtyping import Array
 from .._compiler.programs import plain_numpy
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Harmonic, Signal, SumOfHarmonics, added_up, angle
-from .._excitation.recorded import ForceSteps, Recorded
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import Quantity, is_distribution, keeps
@@ -34,7 +33,7 @@ from .._foundation.types import (
 from .._numerics.derivatives import NotKnown, bounds_of, values_of
 from .._numerics.elementary import responses, sincos
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .contacts import Contact, NormalForceQuantity, is_function, recorded_in, stick_band
+from .contacts import Contact, ForceQuantity, force_at, is_function, recorded_in, stick_band
 from .friction import AtAge, FrictionLaw, require_law, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
@@ -223,7 +222,8 @@ class OscillatorModel(EnergyModel[Forcing]):
     def _load(self, forcing: Forcing) -> FloatPair:
         """The piecewise-linear part of the load, and its slope: recorded forces and the acceleration of the ground."""
         mass, (ground, ground_slope) = self.system.mass, forcing.ground
-        ((force, slope),) = forcing.force or ((0.0, 0.0),)
+        constant = 0.0 if self.system.force is None or is_function(self.system.force) else self.system.force
+        ((force, slope),) = forcing.force or ((constant, 0.0),)
         return force - mass * ground, slope - mass * ground_slope
 
     def _beyond_and_limit(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatPair:
@@ -310,7 +310,8 @@ class MassSpring(System):
             While that is zero or negative the mass slides without friction, and nothing sticks.
         friction: The friction law, such as `Coulomb(mu)`.
         damping: Of a viscous damper to the ground, N s/m, zero or positive. None is zero.
-        force: External force on the mass, N: a `Signal` such as `Harmonic`, or a `Recorded`. None is zero.
+        force: External force on the mass, N: a number, or a function of time: a `Signal` such as `Harmonic`, a
+            `Recorded` or a `ForceSteps`; of a function of your own make a signal by `Signal.of`. None is zero.
 
     Raises:
         ValueError: If a number is out of its range or not finite, or `friction` or `force` is of another kind.
@@ -321,20 +322,18 @@ class MassSpring(System):
     # A `NormalForce`: all but the structure that stands for one that varies compute with a number.
     normal_force: Annotated[
         Any,
-        NormalForceQuantity("N", above=0, hint="a mass that lifts off has a function of time, such as a ForceSteps"),
+        ForceQuantity("N", above=0, hint="a mass that lifts off has a function of time, such as a ForceSteps"),
     ]
     friction: FrictionLaw
     # None rather than zero: an undamped system is then another pytree, known as undamped when numbers are traced.
     damping: Annotated[Number | None, Quantity("N s/m", at_least=0)] = eqx.field(
         default=None, converter=lambda v: None if _is_zero(v) else v
     )
-    force: Signal | Recorded | None = None
+    # None rather than zero: a free system is then another pytree, whose motion has a closed form over whole intervals.
+    force: Annotated[Any, ForceQuantity("N")] = eqx.field(default=None, converter=lambda v: None if _is_zero(v) else v)
 
     def check_parts(self) -> None:
         require_law("friction", self.friction)
-        if self.force is not None and not isinstance(self.force, (Signal, Recorded)):
-            demand = "be a signal such as Harmonic(amplitude, angular_frequency) or Recorded(times, values)"
-            raise checks.refused("force", demand, self.force)
 
     def check_relations(self) -> None:
         if not any(map(is_distribution, jax.tree.leaves(self.friction, is_leaf=is_distribution))):
@@ -361,8 +360,7 @@ class MassSpring(System):
 
     @property
     def recorded(self) -> RecordedForces:
-        loads = (self.force,) if isinstance(self.force, Recorded) else ()
-        return RecordedForces(loads, recorded_in((self.normal_force,)))
+        return RecordedForces(recorded_in((self.force,)), recorded_in((self.normal_force,)))
 
     @property
     def angular_frequency(self) -> Scalar:
@@ -508,20 +506,13 @@ class MassSpring(System):
         """Positions with ``|mass v' + damping v + stiffness x - force| <= mu_static normal_force``, m; NaN without a
         spring, where the position does not matter.
         """
-        force: FloatArray | float = 0.0
-        if self.force is not None:
-            force = self.force.value(times) if isinstance(self.force, Recorded) else jax.vmap(self.force.value)(times)
-        load = force - self.mass * (acceleration + ground)
+        load = force_at(self.force, times) - self.mass * (acceleration + ground)
         if self.damping is not None:
             load = load - self.damping * velocity
         stiffness = jnp.where(jnp.asarray(self.stiffness) > 0, self.stiffness, jnp.nan)
-        normal = self.normal_force
-        if isinstance(normal, (Recorded, ForceSteps)):
-            normal = normal.value(times)
-        elif isinstance(normal, Signal):
-            normal = jax.vmap(normal.value)(times)
+        normal = force_at(self.normal_force, times)
         # An open contact holds nothing: the band is empty there.
-        closed = jnp.where(jnp.asarray(normal) > 0, normal, jnp.nan)
+        closed = jnp.where(normal > 0, normal, jnp.nan)
         ages = state[2] if self.friction.grows else jnp.zeros_like(times)
 
         def limit_at(age: FloatScalar, sign: float) -> FloatArray:

@@ -12,7 +12,6 @@ import numpy as np
 from .._compiler.programs import kept_jit
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Harmonic, RandomPhase, RandomSignal, Signal, SumOfHarmonics
-from .._excitation.recorded import Recorded
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import with_fields
@@ -117,11 +116,12 @@ def check_forces(name: str, forces: Any, size: int) -> None:
     if not isinstance(forces, tuple) or len(forces) != size:
         raise checks.refused(name, f"be a tuple of {size} forces, one for each mass (None for no force)", forces)
     for number, part in enumerate(forces):
-        if part is not None and not isinstance(part, (Signal, Recorded)):
+        if part is not None and not is_function(part):
             try:
                 checks.bounded(f"{name}[{number}]", part)
             except ValueError:
-                raise checks.refused(f"{name}[{number}]", "be a number, a Signal, a Recorded or None", part) from None
+                demand = "be a number, a Signal, a Recorded, a ForceSteps or None"
+                raise checks.refused(f"{name}[{number}]", demand, part) from None
 
 
 def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:
@@ -493,14 +493,15 @@ class LinearStructure(WithContacts):
         stiffness: N/m (or N m/rad), (d, d) symmetric, or (d,); zeros for masses without springs.
         damping: N s/m (or N m s/rad), likewise; None is zero.
         contacts: Up to 64, each a `Contact`.
-        force: External forces, N (or N m): for each mass None, a number, a `Signal` or a `Recorded`; None for no
-            forces.
+        force: External forces, N (or N m): for each mass None, a number, a `Signal`, a `Recorded` or a `ForceSteps`;
+            None for no forces.
         uncoupled: Whether friction in one contact has no effect on the relative velocity of another, which is faster.
             Found from the numbers; to be given only where JAX traces the masses or directions.
         rotates: Whether the positions are angles in rad, and the masses inertias. Directions of contacts are then
             radii in m.
         drawn_as: How `plot.animate` draws it: "blocks" in a row on a belt, "storeys" of a building over its base mat,
-            or "bars", one for each coordinate. With `rotates` it is always drawn as disks in a row.
+            or "bars", one for each coordinate. By default blocks where each contact is one of a mass with the base, as
+            `Contact.of_mass`, and springs join neighbours only, else bars. With `rotates` always disks in a row.
 
     Raises:
         ValueError: For a mass that is singular, matrices that are not symmetric or of another size, contacts that
@@ -511,15 +512,16 @@ class LinearStructure(WithContacts):
     stiffness: Any = eqx.field(converter=numbers_of)
     damping: Any = eqx.field(default=None, converter=numbers_of)
     contacts: tuple[Contact, ...] = eqx.field(default=(), converter=entries_of)
-    force: tuple[Signal | Recorded | Number | None, ...] | None = eqx.field(default=None, converter=entries_of)
+    force: tuple[NormalForce | None, ...] | None = eqx.field(default=None, converter=entries_of)
     uncoupled: bool | None = eqx.field(static=True, default=None)
     rotates: bool = eqx.field(static=True, default=False)
-    drawn_as: str = eqx.field(static=True, default=BARS, kw_only=True)
+    drawn_as: str | None = eqx.field(static=True, default=None, kw_only=True)
 
     def __post_init__(self):
         # Equinox converts the fields after this.
         contacts, force = entries_of(self.contacts), entries_of(self.force)
-        checks.chosen("drawn_as", self.drawn_as, _DRAWN_AS)
+        if self.drawn_as is not None:
+            checks.chosen("drawn_as", self.drawn_as, _DRAWN_AS)
         check_structure(self.mass, self.stiffness, self.damping, contacts, force)
         if self.uncoupled is None:
             object.__setattr__(self, "uncoupled", is_uncoupled(self.mass, contacts))
@@ -535,8 +537,7 @@ class LinearStructure(WithContacts):
 
     @property
     def recorded(self) -> RecordedForces:
-        loads = tuple(force for force in self.force or () if isinstance(force, Recorded))
-        return RecordedForces(loads, recorded_in(self.normal_forces))
+        return RecordedForces(recorded_in(self.force or ()), recorded_in(self.normal_forces))
 
     @property
     def size(self) -> int:
@@ -673,11 +674,13 @@ class LinearStructure(WithContacts):
     def _mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
         positions, stiffness = state[: self.size], np.asarray(_matrix(self.stiffness))
         directions = np.stack([np.asarray(contact.direction) for contact in self.contacts])
+        on_base = np.array([float(contact.on_base) for contact in self.contacts])
         if self.rotates:
-            on_base = np.array([float(contact.on_base) for contact in self.contacts])
             return disks(positions, base, stiffness, directions, on_base)
         on = tuple(tuple(np.flatnonzero(column).tolist()) for column in directions.T)
-        if self.drawn_as == BLOCKS:
+        touched = np.count_nonzero(directions, axis=1)
+        is_row = np.all(touched == 1) and np.all(on_base) and not np.any(np.triu(stiffness, 2))
+        if self.drawn_as == BLOCKS or (self.drawn_as is None and is_row):
             return blocks(positions, base, stiffness, on)
         if self.drawn_as == STOREYS:
             return storeys(positions, base, on)

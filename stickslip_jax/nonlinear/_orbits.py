@@ -23,7 +23,7 @@ from .._ensemble.points import Setter, SweepSetting
 from .._excitation.excitation import BaseMotion, motion_of
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation import checks
-from .._foundation.fields import WithMethods
+from .._foundation.fields import WithMethods, in_one_line
 from .._foundation.types import AnyArray, BoolScalar, FloatArray, FloatScalar, InitialState, IntArray, Scalar, Status
 from .._numerics.derivatives import as_arrays
 from .._numerics.matrices import solution
@@ -274,6 +274,17 @@ class PeriodicOrbit(WithMethods):
         if checks.is_traced(self.monodromy) or self.monodromy.ndim > 2:
             return jnp.linalg.eigvals(self.monodromy)
         return multipliers_of(np.asarray(self.monodromy))
+
+    def __repr__(self) -> str:
+        if self.monodromy.ndim > 2 or checks.holds_traced(self):
+            return f"PeriodicOrbit({self.state.shape[:-1]} orbits of a {type(self.system).__name__})"
+        name = f"PeriodicOrbit of a {type(self.system).__name__}"
+        if not self.converged:
+            return f"{name}, NOT CONVERGED: {np.nanmin(np.asarray(self.residuals)):.2g} from coming back at the nearest"
+        largest = np.max(np.abs(own_multipliers(np.asarray(self.multipliers), self.is_driven)), initial=0.0)
+        how = "stable" if self.is_stable else "unstable"
+        begin = in_one_line(np.asarray(self.state))
+        return f"{name}: period {float(self.period):.6g} s from {begin}, {how}, largest multiplier {largest:.4g}"
 
     @property
     def is_stable(self) -> bool:

@@ -35,7 +35,13 @@ from ._sensitivities import (
     calibration as calibration,
     calibration_moments as calibration_moments,
     sensitivity_curve as sensitivity_curve,
+    sobol_indices as sobol_indices,
     tornado as tornado,
 )
 from ._style import save as save
-from ._trajectory import energies as energies, phase_portrait as phase_portrait, time_history as time_history
+from ._trajectory import (
+    energies as energies,
+    friction_force as friction_force,
+    phase_portrait as phase_portrait,
+    time_history as time_history,
+)

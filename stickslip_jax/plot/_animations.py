@@ -407,7 +407,7 @@ def animate(
     `System.look`. States are as exact as the simulation; nothing is drawn between frames.
 
     Args:
-        result: A result of `simulate`, one trajectory that reached ``t1``.
+        result: A result of `simulate`, one trajectory.
         window: First and last time to show, s; by default as in `time_history`.
         speed: Seconds of motion in one second of film; 1 is real time. By default the film lasts 10 s.
         fps: Frames per second, at most 50.
@@ -418,8 +418,8 @@ def animate(
         An `Animation`: ``animate(one).save("motion.gif")``.
 
     Raises:
-        ValueError: For arguments of another kind, for a simulation that did not reach ``t1``, for one that
-            `Simulation.of_contact` returned, and for fewer than 2 or more than 3,000 frames.
+        ValueError: For arguments of another kind, for one that `Simulation.of_contact` returned, and for
+            fewer than 2 or more than 3,000 frames.
     """
     check_simulation(result, of_one_contact=False)
     names = [one.name for one in result.system.coordinates]
@@ -435,7 +435,7 @@ def animate(
     sticks = sticks_of(result)
     # Sticks of several contacts have a row each.
     rows = result.sticks.contact is not None and result.system.tracks.contacts != 1
-    window = check_window(window, float(result.t1)) if rows else phases_in(result, window)[1]
+    window = check_window(window, float(result.time_reached)) if rows else phases_in(result, window)[1]
     times, speed = frame_times(window, None if speed is None else float(speed), float(fps), result.sticks.start.dtype)
     system, state, contacts = result.system, state_at(result, times), result.system.tracks.contacts or 1
     if system.look.mechanism is not None:
@@ -462,6 +462,7 @@ def animate(
         below.tick_params(labelbottom=False)
         moves.append(_draw_rows(others[0], sticks, window, times))
     _style.time_axis(below, window)
+    _style.mark_unfinished(below, result)
     legend_above(above, below, *others, columns=5)
 
     def move(frame: int) -> None:

@@ -4,6 +4,7 @@ stick after the other, and how estimates converge.
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
@@ -252,6 +253,7 @@ def histogram(
     *,
     bins: Bins | None = None,
     label: str | None = None,
+    quantiles: Sequence[float] = (),
     ax: Axes | None = None,
 ) -> Axes:
     """Draw the histogram of one quantity, or of the durations of complete sticks, as a probability density.
@@ -275,6 +277,8 @@ def histogram(
             longest duration, by default 50, or their increasing edges, s. Sticks outside the edges are not drawn but
             count: density times bin width stays the share of all complete sticks.
         label: What is drawn, before the number of values in the legend.
+        quantiles: Shares of the values, between 0 and 1, such as ``(0.05, 0.5, 0.95)``: behind the bars a line stands
+            at the value that each share does not exceed, and a band from the lowest to the highest.
         ax: Where to draw; by default the axes of a new figure.
 
     Returns:
@@ -288,10 +292,15 @@ def histogram(
     if isinstance(result, Distribution):
         if bins is not None and np.ndim(bins) > 0:
             demand = "be a whole number for a distribution, whose bins were fixed while it was summed"
-            hint = "edges of your own go with the sticks: histogram(ensemble, bins=edges)"
-            raise checks.refused("bins", demand, bins, hint)
+            raise checks.refused("bins", demand, bins, "edges go with the sticks: histogram(ensemble, bins=edges)")
         drawn = result.histogram(None if bins is None else checks.whole_number("bins", bins))
-        number, name, unit, is_whole = result.number, result.name, result.unit, result.is_whole
+        number, name, unit, is_whole, value_at = (
+            result.number,
+            result.name,
+            result.unit,
+            result.is_whole,
+            result.quantile,
+        )
         # A bin of whole numbers is centred on its number.
         edges, heights, errors = drawn.edges - 0.5 * is_whole, drawn.density, drawn.error
         color, mean = _style.STICK if "stick" in name else _style.SERIES[0], result.mean if number else None
@@ -305,7 +314,7 @@ def histogram(
         edges = edges_of_bins("bins", DEFAULT_BINS if bins is None else bins, (0.0, longest), "s")
         counts, _ = np.histogram(duration, edges)
         heights, errors = counts / (max(number, 1) * np.diff(edges)), np.full(len(counts), np.nan)
-        text = outside(text, number - int(counts.sum()))
+        text, value_at = outside(text, number - int(counts.sum())), partial(np.quantile, duration)
     checks.text("label", label, or_none=True)
     text = text if label is None else f"{label}: {text}"
     ax = _style.axes_or_new(ax, (5.6, 3.8))
@@ -323,9 +332,10 @@ def histogram(
         if mean is not None:
             named, color = f"mean {_style.with_error(mean)}", color if earlier or label else _style.MASS
             if np.isfinite(error := mean.standard_error):
-                ax.axvspan(mean.value - error, mean.value + error, color=color, alpha=0.25, lw=0)
+                ax.axvspan(mean.value - error, mean.value + error, color=color, alpha=0.25, lw=0, zorder=0)
                 named += " (shaded: ±)"
             ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=named)
+        _style.draw_quantiles(ax, quantiles, value_at, unit)
         edges = np.concatenate([outline.get_data()[1] for outline in _outlines(ax)])
         ax.set_xlim(edges.min(), edges.max())
         ax.autoscale(axis="y")
@@ -613,9 +623,10 @@ def stick_raster(
     """
     if isinstance(result, Simulation) and result.sticks.contact is not None:
         check_simulation(result, of_one_contact=False)
-        shown = check_window(window, float(result.t1))
+        shown = check_window(window, float(result.time_reached))
         ax = _style.axes_or_new(ax, (6.4, 1.4 + 0.3 * min(result.totals.sticks.shape[-1], 16)))
         contact_rows(ax, result, shown)
+        _style.mark_unfinished(ax, result)
         legend_above(ax)
         return ax
     result = require_ensemble(result)

@@ -1,6 +1,7 @@
-"""Derivatives of stick statistics, and calibrations."""
+"""Derivatives of stick statistics, Sobol' indices, and calibrations."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +11,7 @@ from .._calibration.sticks import StickCalibration
 from .._foundation import checks
 from .._sensitivity.estimate import Sensitivity
 from .._statistics.estimate import DEFAULT_LEVEL
+from .._statistics.sobol_indices import SobolIndices
 from . import _style
 from ._style import SeveralAxes, Window, legend_above
 from ._trajectory import check_window
@@ -96,6 +98,43 @@ def tornado(
     ax.set_yticks(heights, [bar.parameter for bar in bars])
     ax.set_xlabel(_title(bars[0]))
     legend_above(ax, columns=2)
+    return ax
+
+
+def sobol_indices(result: SobolIndices, *, output: str | None = None, ax: Axes | None = None) -> Axes:
+    """Draw the first-order and total Sobol' indices of each factor as bars with intervals, the largest total on top.
+
+    What the total bar has beyond the first-order one is due to interactions with other factors.
+
+    Args:
+        result: Of `stickslip_jax.sobol_indices`.
+        output: The name of the output to draw; by default the first.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind.
+    """
+    if not isinstance(result, SobolIndices):
+        raise checks.refused("result", "be a result of sobol_indices", result)
+    if output is not None:
+        checks.chosen("output", output, list(result.outputs))
+    of: Any = (..., result.outputs.index(output) if output else 0) if result.outputs else ...
+    ax = _style.axes_or_new(ax, (5.6, 0.6 * len(result.factors) + 1.6))
+    order = np.argsort(result.total[of])
+    for place, (name, color) in enumerate((("total", _style.BAND), ("first", _style.SERIES[0]))):
+        values, ends = getattr(result, name)[of][order], getattr(result, f"{name}_interval")[of][:, order]
+        sides = np.maximum([values - ends[0], ends[1] - values], 0)
+        look = {"xerr": sides, "ecolor": _style.MASS, "capsize": 2.5, "color": color}
+        at, label = np.arange(len(order)) + 0.38 * (place - 0.5), {"first": "first order"}.get(name, name)
+        ax.barh(at, values, 0.36, label=label, **look)
+    ax.plot([], [], ls="none", marker="_", ms=12, color=_style.MASS, label=f"{100 * result.level:g} % interval")
+    ax.axvline(0, color="black", lw=0.8)
+    ax.set_yticks(range(len(order)), [result.factors[at] for at in order])
+    ax.set_xlabel("Sobol' index" + (f" of {output or result.outputs[0]}" if result.outputs else ""))
+    legend_above(ax)
     return ax
 
 

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from textwrap import fill
@@ -26,7 +26,7 @@ from .._ensemble.ensemble import Ensemble
 from .._excitation.motion import RandomPhase, SourceVoltage
 from .._foundation import checks
 from .._foundation.files import file_for_user, file_to_write
-from .._foundation.types import AnyArray
+from .._foundation.types import AnyArray, Status
 from .._statistics.estimate import Estimate, check_level
 from .._statistics.quantities import FirstSticks
 
@@ -131,6 +131,14 @@ def time_axis(ax: Axes, window: Window, t1: float | None = None) -> None:
     if ax.xaxis.get_tick_params().get("labelbottom", True):
         part = "" if t1 is None or window[1] == t1 else f": the first {window[1]:g} s of {t1:g} s"
         ax.set_xlabel(f"time $t$ (s){part}")
+
+
+def mark_unfinished(ax: Axes, one: Simulation) -> None:
+    """Say in `ax` where a motion stopped that did not reach ``t1``; nothing of one that did."""
+    if one.status != Status.FINISHED:
+        text = f"NOT FINISHED: stopped at {float(one.time_reached):.4g} of {float(one.t1):g} s"
+        box = {"boxstyle": "round", "facecolor": "white", "edgecolor": MASS, "alpha": 0.8}
+        ax.text(0.98, 0.95, text, transform=ax.transAxes, ha="right", va="top", bbox=box, zorder=9, fontsize="small")
 
 
 def log_axis(axis: XAxis | YAxis) -> None:
@@ -315,6 +323,19 @@ def draw_histogram(
         centers, tops = ((edges[1:] + edges[:-1]) / 2)[known], heights[known]
         x, y = (centers, tops) if upright else (tops, centers)
         ax.errorbar(x, y, **{"yerr" if upright else "xerr": errors[known]}, ls="none", **ERROR_LOOK)
+
+
+def draw_quantiles(ax: Axes, shares: Sequence[float], value_at: Callable[[float], Any], unit: str) -> None:
+    """Mark quantiles with lines behind the bars of a histogram and a band between the outer ones.
+
+    `shares`: of the values, each between 0 and 1; `value_at` says where. Raises ValueError for other shares.
+    """
+    checks.bounded("quantiles", np.asarray(shares, float), above=0, below=1, ndim=1)
+    look, values = {"color": BASE, "zorder": 0.5}, [float(value_at(share)) for share in shares]
+    for share, value in sorted(zip(shares, values, strict=True)):
+        ax.axvline(value, ls=":", lw=SLIP_WIDTH, label=quantity_label(f"{100 * share:g} %: {value:.4g}", unit), **look)
+    if len(values) > 1:
+        ax.axvspan(min(values), max(values), alpha=0.08, lw=0, **look)
 
 
 def draw_cells(

@@ -49,7 +49,7 @@ TRACED = (
 
 
 def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None:
-    """Raise ValueError unless `result` is a single simulation that reached ``t1``, and not traced by JAX.
+    """Raise ValueError unless `result` is a single simulation with a motion to draw, and not traced by JAX.
 
     `of_one_contact`: whether its sticks must be those of one contact.
     """
@@ -64,9 +64,9 @@ def check_simulation(result: Simulation, *, of_one_contact: bool = True) -> None
             f"Argument result must hold one trajectory, but a batch of shape {np.shape(result.status)} was given; "
             "take one out with jax.tree.map(lambda values: values[i], batch)."
         )
-    if int(result.status) != Status.FINISHED:
+    if not float(result.time_reached) > 0 or result.status == Status.REDUNDANT_CONTACTS:
         raise ValueError(
-            "Argument result must have reached t1, but one with this status was given: "
+            "Argument result must hold a motion to draw, but one with this status was given: "
             f"{Status(int(result.status)).meaning}."
         )
     if of_one_contact:
@@ -80,15 +80,16 @@ def require_one_contact(result: Simulation) -> None:
         raise checks.refused("result", "have the sticks of one contact", result, hint)
 
 
-def check_window(window: Window | None, t1: float) -> Window:
-    """The window to draw, s; all of ``[0, t1]`` if `window` is None. Raises ValueError if it is not part of that."""
+def check_window(window: Window | None, last: float) -> Window:
+    """The window to draw, s; all of ``[0, last]`` if `window` is None. Raises ValueError if it is not part of that."""
     if window is None:
-        return 0.0, t1
+        return 0.0, last
     begin = end = math.nan
     with suppress(TypeError, ValueError):
         begin, end = (float(time) for time in window)
-    if not 0 <= begin < end <= t1:
-        raise checks.refused("window", f"be two times (in s) with 0 <= t_a < t_b <= t1 = {t1:g}", window)
+    if not 0 <= begin < end <= last:
+        demand = f"be two times (in s) with 0 <= t_a < t_b <= {last:g}, the end of the motion"
+        raise checks.refused("window", demand, window)
     return begin, end
 
 
@@ -225,7 +226,7 @@ def phases_in(one: Simulation, window: Window | None) -> tuple[list[Phase], Wind
     Raises:
         ValueError: For a window that is none.
     """
-    all_of_it = check_window(window, float(one.t1))
+    all_of_it = check_window(window, float(one.time_reached))
     phases = phases_of(one, all_of_it)
     if window is not None:
         return phases, all_of_it
@@ -291,7 +292,7 @@ def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | 
 
     One panel for the coordinates of each unit, with the base velocity among those of its unit, and one for the sticks.
     """
-    shown = check_window(window, float(one.t1))
+    shown = check_window(window, float(one.time_reached))
     times = line_times(one, shown)
     state, base = one.evaluate(times), np.asarray(one.base_velocity(times))
     units: dict[str, list[int]] = {}
@@ -312,6 +313,7 @@ def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | 
         panel.set_ylabel(_style.quantity_label(kinds.pop() if len(kinds) == 1 else "coordinates", unit))
         _style.time_axis(panel, shown)
     contact_rows(panels[-1], one, shown)
+    _style.mark_unfinished(panels[0], one)
     legend_above(*panels, columns=4)
     return panels
 
@@ -350,7 +352,7 @@ def time_history(
     States are as exact as the simulation, at every event and on a fine grid between events.
 
     Args:
-        result: A result of `simulate`, one trajectory that reached ``t1``. For a mass and spring, the position and the
+        result: A result of `simulate`, one trajectory. For a mass and spring, the position and the
             velocities of mass and base are drawn; for a `MotorCart` its angle, angular velocity and current; for a
             system of your own each coordinate. What else drives it has axes of its own: the voltage of a motor, the
             acceleration of the ground, or a force; for a system of your own with several
@@ -366,7 +368,7 @@ def time_history(
         The axes.
 
     Raises:
-        ValueError: For arguments of another kind, and for a simulation that did not reach ``t1``.
+        ValueError: For arguments of another kind.
     """
     check_simulation(result, of_one_contact=False)
     if result.sticks.contact is not None:
@@ -407,7 +409,8 @@ def time_history(
         panels[-1].plot(times, np.asarray(drive(jnp.asarray(times))), color=_style.BASE, lw=_style.SLIP_WIDTH)
         panels[-1].set_ylabel(drive_label)
     for panel in panels:
-        _style.time_axis(panel, shown, float(result.t1) if window is None else None)
+        _style.time_axis(panel, shown, float(result.time_reached) if window is None else None)
+    _style.mark_unfinished(panels[0], result)
     legend_above(*panels, columns=4)
     return panels
 
@@ -467,7 +470,7 @@ def energies(result: Simulation, *, window: Window | None = None, axes: SeveralA
     Energies that are zero all the time, such as the damping of a system without a damper, are left out.
 
     Args:
-        result: A result of `simulate`, one trajectory that reached ``t1``, whose `Simulation.energies` are known.
+        result: A result of `simulate`, one trajectory, whose `Simulation.energies` are known.
         window: First and last time to draw, s; by default as in `time_history`.
         axes: Two, for the stored energies and for those supplied and dissipated; by default those of a new figure, one
             below the other.
@@ -476,8 +479,7 @@ def energies(result: Simulation, *, window: Window | None = None, axes: SeveralA
         The axes.
 
     Raises:
-        ValueError: For arguments of another kind, for a simulation that did not reach ``t1``, and as
-            `Simulation.energies`.
+        ValueError: For arguments of another kind, and as `Simulation.energies`.
     """
     check_simulation(result)
     _, (begin, end) = phases_in(result, window)
@@ -508,9 +510,69 @@ def energies(result: Simulation, *, window: Window | None = None, axes: SeveralA
     for panel in (upper, lower):
         for first, last in zip(starts, ends, strict=True):
             panel.axvspan(max(first, begin), min(last, end), color=_style.STICK, alpha=0.25, lw=0, label="stick")
-        _style.time_axis(panel, (begin, end), float(result.t1) if window is None else None)
+        _style.time_axis(panel, (begin, end), float(result.time_reached) if window is None else None)
         legend_above(panel, columns=4)
+    _style.mark_unfinished(upper, result)
     return upper, lower
+
+
+# The friction force over time, over the relative velocity, and over the slip: a hysteresis loop.
+
+
+_OVER = {"time": "", "relative velocity": "m/s", "slip": "m"}
+
+
+def friction_force(
+    result: Simulation, *, over: str = "time", window: Window | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw the friction force over time, over the relative velocity, or over the slip; sticks are thick and coloured.
+
+    Over the slip it makes hysteresis loops, whose area is the energy that friction dissipates; the legend gives it, for
+    the part of the motion that is drawn.
+
+    Args:
+        result: A result of `simulate`, one trajectory whose `Simulation.friction_force` is known.
+        over: "time"; "relative velocity" (m/s), which shows the friction law as the motion runs through it; or "slip"
+            (m), the way of the mass relative to the base since the first time that is drawn.
+        window: First and last time to draw, s, for instance the last period only; by default, over time as in
+            `time_history`, else all of ``[0, t1]``.
+        ax: Where to draw; by default the axes of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For arguments of another kind, and as `Simulation.friction_force`.
+    """
+    check_simulation(result)
+    checks.chosen("over", over, list(_OVER))
+    all_of_it = check_window(window, float(result.time_reached))
+    phases, shown = phases_in(result, window) if over == "time" else (phases_of(result, all_of_it), all_of_it)
+    times, lengths = whole(phases, "times"), [len(phase.values["times"]) for phase in phases]
+    before, last = times.copy(), np.cumsum(lengths) - 1
+    before[last] = np.nextafter(times[last], times.dtype.type(0))  # just before a jump of the force at an event
+    force, velocity = (np.asarray(at(before), float) for at in (result.friction_force, result.relative_velocity))
+    steps = np.diff(times) * (velocity[1:] + velocity[:-1]) / 2
+    slip, lost = np.concatenate([[0.0], np.cumsum(steps)]), -np.sum(steps * (force[1:] + force[:-1]) / 2)
+    x = {"time": times, "relative velocity": velocity, "slip": slip}[over]
+    ax = _style.axes_or_new(ax, (6.4, 3.2) if over == "time" else (5.0, 4.2))
+    ax.plot(x, force, label="slip", **_style.MASS_LINE)  # whole, so that jumps are seen; sticks over it
+    sticks = np.repeat([phase.sticks for phase in phases], lengths)
+    gaps = np.flatnonzero(sticks[1:] & ~sticks[:-1]) + 1
+    drawn = (np.insert(np.where(sticks, values, np.nan), gaps, np.nan) for values in (x, force))
+    if np.any(sticks):
+        ax.plot(*drawn, label="stick", marker="o", ms=_style.STICK_WIDTH, mew=0, **_style.STICK_LINE)
+    if over == "slip":
+        ax.fill(x, force, color=_style.BAND, alpha=0.25, lw=0, zorder=0)
+        ax.plot([], [], ls="none", label=f"energy lost: {lost:.4g} J")
+    ax.set_ylabel("friction force (N)")
+    if over == "time":
+        _style.time_axis(ax, shown, float(result.time_reached) if window is None else None)
+    else:
+        ax.set_xlabel(_style.quantity_label(over, _OVER[over]))
+    _style.mark_unfinished(ax, result)
+    legend_above(ax)
+    return ax
 
 
 # Phase portraits: velocity against position, or angular velocity against angle.
@@ -549,7 +611,7 @@ def phase_portrait(
     or any other two.
 
     Args:
-        result: A result of `simulate`, one trajectory that reached ``t1``.
+        result: A result of `simulate`, one trajectory.
         window: First and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
         x: Name of the coordinate on the abscissa, such as "angle", or "position 2" of `SwitchedSystem.state_names`; by
             default the first one.
@@ -565,10 +627,10 @@ def phase_portrait(
         The axes.
 
     Raises:
-        ValueError: For arguments of another kind, and for a simulation that did not reach ``t1``.
+        ValueError: For arguments of another kind.
     """
     check_simulation(result)
-    window = check_window(window, float(result.t1))
+    window = check_window(window, float(result.time_reached))
     chosen = _chosen(result, x, y)
     first, second = (result.system.coordinates[number] for number in chosen)
     has_circles = chosen == (0, 1) and not first.period and result.system.natural_frequency is not None
@@ -599,6 +661,7 @@ def phase_portrait(
     else:
         ax.set_xlabel(first.labeled(whose))
     ax.set_ylabel(second.labeled(whose))
+    _style.mark_unfinished(ax, result)
     legend_above(ax, columns=2)
     return ax
 

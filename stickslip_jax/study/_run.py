@@ -553,6 +553,7 @@ async def _identity(address: str) -> None:
 
 
 _HEAD_WIDTH = 16
+_MOST_ROWS = 60  # of a table in a terminal
 
 
 def status_text(folder: Path, status: SweepStatus) -> str:
@@ -565,6 +566,9 @@ def status_text(folder: Path, status: SweepStatus) -> str:
         *_endings(status.endings),
         f"Time spent simulating: {status.seconds:.3g} s, summed over threads.",
     ]
+    if status.seconds_left is not None:
+        minutes, seconds = divmod(round(status.seconds_left), 60)
+        lines.append(f"Time left at this pace: about {f'{minutes:,} min ' if minutes else ''}{seconds} s.")
     if status.is_finished:
         lines.append(f"`stickslip show {folder}` prints the result.")
     elif not status.is_running:
@@ -604,13 +608,14 @@ def sweep_table(dataset: xr.Dataset, names: Sequence[str]) -> str:
     titles = [one["fields"]["name"] if one["class"] == "Unknown" else one["class"] for one in classes]
     every = f", {counts[0]:,} samples each" if is_even else ""
     ending = {one: int(np.sum(dataset.get(f"samples_{one.name.lower()}", 0))) for one in Status}
-    spent = float(np.nansum(dataset["run_seconds"]))
+    spent, left = float(np.nansum(dataset["run_seconds"])), len(counts) - _MOST_ROWS
     return "\n".join(
         [
             f"{', '.join(titles)}, on [0, {dataset.attrs['t1']:g}] s ({dataset.attrs['dtype']}): "
             f"{len(counts)} points{every}",
             "",
-            *_rows(heads, columns, dataset),
+            *_rows(heads, [column[:_MOST_ROWS] for column in columns], dataset),
+            *([] if left <= 0 else [f"and {left:,} more points: ss.Sweep.load(folder).results has all of them"]),
             "",
             *_endings(ending),
             f"Each with its standard error. Time spent simulating: {spent:.3g} s, summed over threads.",

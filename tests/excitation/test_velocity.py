@@ -139,7 +139,8 @@ def test_under_jax():
     [
         (ss.GroundAcceleration(POINTS, VALUES), "must be a base velocity, but a ground acceleration was given"),
         (ss.SourceVoltage(), "must be a base velocity, but a voltage was given"),
-        (3.0, "Argument base must be a base motion such as Harmonic"),
+        (lambda t: t, r"Argument base must be a base motion .* make a signal, ss.Signal.of"),
+        ("3", "Argument base must be a base motion such as Harmonic"),
     ],
 )
 def test_bad_input(base, message):

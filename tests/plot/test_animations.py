@@ -195,12 +195,14 @@ def test_a_motion_without_sticks_and_one_without_motion():
 
 def test_what_cannot_be_animated(one, several, annotations_unchecked):
     batch = jax.tree.map(lambda *leaves: np.stack(leaves), one, one)
-    stopped = eqx.tree_at(lambda of: of.status, one, jnp.asarray(int(ss.Status.NOT_FINITE)))
+    stopped = eqx.tree_at(
+        lambda of: (of.status, of.time_reached), one, (jnp.asarray(int(ss.Status.NOT_FINITE)), jnp.zeros(()))
+    )
     contact = "must hold the sticks of all contacts, but one of of_contact or of_all_contacts was given; animate the"
     for result, options, message in (
         (SYSTEM, {}, "Argument result must be a result of simulate"),
         (batch, {}, r"must hold one trajectory, but a batch of shape \(2,\) was given; take one out"),
-        (stopped, {}, "must have reached t1, but one with this status was given: the state became NaN"),
+        (stopped, {}, "must hold a motion to draw, but one with this status was given: the state became NaN"),
         (several.of_contact(1), {}, contact),
         (several.of_all_contacts(), {}, contact),
         (one, {"window": (3.0, 20.0)}, "Argument window must be two times"),

@@ -52,3 +52,31 @@ def test_regions_where_friction_feeds_energy_in(one):
     swinging = ss.simulate(BELT, ss.Harmonic(1.0, 1.0), t1=5.0)
     with pytest.raises(ValueError, match=r"Argument energy_regions must be False .* MassSpring on Harmonic"):
         plot.phase_portrait(swinging, energy_regions=True)
+
+
+def test_friction_force_over_time_and_relative_velocity(one):
+    """Coulomb's friction is +-0.3 N in a slip and what the spring needs in a stick."""
+    ax = plot.friction_force(one)
+    times, force = line(ax, "slip").get_data()
+    _, stuck = line(ax, "stick").get_data()
+    slipping = ~np.isin(np.arange(len(times)), np.flatnonzero(np.isin(force, stuck[np.isfinite(stuck)])))
+    np.testing.assert_allclose(np.abs(force[slipping]), 0.3, rtol=1e-12)
+    assert np.nanmax(np.abs(stuck)) <= 0.3
+    assert ax.get_ylabel() == "friction force (N)"
+    speed, force = line(plot.friction_force(one, over="relative velocity"), "slip").get_data()
+    np.testing.assert_allclose(force[np.abs(speed) > 1e-9], -0.3 * np.sign(speed[np.abs(speed) > 1e-9]), rtol=1e-12)
+    with pytest.raises(ValueError, match="Argument over must be one of 'time', 'relative velocity', 'slip', but"):
+        plot.friction_force(one, over="velocity")
+
+
+def test_the_area_of_a_hysteresis_loop_is_what_friction_dissipates():
+    period, t1 = 2.0, 16.0
+    shaken = ss.simulate(BELT, ss.Harmonic(1.0, 2 * np.pi / period), t1=t1)
+    ax = plot.friction_force(shaken, over="slip", window=(t1 - period, t1))
+    slip, force = line(ax, "slip").get_data()
+    area = -np.sum(np.diff(slip) * (force[1:] + force[:-1]) / 2)
+    dissipated = np.diff(shaken.energies(np.array([t1 - period, t1])).dissipated["friction"])[0]
+    assert area == pytest.approx(dissipated, rel=1e-3)
+    (told,) = [text.get_text() for text in ax.get_legend().get_texts() if "energy" in text.get_text()]
+    assert told == f"energy lost: {area:.4g} J"
+    assert ax.get_xlabel() == "slip (m)"

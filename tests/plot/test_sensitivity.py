@@ -60,6 +60,27 @@ def test_tornado_has_the_largest_on_top():
     assert colours.isdisjoint({bar.get_facecolor() for bar in ax.patches if bar.get_width() < 0})
 
 
+def test_sobol_indices_with_their_intervals_and_the_largest_on_top():
+    """Of ``x1 + 2 x2 + x2 x3`` over unit cubes, whose total indices are those of no other order."""
+    design = ss.design.saltelli(32, ["x1", "x2", "x3"])
+    x1, x2, x3 = design.u.T
+    found = ss.sobol_indices({"sum": x1 + 2 * x2 + x2 * x3, "one": x1}, design, level=0.9)
+    ax = plot.sobol_indices(found)
+    names = [tick.get_text() for tick in ax.get_yticklabels()]
+    assert names == ["x3", "x1", "x2"]
+    order = [found.factors.index(name) for name in names]
+    for kind, bars in zip(("total", "first"), ax.containers[1::2], strict=True):
+        np.testing.assert_allclose([bar.get_width() for bar in bars], getattr(found, kind)[order, 0])
+        ends = np.array([path.vertices[:, 0] for path in bars.errorbar.lines[2][0].get_paths()])
+        np.testing.assert_allclose(ends.T, getattr(found, f"{kind}_interval")[:, order, 0], atol=1e-12)
+    shown = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert shown == ["90 % interval", "total", "first order"]
+    assert ax.get_xlabel() == "Sobol' index of sum"
+    assert plot.sobol_indices(found, output="one").get_xlabel() == "Sobol' index of one"
+    with pytest.raises(ValueError, match="Argument output must be one of 'sum', 'one', but 'two'"):
+        plot.sobol_indices(found, output="two")
+
+
 def test_given_axes_are_used():
     _, ax = plt.subplots()
     assert plot.tornado([result()], ax=ax) is ax
@@ -71,11 +92,12 @@ def test_given_axes_are_used():
     ("draw", "results", "message"),
     [
         (plot.tornado, [], "one or more Sensitivity results"),
+        (plot.sobol_indices, [1.0], "Argument result must be a result of sobol_indices"),
         (plot.tornado, [1.0], "one or more Sensitivity results"),
         (plot.tornado, [result(), result(statistic="stick fraction")], "of one statistic"),
         (plot.sensitivity_curve, [result(), result("speed")], "those of mu, speed were given"),
     ],
-    ids=["none", "a number", "two statistics", "two parameters"],
+    ids=["none", "no indices", "a number", "two statistics", "two parameters"],
 )
 def test_bad_input(draw, results, message, annotations_unchecked):
     with pytest.raises(ValueError, match=message):

@@ -49,6 +49,25 @@ def test_histogram_draws_density_errors_and_mean(many):
     assert ax.get_xlim() == (edges[0], edges[-1])
 
 
+def test_quantiles_stand_behind_the_bars(many):
+    distribution, sticks = many.statistics.duration, many.numbered_sticks()
+    bars = min(patch.zorder for patch in plot.histogram(distribution).patches if hasattr(patch, "get_data"))
+    for result, found in (
+        (distribution, [distribution.quantile(share).value for share in (0.05, 0.5, 0.95)]),
+        (many, np.quantile(sticks.duration[sticks.ending != ss.Ending.HORIZON], [0.05, 0.5, 0.95])),
+    ):
+        ax = plot.histogram(result, quantiles=(0.95, 0.05, 0.5))
+        for share, value in zip((5, 50, 95), found, strict=True):
+            mark = line(ax, f"{share} %: ")
+            assert mark.get_xdata() == pytest.approx([value] * 2)
+            assert mark.get_label() == f"{share} %: {value:.4g} (s)"
+            assert mark.zorder < bars
+        band = [patch for patch in ax.patches if isinstance(patch, mpl.patches.Rectangle)][-1]
+        assert (band.get_x(), band.get_x() + band.get_width()) == pytest.approx((found[0], found[2]))
+    with pytest.raises(ValueError, match="Argument quantiles must be"):
+        plot.histogram(distribution, quantiles=(1.5,))
+
+
 def test_histogram_of_whole_numbers_is_centered_on_them(many):
     ax = plot.histogram(many.statistics.stick_count)
     heights, edges = steps(ax)

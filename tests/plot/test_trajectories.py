@@ -341,8 +341,27 @@ def test_given_axes_are_used_and_no_other_figure_is_made(one, ensemble):
 @pytest.mark.parametrize("window", [(5.0, 3.0), (-1.0, 3.0), (0.0, T1 + 1), (1.0, 1.0), 3.0, (1.0, np.nan), ("a", "b")])
 @pytest.mark.parametrize("draw", [plot.time_history, plot.phase_portrait])
 def test_bad_windows(one, draw, window, annotations_unchecked):
-    with pytest.raises(ValueError, match=r"Argument window must be two times \(in s\) with 0 <= t_a < t_b <= t1 = 40"):
+    with pytest.raises(ValueError, match=r"Argument window must be two times .* 0 <= t_a < t_b <= 40, the end of the"):
         draw(one, window=window)
+
+
+def stopped_at(time, one):
+    """What `simulate` returns where the base has no more intervals."""
+    stopped = jax.tree.map(lambda leaf: leaf, one)
+    object.__setattr__(stopped, "status", jnp.asarray(1, jnp.int8))
+    object.__setattr__(stopped, "time_reached", jnp.asarray(time))
+    return stopped
+
+
+@pytest.mark.parametrize("draw", [plot.time_history, plot.phase_portrait, plot.friction_force])
+def test_an_unfinished_motion_is_drawn_as_far_as_it_came(one, draw):
+    axes = draw(stopped_at(12.5, one))
+    ax = axes[0] if isinstance(axes, tuple) else axes
+    assert [text.get_text() for text in ax.texts] == [f"NOT FINISHED: stopped at 12.5 of {T1:g} s"]
+    if draw is not plot.phase_portrait:
+        assert ax.get_xlim() == (0.0, 12.5)
+    axes = draw(one)
+    assert not (axes[0] if isinstance(axes, tuple) else axes).texts
 
 
 @pytest.mark.parametrize("draw", [plot.time_history, plot.phase_portrait])
@@ -352,9 +371,8 @@ def test_bad_simulations(one, ensemble, draw, annotations_unchecked):
     batch = jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 3), one)
     with pytest.raises(ValueError, match=r"must hold one trajectory, but a batch of shape \(3,\)"):
         draw(batch)
-    unfinished = jax.tree.map(lambda leaf: leaf, one)
-    object.__setattr__(unfinished, "status", jnp.asarray(1, jnp.int8))
-    with pytest.raises(ValueError, match=r"must have reached t1, but .* too few intervals"):
+    unfinished = stopped_at(0.0, one)
+    with pytest.raises(ValueError, match=r"must hold a motion to draw, but .* too few intervals"):
         draw(unfinished)
     with pytest.raises(ValueError, match="traced"):
         jax.jit(lambda run: draw(run) and 0.0)(one)

@@ -226,8 +226,14 @@ def test_what_is_printed(several):
     assert [line.split("  ")[0].strip() for line in lines[2:5]] == NAMES
     found = ss.sobol_indices(y, design)
     low, high = found.first_interval[:, 0]
-    assert lines[2].startswith(f"x1      {found.first[0]:7.4f} [{low:7.4f}, {high:7.4f}]  {found.total[0]:7.4f} [")
+    assert lines[2].startswith(f"x1  {found.first[0]:7.4f} [{low:7.4f}, {high:7.4f}]  {found.total[0]:7.4f} [")
+    assert len(lines) == 5
+    lines = found.table(second_order=True).splitlines()
     assert [line.split("  ")[0] for line in lines[6:]] == ["x1, x2", "x1, x3", "x2, x3"]
+    assert lines[6].split()[2] == f"{found.second[0, 1]:.4f}"
+    without = ss.sobol_indices(y[:160], ss.design.saltelli(32, NAMES, second_order=False))
+    with pytest.raises(ValueError, match="Argument second_order must be False for a design without rows for it"):
+        without.table(second_order=True)
     text = repr(ss.sobol_indices(np.stack([y] * 6, axis=1), design))
     assert "output 3:" in text
     assert text.endswith("and 2 more outputs")

@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import get_args
 
@@ -21,10 +23,10 @@ mpl.use("Agg")
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax import papers
-from stickslip_jax._sweep.dataset import read_dataset
+from stickslip_jax._sweep.dataset import SweepStatus, _seconds_left, read_dataset
 from stickslip_jax._sweep.store import manifest_text
 from stickslip_jax.study._reading import PAPERS, Paper, read_sweep_config
-from stickslip_jax.study._run import sweep_of
+from stickslip_jax.study._run import status_text, sweep_of
 
 COMMAND = [sys.executable, "-m", "stickslip_jax._cli"]
 SMALL = """
@@ -238,7 +240,28 @@ def test_the_same_sweep_adds_samples_and_another_is_refused(capsys, tmp_path):
     assert "t1: 20.0 there, 25.0 here" in said
 
 
-def test_status_and_table_of_a_finished_sweep(capsys, finished):
+def test_the_time_that_is_left_follows_from_the_log(tmp_path):
+    """At the pace since the run under way began: 1500 samples in 60 s, 3000 are left."""
+    ago = [(datetime.now() - timedelta(seconds=seconds)).strftime("%Y-%m-%d %H:%M:%S") for seconds in (900, 60, 30)]
+    lines = [
+        f"{ago[0]} begun: 6 points, 1000 samples each", f"{ago[0]} done mu = 1: samples 0 to 9 in 0.1 s",
+        f"{ago[1]} begun: 6 points, 1000 samples each", f"{ago[2]} done mu = 1: samples 0 to 999 in 0.1 s",
+    ]  # fmt: skip
+    (tmp_path / "log.txt").write_text("\n".join([*lines, f"{ago[2]} done mu = 2: samples 500 to 999 in 0.1 s"]))
+    assert _seconds_left(tmp_path, 3000) == pytest.approx(120, abs=5)
+    (tmp_path / "log.txt").write_text(lines[2])
+    assert _seconds_left(tmp_path, 3000) is None
+    how_far = SweepStatus(6, 1, 1500, 4500, False, {}, 60.0, True, False, 121.0)
+    assert "\nTime left at this pace: about 2 min 1 s." in status_text(tmp_path, how_far)
+
+
+def test_loading_does_not_warn_of_a_precision_that_only_a_run_has(finished):
+    with jax.experimental.disable_x64(), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert ss.Sweep.load(finished).points == 6
+
+
+def test_status_and_table_of_a_finished_sweep(capsys, finished, monkeypatch):
     assert cli.main(["status", str(finished)]) == 0
     first, spent, how = capsys.readouterr().out.splitlines()
     assert first == f"{finished}: 6 of 6 points done, 18,000 of 18,000 samples; finished."
@@ -248,6 +271,11 @@ def test_status_and_table_of_a_finished_sweep(capsys, finished):
     out = capsys.readouterr().out
     assert "mean number of" in out
     assert out.count("+-") == 6
+    monkeypatch.setattr("stickslip_jax.study._run._MOST_ROWS", 4)
+    assert cli.main(["show", str(finished), "--statistics", "mean_slip_count"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("+-") == 4
+    assert "\nand 2 more points: ss.Sweep.load(folder).results has all of them\n" in out
     said = _refused(capsys, "show", finished, "--statistics", "mean_slip_cout")
     assert "did you mean mean_slip_count?" in said
     assert cli.main(["show", str(finished), "--out", "figure.png"]) == 0

@@ -156,7 +156,7 @@ GOOD = {"inertia": [1.0, 1.0], "stiffness": [5.0], "brakes": (None, ss.FrictionD
         ({"brakes": (ss.FrictionDisk(1.0, DRY),)}, "Argument brakes must be a tuple of 2, one for each inertia"),
         ({"clutches": (None, None)}, "Argument clutches must be a tuple of 1, one between each inertia and the next"),
         ({"torque": (1.0,)}, "Argument torque must be a tuple of 2 forces"),
-        ({"torque": (1.0, "2")}, r"Argument torque\[1\] must be a number, a Signal, a Recorded or None"),
+        ({"torque": (1.0, "2")}, r"Argument torque\[1\] must be a number, a Signal, a Recorded, a ForceSteps or None"),
     ],
 )
 def test_what_a_drivetrain_refuses(changed, message):
@@ -375,7 +375,7 @@ STRING = PAIR | {"weight_on_bit": 1e4, "bit_radius": 0.1, "friction": ROCK, "tor
         ({"torque": None}, "Argument torque or drive_torque must say what turns the table, but neither was given"),
         ({"drive_torque": 1e4}, "Argument torque or drive_torque must say what turns the table, but both were given"),
         ({"torque": None, "drive_torque": 0.0}, r"Argument drive_torque must be positive \(in N m\)"),
-        ({"torque": "much"}, r"Argument torque\[0\] must be a number, a Signal, a Recorded or None"),
+        ({"torque": "much"}, r"Argument torque\[0\] must be a number, a Signal, a Recorded, a ForceSteps or None"),
     ],
 )
 def test_what_a_drill_string_refuses(changed, message):

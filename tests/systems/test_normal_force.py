@@ -194,3 +194,51 @@ def test_bad_arguments():
         ss.simulate(varying, BASE, t1=3.0, method=SMOOTHED)
     with pytest.raises(ValueError, match="stick_half_width"):
         _ = varying.stick_half_width
+
+
+# External forces: a number, steps and a function are given as they are; the closed forms are those of any book.
+
+
+BLOCK = {"mass": 1.0, "stiffness": 4.0, "normal_force": 1.0, "friction": ss.Coulomb(1.0)}
+
+
+@pytest.mark.parametrize("force", [5.0, ss.ForceSteps([0.0, 1.0], [0.5, 5.0])], ids=["constant", "in steps"])
+def test_a_constant_force_moves_the_mass_as_a_step(force):
+    """From rest under F: ``x = (F - mu n) / k (1 - cos(w (t - t0)))``; a force below friction moves nothing."""
+    begin = 0.0 if isinstance(force, float) else 1.0
+    times = np.linspace(0.0, 2.0, 9)
+    one = ss.simulate(ss.MassSpring(**BLOCK, force=force), 0.0, t1=2.0)
+    expected = np.where(times < begin, 0.0, 1 - np.cos(2 * (times - begin)))
+    # It stops at its turn, pi / w after it began, and the spring cannot move it from there.
+    expected = np.where(times > begin + np.pi / 2, 2.0, expected)
+    np.testing.assert_allclose(one.evaluate(times)[0], expected, rtol=0, atol=1e-12)
+    masses = ss.LinearStructure([1.0], [[4.0]], None, (ss.Contact.of_mass(0, 1, 1.0, BLOCK["friction"]),), (force,))
+    np.testing.assert_allclose(ss.simulate(masses, 0.0, t1=2.0).evaluate(times)[0], expected, rtol=0, atol=1e-9)
+
+
+def test_a_function_of_time_is_a_signal():
+    harmonic = ss.Harmonic(3.0, 1.0, -np.pi / 2)
+    signal = ss.Signal.of(lambda t: 3.0 * jnp.sin(t), shortest_period=2 * np.pi)
+    one, other = (ss.simulate(ss.MassSpring(**BLOCK, force=force), 0.2, t1=10.0) for force in (harmonic, signal))
+    np.testing.assert_allclose(other.sticks.start, one.sticks.start, rtol=0, atol=1e-7)
+    moved, by = (ss.simulate(ss.MassSpring(**BLOCK), base, t1=10.0) for base in (harmonic, signal))
+    np.testing.assert_allclose(moved.final_state, by.final_state, rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match=r"Argument force must be a number .* make a signal, ss.Signal.of\(function, "):
+        ss.MassSpring(**BLOCK, force=lambda t: t)
+    with pytest.raises(ValueError, match="the shortest period of the force is not known"):
+        ss.simulate(ss.MassSpring(**BLOCK, force=ss.Signal.of(jnp.sin)), 0.2, t1=10.0)
+    with pytest.raises(ValueError, match="Argument function must be a function of the time"):
+        ss.Signal.of(3.0)
+    with pytest.raises(ValueError, match=r"Argument function of Signal\.of"):
+        ss.Signal.of(lambda t: np.asarray(t) * 2)
+
+
+def test_a_number_is_a_constant_base_velocity_and_a_force_may_differ_from_sample_to_sample():
+    system = ss.MassSpring(**BLOCK)
+    one, other = (ss.simulate(system, base, t1=10.0) for base in (0.2, ss.Constant(0.2)))
+    assert one.stick_time == other.stick_time > 0
+    many = ss.simulate_ensemble(ss.MassSpring(**BLOCK, force=np.array([0.5, 5.0])), 0.0, t1=2.0, samples=2)
+    # Below friction it sticks all the time; else from its turn on.
+    np.testing.assert_allclose(many.totals.stick_time, [2.0, 2.0 - np.pi / 2], rtol=0, atol=1e-9)
+    slope = jax.grad(lambda force: ss.simulate(ss.MassSpring(**BLOCK, force=force), 0.0, t1=1.0).final_state[0])(5.0)
+    assert slope == pytest.approx((1 - np.cos(2.0)) / 4, abs=1e-12)

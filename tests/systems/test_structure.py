@@ -52,7 +52,7 @@ def pair(**changed):
         ({"contacts": (contact(1.0, 0.0), contact(2.0, 0.0))}, "Argument contacts must be independent of each other"),
         ({"contacts": (contact(1.0, 0.0),) * 65}, "Argument contacts must hold at most 64, but 65 were given"),
         ({"force": (1.0,)}, "Argument force must be a tuple of 2 forces"),
-        ({"force": (1.0, "2")}, r"Argument force\[1\] must be a number, a Signal, a Recorded or None"),
+        ({"force": (1.0, "2")}, r"Argument force\[1\] must be a number, a Signal, a Recorded, a ForceSteps or None"),
     ],
 )
 def test_what_a_structure_refuses(changed, message):

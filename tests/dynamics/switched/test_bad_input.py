@@ -70,7 +70,7 @@ def spring(**changed):
         (lambda: run(base=ss.RandomPhase(HARMONIC)), r"base must be a realisation, but the random law RandomPhase was"),
         (lambda: run(base=ss.KanaiTajimi(1.0)), r"base must be a realisation, but the random law KanaiTajimi was"),
         (lambda: run(base=ss.SourceVoltage()), r"base of a MassSpring must be a base motion, but a SourceVoltage was"),
-        (lambda: run(base=3.0), r"base must be a base motion such as Harmonic"),
+        (lambda: run(base="3.0"), r"base must be a base motion such as Harmonic"),
         (lambda: run(method="exact"), r"method must be Exact\(...\) or Regularized\(width\), but 'exact' was given"),
         (lambda: run(t1=1e12), r"t1 must be shorter: 1e\+12 s hold more than"),
         (
@@ -78,7 +78,10 @@ def spring(**changed):
             r"force must not have the natural angular frequency of 1 rad",
         ),
         (lambda: spring(damping=-1.0), r"damping must be zero or positive \(in N s/m\), but -1.0 was given"),
-        (lambda: spring(force=1.0), r"force must be a signal such as Harmonic"),
+        (
+            lambda: spring(force=ss.Constant(1.0)),
+            r"force must be a number \(in N\), a Signal such as Harmonic, a Recorded or",
+        ),
         (lambda: spring(friction=0.3), r"friction must be a friction law such as Coulomb"),
         (lambda: ss.Coulomb(0.4, 0.3), r"mu_static must be at least mu = 0.4, but 0.3 was given"),
         (lambda: ss.VelocityWeakening(0.4, -1.0), r"weakening must be zero or positive \(in s/m\), but -1.0 was given"),
