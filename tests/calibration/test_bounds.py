@@ -90,6 +90,7 @@ def known_start(row, guess):
     )
 
 
+@pytest.mark.slow
 def test_friction_that_is_not_there(chi_squared):
     """Whatever the guess: zero, and the limit where chi-squared has grown by 1.645 squared."""
     rows = records("mu", 0.0, 8)
@@ -108,6 +109,7 @@ def test_friction_that_is_not_there(chi_squared):
         assert f" (at most {high:.3g}, 95 % confidence each)" in repr(found)
 
 
+@pytest.mark.slow
 def test_friction_that_is_hardly_there(chi_squared):
     """Inside, less than two standard errors from zero: the same from all guesses, without a remark."""
     rows = records("mu", 1.4e-4, 8)

@@ -34,6 +34,7 @@ def found():
     return ss.calibrate(oscillator(0.6, 3.6), BASE, TIMES, {"position": seen}, wrt=("mu", "stiffness")), noise
 
 
+@pytest.mark.slow
 def test_friction_of_a_slip_as_by_linear_regression():
     """A mass that slips in one direction: x = -mu n / k + a cos + b sin, linear in what is estimated."""
     true, fast = oscillator(0.7), ss.Constant(50.0)
@@ -102,6 +103,7 @@ def test_windows_and_one_motion_agree(found):
     assert abs(parts.chi_squared - parts.degrees_of_freedom) < 4 * math.sqrt(2 * parts.degrees_of_freedom)
 
 
+@pytest.mark.slow
 def test_gaps_several_channels_and_their_noise():
     times = np.sort(np.random.default_rng(5).uniform(0.5, 20, 600))
     times = times[(times < 6) | (times > 9)]
@@ -131,6 +133,7 @@ def test_gaps_several_channels_and_their_noise():
     assert np.array_equal(np.isnan(found.fitted), np.isnan(whole[:, np.isin(times, found.times)]))
 
 
+@pytest.mark.slow
 def test_asymmetric_friction():
     both = ss.Directional(ss.Coulomb(0.7), ss.Coulomb(0.5))
     seen, _ = record(ss.MassSpring(1.0, 4.0, 1.0, both), BASE)
@@ -140,6 +143,7 @@ def test_asymmetric_friction():
         assert abs(found[name].value - truth) < 4 * found[name].standard_error < 0.01
 
 
+@pytest.mark.slow
 def test_acceleration_from_a_known_start():
     """A mass that slips in one direction, so that no acceleration jumps; it starts 0.3 m + mu n / k from its rest."""
     fast = ss.Constant(50.0)
@@ -153,6 +157,7 @@ def test_acceleration_from_a_known_start():
     assert abs(found.noise["acceleration"] / 0.02 - 1) < 4 / math.sqrt(2 * 400)
 
 
+@pytest.mark.slow
 def test_a_mass_that_never_slips_tells_a_bound():
     """It needs the friction coefficient |m a + k x| / n, at most 0.3 (4 - 1.3^2) / 1.3 = 0.5331."""
     base = ss.Harmonic(0.3, 1.3)
@@ -178,6 +183,7 @@ def test_a_mass_that_never_slips_tells_a_bound():
     assert abs(errors[1] - errors[0] - stats.chi2.ppf(0.9, 1)) < 0.1
 
 
+@pytest.mark.slow
 def test_numbers_that_act_together_are_told(found):
     seen, _ = record(oscillator(), BASE)
     with pytest.warns(RuntimeWarning, match="The record does not tell these apart"):

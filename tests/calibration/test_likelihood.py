@@ -49,6 +49,7 @@ def directly(record, mu, y0, stiffness, noise=NOISE):
 POINTS = np.array([[0.7, 0.3, 4.0], [0.62, 0.28, 4.2], [0.9, -0.2, 2.5]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", POINTS)
 def test_values_are_those_of_simulations(record, compiled, point):
     assert_allclose(compiled(jnp.asarray(point))[0], directly(record, *point), rtol=1e-10)
@@ -75,6 +76,7 @@ def test_second_derivatives_are_those_of_differences(likelihood, compiled):
     assert_allclose(jax.jit(jax.hessian(likelihood))(point), differences, rtol=1e-5, atol=1)
 
 
+@pytest.mark.slow
 def test_names_batches_and_transformations_give_the_same(likelihood, compiled):
     of_array = jax.vmap(jax.value_and_grad(likelihood))(POINTS)
     by_name = dict(zip(likelihood.names, POINTS.T, strict=True))
@@ -87,6 +89,7 @@ def test_names_batches_and_transformations_give_the_same(likelihood, compiled):
         assert_allclose([of_names[1][name][row] for name in likelihood.names], slope, rtol=1e-9, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_noise_of_the_call_takes_precedence(record, likelihood):
     @jax.jit
     def by_noise(sigma):
@@ -108,6 +111,7 @@ def test_impossible_numbers(compiled, point):
     assert_allclose(slope, 0)
 
 
+@pytest.mark.slow
 def test_a_motion_that_needs_more_steps_than_there_are(record):
     few = ss.log_likelihood(
         SYSTEM, BASE, TIMES, record, wrt="stiffness", noise=NOISE, y0=START, method=ss.Exact(max_steps=32)
@@ -117,6 +121,7 @@ def test_a_motion_that_needs_more_steps_than_there_are(record):
     assert_allclose(slope, 0)
 
 
+@pytest.mark.slow
 def test_a_channel_that_has_no_value():
     def root(one, times):
         return jnp.sqrt(one.evaluate(times)[0] - 10.0)
@@ -129,6 +134,7 @@ def test_a_channel_that_has_no_value():
     assert_allclose(slope, 0)
 
 
+@pytest.mark.slow
 def test_static_friction_below_kinetic_friction_is_impossible(record):
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.7, mu_static=0.8))
     of = ss.log_likelihood(system, BASE, TIMES, record, wrt=("friction.mu", "mu_static"), noise=NOISE, y0=START)
@@ -137,12 +143,14 @@ def test_static_friction_below_kinetic_friction_is_impossible(record):
     assert of(jnp.asarray([0.7, 0.69])) == -np.inf
 
 
+@pytest.mark.slow
 def test_the_start_is_one_of_rest_by_default(record):
     of = ss.log_likelihood(SYSTEM, BASE, TIMES, record, wrt=("y0[0]", "y0[1]"), noise=NOISE)
     assert_allclose(of.first_guess, 0)
     assert_allclose(of(jnp.asarray(START)), directly(record, 0.7, START[0], 4.0), rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_smoothed_friction(record):
     method = ss.Regularized(1e-2, step=1e-2, max_steps=2000)
     of = ss.log_likelihood(SYSTEM, BASE, TIMES, record, wrt="mu", noise=NOISE, y0=START, method=method)
@@ -161,6 +169,7 @@ def test_single_precision(record):
     assert_allclose(value, directly(record, *POINTS[0]), rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_the_largest_value_is_where_calibrate_finds_it(record, compiled):
     found = ss.calibrate(SYSTEM, BASE, TIMES, record, wrt=("mu", "stiffness"), noise=NOISE, y0=START, windows=1)
@@ -172,6 +181,7 @@ def test_the_largest_value_is_where_calibrate_finds_it(record, compiled):
     assert np.all(np.abs(newton) < 1e-3 * errors)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_laplace_covariance_is_that_of_the_posterior(record, compiled):
     """Rejection-free check on a grid of importance weights: the posterior is nearly Gaussian here."""

@@ -24,6 +24,7 @@ def directly(rows, y0=None, **options):
     return ss.simulate_ensemble(system, law, t1=20.0, samples=len(rows), key=KEY, y0=y0, keep="sticks", **options)
 
 
+@pytest.mark.slow
 def test_rows_are_samples_with_these_numbers():
     totals = directly(ROWS).totals
     found = simulator()(ROWS, KEY)
@@ -45,6 +46,7 @@ def test_summaries_of_ones_own():
     assert_array_equal(simulator(summaries=longest_stick)(ROWS, KEY), longest_stick(directly(ROWS)))
 
 
+@pytest.mark.slow
 def test_starts_and_single_names():
     starts = np.linspace(-0.5, 0.5, len(ROWS))
     found = simulator(wrt="y0[0]", y0=(0.0, 0.3))(starts[:, None], KEY)
@@ -61,6 +63,7 @@ def test_what_numpy_makes_an_array_of():
     assert_array_equal(simulator()(Tensor(), KEY), simulator()(ROWS.astype(np.float32), KEY))
 
 
+@pytest.mark.slow
 def test_rows_that_do_not_finish_are_told():
     hard = np.array([[1.0, 0.7], [4e6, 0.7], [2.0, 0.7]])
     base = ss.Harmonic(1.0, 1.0)

@@ -61,6 +61,7 @@ def found():
     return fitted(observed(), system=system(0.8), law=law(0.6))
 
 
+@pytest.mark.slow
 def test_parameters_are_recovered_from_far_guesses(found):
     """Within 4 standard errors: by chance outside once in 16,000 times."""
     for name, true in TRUE.items():
@@ -151,6 +152,7 @@ def test_several_experiments_share_parameters():
     assert "experiment 1, mean number of sticks" in repr(both)
 
 
+@pytest.mark.slow
 def test_products_are_refused():
     with pytest.raises(ValueError, match=r"mu and normal_force act on this only through their product mu \* normal"):
         fitted(observed(), ("mu", "normal_force"))

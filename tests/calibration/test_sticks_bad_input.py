@@ -119,6 +119,7 @@ def test_bad_input(case):
         ss.calibrate_sticks(*first, data, **options)
 
 
+@pytest.mark.slow
 def test_realisations_that_did_not_finish():
     data = unfinished()
     with pytest.raises(ValueError, match=r"\AArgument observed must hold realisations that reached t1, but 4 of 4"):

@@ -504,6 +504,7 @@ def test_what_was_not_used_for_long_goes_first(folder, monkeypatch):
     assert not half.exists()
 
 
+@pytest.mark.slow
 def test_results_that_hold_functions_without_a_name_are_kept(folder, compiled):
     """A simulation holds its system, and that a curve: here a function that no other process could import."""
     ends = []
@@ -562,6 +563,7 @@ def test_a_second_process_compiles_nothing(folder):
     assert first.split()[:-1] == second.split()[:-1]
 
 
+@pytest.mark.slow
 def test_what_jax_has_from_its_own_cache_is_not_kept(folder, tmp_path):
     """Written again, such a program lacks functions, and ends the next process that runs it."""
     own = {

@@ -136,6 +136,7 @@ print(kept.kept_jit(solved)(jnp.diag(jnp.array([1.0, 2.0, 4.0]))), len(compiled)
 """
 
 
+@pytest.mark.slow
 def test_a_program_that_calls_lapack_finds_it(tmp_path):
     """The process ended where that was not looked for."""
     (first,), (second,) = (in_processes(1, SOLVING, tmp_path / "programs") for _ in range(2))

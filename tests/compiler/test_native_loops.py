@@ -62,6 +62,7 @@ def test_a_native_loop_gives_the_same(transform):
     assert_the_same(native_loop, doubling, transform, X.reshape(2, 4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("transform", [*FORWARD.values(), *REVERSE.values()], ids=[*FORWARD, *REVERSE])
 def test_what_is_computed_once_is_the_same(transform):
     assert_the_same(computed_once, shared, transform, X if transform in REVERSE.values() else X.reshape(2, 4))

@@ -56,6 +56,7 @@ print(json.dumps([native_loops_work(), found]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [FEW, pytest.param(MORE, marks=pytest.mark.slow)], ids=["few", "more"])
 def test_the_numbers_are_the_same_with_plain_jax(more):
     """To round-off, which grows along the motion and in quotients of small numbers."""

@@ -112,6 +112,7 @@ def check(chosen: list[Case], method, mode, tolerance: float = 1e-11) -> None:
         assert min(case.reference()[0] for case in chosen) < INTERVALS  # in some there is no stick
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", [pytest.param(ss.Exact(), marks=pytest.mark.slow), STEPPED], ids=["intervals", "steps"]
 )
@@ -132,6 +133,7 @@ def test_soft_springs_with_damping(damping):
     check(cases(damping), STEPPED, jax.jacfwd)
 
 
+@pytest.mark.slow
 def test_the_softest_spring_of_all():
     """Traced numbers are not checked; this is beyond what the square of anything can be."""
     values = found([case._replace(stiffness=1e-300) for case in cases(0.0)], ss.Exact(), jax.jacfwd)
@@ -139,6 +141,7 @@ def test_the_softest_spring_of_all():
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-14), values, without)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", [ss.Exact(), pytest.param(STEPPED, marks=pytest.mark.slow)], ids=["intervals", "steps"]
 )

@@ -35,6 +35,7 @@ SLOPES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "slope_of",
     [
@@ -166,6 +167,7 @@ def test_padded_lengths_are_few():
     assert all(number <= size <= max(CHECK_EVERY, 1.5 * number) for number, size in enumerate(sizes, 1))
 
 
+@pytest.mark.slow
 def test_what_is_shared_is_computed_once_and_right():
     def function(x, y):
         sine, cosine = sincos(x * y)
@@ -195,6 +197,7 @@ def test_what_is_shared_may_print():
     assert seen == [0.0]
 
 
+@pytest.mark.slow_but_for("4096", "0", "1")
 @pytest.mark.parametrize("number", [0, 1, 17, 4096, 4097, 150_000])
 def test_any_number_of_times_is_evaluated_in_parts_of_few_sizes(number):
     """Of the last part, what fills it up is not seen."""
@@ -210,6 +213,7 @@ def test_any_number_of_times_is_evaluated_in_parts_of_few_sizes(number):
         np.testing.assert_allclose(found, whole, rtol=0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_short_simulations_share_a_program():
     """Of whatever length: room for 256 steps is room for all of them. A batch takes the room that it needs."""
 

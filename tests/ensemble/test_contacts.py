@@ -83,6 +83,7 @@ def assert_as_simulated(many, samples):
             assert ensemble.totals.slips[sample] == int(single.slips.count)
 
 
+@pytest.mark.slow
 def test_two_blocks(many):
     assert_as_simulated(many, 8)
     assert "of the contacts" in repr(many)
@@ -104,6 +105,7 @@ def test_samples_are_those_of_simulate(system, y0):
     assert all(part.moments.mean[1] > 0 for part in parts_of(many)[:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("keep", ["sticks", pytest.param("totals", marks=pytest.mark.slow)])
 def test_one_contact_alone_is_the_same_to_the_last_bit(many, number, keep):
@@ -127,6 +129,7 @@ def test_all_at_once_is_when_each_sticks(many):
     assert parts_of(many)[-1].moments.mean[1] > 1
 
 
+@pytest.mark.slow
 def test_open_contacts_do_not_count():
     """A block alone on its closed contact: while the other one is open, all that are closed stick with it."""
     lifted = ss.Contact.of_mass(0, 2, ss.ForceSteps((0.0, 2.0), (1.0, -1.0)), ss.Coulomb(0.5))
@@ -234,6 +237,7 @@ def test_bad_arguments(many):
         ss.sensitivity("stick_fraction", BLOCKS, LAW, wrt="speed", t1=20.0, samples=10, key=KEY)
 
 
+@pytest.mark.slow
 def test_peaks_are_those_of_the_coordinate():
     """The state of a structure is an array of positions and one of velocities; a coordinate is one number of these."""
     one = ss.simulate(BLOCKS, LAW.sample(KEY, 20.0), t1=20.0)

@@ -51,6 +51,7 @@ def test_much_memory_is_told_before_it_is_taken(monkeypatch):
     assert ss.simulate_ensemble(SYSTEM, POISSON, **wanted | {"keep": "statistics"}).samples == 150
 
 
+@pytest.mark.slow_but_for("Constant", "PoissonSwitching")
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_each_sample_is_the_simulation_of_its_own_key(law):
     many = ss.simulate_ensemble(SYSTEM, law, samples=5, keep="sticks", **RUN)
@@ -70,6 +71,7 @@ def test_each_sample_is_the_simulation_of_its_own_key(law):
         assert many.totals.stick_time[i] == pytest.approx(float(one.stick_time), abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changed", [{"chunk": 37}, {"chunk": 128}, {"threads": 1}, {"threads": 3}, {"samples": 70}])
 def test_a_sample_depends_on_its_key_and_number_only(kept, changed):
     other = ss.simulate_ensemble(SYSTEM, POISSON, **{"samples": 150, "keep": "sticks", **RUN, **changed})
@@ -288,6 +290,7 @@ def test_merged_moments_are_those_of_all_rows():
     np.testing.assert_allclose(merged.scatter / 999, np.cov(rows.T), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_derivative_of_the_streamed_totals():
     """Forward derivative through the lanes against central differences with the same random numbers."""
 

@@ -35,6 +35,7 @@ def given(batch):
     return ss.Ensemble.from_simulations(batch)
 
 
+@pytest.mark.slow
 def test_simulations_are_the_ensemble_of_the_same_samples(given):
     """Both run the same arithmetic; compiled apart, the last places differ, amplified in 20 s to below 1e-11."""
     many = ss.simulate_ensemble(SYSTEM, POISSON, t1=20.0, samples=64, key=KEY, y0=(0.0, 1.0), keep="sticks")
@@ -66,6 +67,7 @@ def test_simulations_know_their_motion_and_start(given, tmp_path):
             many.extended(samples=1)
 
 
+@pytest.mark.slow
 def test_parameters_that_differ_are_arrays(tmp_path):
     mus = np.linspace(0.5, 1.0, 8)
     law = ss.SquareWave(speed=1.0, period=2.6)
@@ -87,6 +89,7 @@ def test_parameters_that_differ_are_arrays(tmp_path):
     assert joined.realization(11).y0 == many.realization(3).y0
 
 
+@pytest.mark.slow
 def test_simulations_that_stopped_early_are_counted_apart():
     """With 20 intervals of mean 1 s, about half of the samples reach 20 s."""
     batch = run_batch(jax.random.split(KEY, 64), 20)

@@ -30,6 +30,7 @@ def one_of(ensemble, i):
     return ss.simulate(system, base, t1=20.0, y0=y0, method=ensemble.method)
 
 
+@pytest.mark.slow
 def test_outputs_are_those_of_each_sample(many):
     for i in (0, 77, 149):
         one = one_of(many, i)
@@ -53,6 +54,7 @@ def test_distributions(many):
     assert "mean of peak" in many._repr_html_()
 
 
+@pytest.mark.slow_for("changed3")
 @pytest.mark.parametrize(
     "changed", [{"chunk": 37}, {"threads": 3}, {"samples": 70}, {"keep": "totals"}, {"keep": "statistics"}]
 )
@@ -75,6 +77,7 @@ def test_joined_and_extended(many):
         )
 
 
+@pytest.mark.slow_but_for("totals")
 @pytest.mark.parametrize("keep", ["sticks", "statistics", "totals"])
 def test_stored(keep, tmp_path):
     stored = ss.simulate_ensemble(SYSTEM, POISSON, samples=20, keep=keep, outputs=OUTPUTS, **RUN)
@@ -96,6 +99,7 @@ class _EndsEarly(ss.PoissonSwitching):
         return jnp.where(number < 3, super().draw(key_data, number, dtype), 0)
 
 
+@pytest.mark.slow
 def test_samples_that_do_not_finish_have_no_value():
     short = ss.simulate_ensemble(
         SYSTEM, _EndsEarly(1.0, 1.0), samples=90, keep="totals", outputs={"peak": lambda one: one.peak()},
@@ -107,6 +111,7 @@ def test_samples_that_do_not_finish_have_no_value():
     assert short.outputs["peak"].number == short.finished
 
 
+@pytest.mark.slow
 def test_values_that_are_not_defined_are_told():
     first = {"first": lambda one: jnp.where(one.sticks.count > 0, one.sticks.start[0], jnp.nan)}
     some = ss.simulate_ensemble(SYSTEM, POISSON, samples=64, outputs=first, **{**RUN, "t1": 2.0})
@@ -128,6 +133,7 @@ UNCERTAIN = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in ("rate", "steps") else name for name in UNCERTAIN]
 )
@@ -151,6 +157,7 @@ def test_samples_that_need_more_steps_get_them(monkeypatch):
     np.testing.assert_allclose(again.output_values["peak"], enough.output_values["peak"], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_sobol_indices_of_an_output():
     """Of a free vibration the first maximum is ``-a + hypot(a, v / omega)``: by v alone where mu has no spread."""
     design = ss.design.saltelli(64, ["mu", "y0[1]"])

@@ -34,6 +34,7 @@ def ensemble(method, keep, t1):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", QUICK)
 def test_totals_compute_no_quantity(monkeypatch, method):
     monkeypatch.setitem(QUANTITIES, "slip_displacement", Refusing())
@@ -44,6 +45,7 @@ def test_totals_compute_no_quantity(monkeypatch, method):
     jax.clear_caches()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", QUICK)
 def test_a_displacement_is_from_stick_to_stick(method):
     """The first one is from the start; each later one from where the mass was released, found from its path."""

@@ -62,6 +62,7 @@ def assert_same(one, other):
             assert_same_arrays(mine, its)
 
 
+@pytest.mark.slow_but_for("fixed-statistics", "fixed-totals")
 @pytest.mark.parametrize("keep", ["sticks", "statistics", "totals"])
 @pytest.mark.parametrize("y0", [(0.0, 1.0), (0.0, ss.Uniform(-1.0, 1.0))], ids=["fixed", "drawn"])
 def test_what_is_stored_comes_back_to_the_last_bit(tmp_path, keep, y0):

@@ -113,6 +113,7 @@ def test_bad_arguments_are_refused(capsys, arguments, said):
     assert said in _refused(capsys, arguments)
 
 
+@pytest.mark.slow
 def test_table_and_files(capsys, tmp_path):
     assert cli.main(["study", str(config_file(tmp_path)), "--out", "result"]) == 0
     out, err = capsys.readouterr()
@@ -274,6 +275,7 @@ def test_bad_input_ends_the_process_with_code_2(tmp_path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code", "seconds"),
     [(signal.SIGINT, 130, 0.5), (signal.SIGTERM, 143, 3)],
@@ -303,6 +305,7 @@ def test_interrupted_process_leaves_nothing(tmp_path, number, code, seconds):
     assert os.listdir() == ["case.toml"]
 
 
+@pytest.mark.slow_but_for("arguments1")
 @pytest.mark.parametrize("arguments", [["--help"], ["study", "--print-config"]])
 def test_output_that_nobody_reads_to_its_end_is_no_failure(arguments):
     """As in ``stickslip ... | head``: no message, and the exit code of a process that SIGPIPE ended."""
@@ -374,6 +377,7 @@ sys.exit(main(["--help"]))
 """
 
 
+@pytest.mark.slow
 def test_without_extras_all_names_are_there_and_each_says_what_it_needs(tmp_path):
     """`make test-wheel` tries everything, in an environment that has none."""
     program = tmp_path / "program.py"

@@ -58,6 +58,7 @@ assert abs(slope - difference) <= 1e-6 * abs(difference), (slope, difference)
 """
 
 
+@pytest.mark.slow
 def test_value_and_gradient_of_the_mean_stick_duration_equal_the_central_difference():
     """Of vmapped samples, in one compiled call: along the same paths, where no stick appears or vanishes."""
     python(VALUE_AND_GRADIENT)

@@ -62,6 +62,7 @@ def test_help_of_a_class_shows_its_methods():
     assert " |  next_interval(self, memory, drawn, dtype)" in text
 
 
+@pytest.mark.slow
 def test_methods_are_still_trees(one):
     """They pass through jit, vmap and grad with the numbers of their module."""
     times = jnp.linspace(0.0, 40.0, 7)

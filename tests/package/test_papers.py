@@ -25,6 +25,7 @@ def test_steady_share_reproduces_the_figure(share):
     assert dict(zip(TABLE, (100 * shares).tolist(), strict=True)) == pytest.approx(TABLE, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_share_is_steady(share):
     """One period earlier it is the same to 1e-6, far below what the figure shows; motion settles geometrically."""
     ratios = jnp.linspace(0.1, 2.5, 49)
@@ -32,6 +33,7 @@ def test_the_share_is_steady(share):
     assert np.asarray(share(ratios)) == pytest.approx(np.asarray(before), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_share_has_a_derivative(share):
     value, slope = jax.jit(jax.value_and_grad(papers.steady_stick_share))(1.1)
     step = 1e-5
@@ -107,6 +109,7 @@ def test_square_belt_sticks_as_in_the_figure():
     assert shares.values == pytest.approx([TABLE[0.8], TABLE[1.0], TABLE[1.2]], abs=0.02)
 
 
+@pytest.mark.slow
 def test_harmonic_belt_in_resonance_carries_the_mass():
     """At r = 1 the belt moves as the free mass would, which starts with its velocity: friction has nothing to do."""
     found = papers.stick_share_map("harmonic", mu=[0.1, 1.0], ratios=[1.0]).run(progress=False)
@@ -125,6 +128,7 @@ def test_sweeps_are_of_the_papers_systems(annotations_unchecked):
         papers.stick_share_map("triangular")
 
 
+@pytest.mark.slow_for("0.3-1.1-False")
 @pytest.mark.parametrize(
     ("mu", "ratio", "holds"),
     [(1.0, 1.2, True), (0.5, 1.2, False), (0.3, 1.1, False), (0.4, 1.1, True), (2.9, 2.0, False)],

@@ -33,6 +33,7 @@ PROGRAMS = {
 }
 
 
+@pytest.mark.slow_for("0.4-C, events")
 @pytest.mark.parametrize("program", PROGRAMS)
 @pytest.mark.parametrize("w", [0.4, 2.0, 6.0])
 def test_compiled_programs_agree_with_the_engine(program, w):
@@ -50,6 +51,7 @@ def test_compiled_programs_agree_with_the_engine(program, w):
         assert c.u[lane] == pytest.approx(float(one.final_state[1]), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_scalar_loop_of_regularised_dynamics_takes_the_same_steps():
     law = ss.PoissonSwitching(speed=2.0, rate=0.5, first_sign="positive")
     system = ss.MassSpring(mass=1.0, stiffness=1.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
@@ -63,6 +65,7 @@ def test_scalar_loop_of_regularised_dynamics_takes_the_same_steps():
     assert abs(found.slow_time - float(one.stick_time)) <= 2 * 0.02 * int(one.sticks.count)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("program", [scipy_events, diffrax_events], ids=["scipy", "diffrax"])
 def test_general_solvers_agree_with_the_engine(program):
@@ -139,6 +142,7 @@ def test_a_chain_by_scipy():
         np.testing.assert_allclose([each.stick_time[sample] for each in totals], found.time, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mu", [0.2, 0.5])
 def test_mass_on_a_harmonic_base_by_scipy(mu):
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(mu), damping=scipy_harmonic.DAMPING)
@@ -149,6 +153,7 @@ def test_mass_on_a_harmonic_base_by_scipy(mu):
     np.testing.assert_allclose(section.velocity, states[:, 1], atol=1e-7)
 
 
+@pytest.mark.slow_but_for("Radau")
 @pytest.mark.parametrize("method", ["LSODA", "Radau"])
 def test_mass_on_bristles_by_scipy(method):
     friction = ss.LuGre(0.3, 0.4, stribeck_speed=0.01, stiffness=1e4, damping=100.0)

@@ -65,6 +65,7 @@ def read(data):
 # Times.
 
 
+@pytest.mark.slow
 def test_frames_are_as_far_apart_as_speed_and_rate_say(one):
     film = plot.animate(one, window=(2.0, 8.0), speed=1.5, fps=10)
     assert film.times == pytest.approx(2.0 + 0.15 * np.arange(41), rel=1e-14)
@@ -128,6 +129,7 @@ def test_a_mass_is_coloured_in_exactly_the_frames_in_which_it_sticks(one):
     assert 20 < sum(found) < 230
 
 
+@pytest.mark.slow
 def test_contacts_are_coloured_each_for_itself(several):
     film = plot.animate(several, fps=10)
     for number, time in enumerate(film.times):
@@ -149,6 +151,7 @@ def test_a_stick_without_length_is_in_no_frame_and_one_that_the_end_cuts_is_in_t
     assert not lasts_at((np.zeros(0), np.zeros(0)), times).any()
 
 
+@pytest.mark.slow
 def test_the_sticks_of_one_contact_or_of_all_together(several):
     """A system of which the sticks of one contact are counted colours that one; of all at once, all or none."""
     y0 = (0.1, 0.0, -0.1, 0.2, 0.2, 0.2)
@@ -165,6 +168,7 @@ def test_the_sticks_of_one_contact_or_of_all_together(several):
 # Results of all kinds.
 
 
+@pytest.mark.slow
 def test_regularised_motion():
     smoothed = ss.simulate(SYSTEM, FLIPS, t1=T1, y0=(0.0, 1.0), method=ss.Regularized(width=1e-2))
     film = plot.animate(smoothed, fps=5)
@@ -173,6 +177,7 @@ def test_regularised_motion():
     assert found == [sticks_at(smoothed.sticks, time, T1) for time in film.times]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32:UserWarning")
 def test_single_precision(one):
     with jax.enable_x64(False):
@@ -383,6 +388,7 @@ def test_a_system_of_ones_own_as_bars(own):
     assert film.figure.axes[1].get_ylabel() == "velocity 2 (m/s)"
 
 
+@pytest.mark.slow
 def test_a_system_of_ones_own_as_it_says(own, monkeypatch):
     def parts(state, base):
         belt, spring = plot.Belt(0.0, base, (-2.0, 2.0)), plot.Spring((-2.0, 0.5), (state[2], 0.5))

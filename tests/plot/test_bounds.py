@@ -43,6 +43,7 @@ def test_bounds_of_others_are_refused(annotations_unchecked):
         plot.stick_bounds(ss.MotorCart(), VOLTAGE, mu=[-0.1])
 
 
+@pytest.mark.slow
 def test_history_shows_the_voltage():
     one = ss.simulate(ss.MotorCart(mu=0.5), VOLTAGE, t1=1.0)
     *_, panel = plot.time_history(one)
@@ -53,6 +54,7 @@ def test_history_shows_the_voltage():
     assert plot.time_history(one, axes=axes) == tuple(axes)
 
 
+@pytest.mark.slow
 def test_history_shows_the_acceleration_of_the_ground_and_its_band():
     system = ss.MassSpring(mass=1.0, stiffness=10.0, normal_force=9.81, friction=ss.Coulomb(mu=0.1))
     ground = ss.KanaiTajimi(rms=1.5).sample(jax.random.key(0), t1=5.0)
@@ -64,6 +66,7 @@ def test_history_shows_the_acceleration_of_the_ground_and_its_band():
     assert "stick possible" in upper.get_legend_handles_labels()[1]
 
 
+@pytest.mark.slow
 def test_history_shows_the_force():
     force = ss.Harmonic(amplitude=2.0, angular_frequency=1.5)
     system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=0.3), force=force)

@@ -18,6 +18,7 @@ def found():
     return ss.calibrate(system, base, TIMES, {"position": seen}, wrt="mu", windows=2)
 
 
+@pytest.mark.slow
 def test_motion_of_each_window_and_residuals(found):
     upper, lower = plot.calibration(found)
     dots, *lines = upper.lines

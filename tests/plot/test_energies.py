@@ -17,6 +17,7 @@ def one():
     return ss.simulate(BELT, POISSON, t1=12.0, y0=(0.1, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [None, (2.0, 9.0)])
 def test_lines_are_the_energies(one, window):
     upper, lower = plot.energies(one, window=window)

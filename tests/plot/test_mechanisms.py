@@ -44,6 +44,7 @@ TRIANGLES = np.interp(np.linspace(0, 12, 12_001), np.arange(13.0), [0.0, *([1.0,
 RAN = np.concatenate([[0.0], np.cumsum((TRIANGLES[1:] + TRIANGLES[:-1]) / 2 * 1e-3)])
 
 
+@pytest.mark.slow_for("recorded")
 @pytest.mark.parametrize("name", BASES)
 def test_mass_spring_and_belt(name):
     base, run = BASES[name]
@@ -88,6 +89,7 @@ def test_marks_come_in_again_at_the_other_end():
     ]
 
 
+@pytest.mark.slow
 def test_a_mass_without_spring_on_shaken_ground():
     quake = ss.KanaiTajimi(rms=1.5).sample(jax.random.key(0), t1=10.0)
     block = ss.simulate(ss.MassSpring(1.0, 0.0, 9.81, ss.Coulomb(0.1)), quake, t1=10.0)
@@ -100,6 +102,7 @@ def test_a_mass_without_spring_on_shaken_ground():
     assert "ground" in [text.get_text() for text in film.figure.axes[0].get_legend().get_texts()]
 
 
+@pytest.mark.slow
 def test_motor_yoke_and_cart():
     one = ss.simulate(ss.MotorCart(mu=0.3), ss.SourceVoltage(phase=1.0), t1=1.5, y0=(1.13, 0.0, 0.0))
     film, (angle, *_) = animated(one)
@@ -120,6 +123,7 @@ def test_motor_yoke_and_cart():
     assert scale[1, 0] - scale[0, 0] == pytest.approx(scale[2, 1] - scale[0, 1], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_blocks_in_a_row():
     row = ss.block_row(3, mass=1.0, between=2.0, to_ground=1.0, normal_force=1.0, friction=ss.Coulomb(0.3, 0.5))
     one = ss.simulate(row, ss.Constant(0.2), t1=10.0, y0=(0.1, 0.0, -0.1, 0.2, 0.2, 0.2))
@@ -145,6 +149,7 @@ def test_blocks_in_a_row():
     assert springs(film.frame(0)) == []
 
 
+@pytest.mark.slow
 def test_building_on_its_bearing():
     building = ss.storeys_on_bearing([2e4] * 3, [2e7] * 2, friction=ss.Coulomb(0.05), damping=[1e5] * 2)
     quake = ss.KanaiTajimi(rms=1.5).sample(jax.random.key(0), t1=6.0)
@@ -164,6 +169,7 @@ def test_building_on_its_bearing():
     assert 0.25 * 9 / 2.5 < largest <= 0.25 * 9
 
 
+@pytest.mark.slow
 def test_disks_of_a_drill_string():
     string = ss.drill_string(
         [2000.0, 400.0], [800.0], weight_on_bit=1e5, bit_radius=0.15, friction=ss.Coulomb(0.3), drive_torque=2e4
@@ -179,6 +185,7 @@ def test_disks_of_a_drill_string():
     assert "base" in [text.get_text() for text in film.figure.axes[0].get_legend().get_texts()]
 
 
+@pytest.mark.slow
 def test_drivetrain_with_a_clutch():
     """The clutch stands between its disks and is coloured while it sticks; the brake colours its disk."""
     clutch, brake = ss.FrictionDisk(900.0, ss.Coulomb(0.3), radius=0.1), ss.FrictionDisk(50.0, ss.Coulomb(0.4))
@@ -195,6 +202,7 @@ def test_drivetrain_with_a_clutch():
     assert shaft[:, 0].tolist() == [3, 6]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "drawn_as", ["bars", None, *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("blocks", "storeys"))]
 )

@@ -74,6 +74,7 @@ def long():
     return ss.simulate(system, ss.PoissonSwitching(1.0, 1.0).sample(jax.random.key(0), 200.0), t1=200.0, y0=(0.0, 1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [plot.time_history, plot.energies])
 def test_of_a_long_motion_the_beginning_is_drawn_and_the_axis_says_so(long, draw):
     upper, lower = draw(long)
@@ -84,6 +85,7 @@ def test_of_a_long_motion_the_beginning_is_drawn_and_the_axis_says_so(long, draw
     assert lower.get_xlabel() == "time $t$ (s)"
 
 
+@pytest.mark.slow
 def test_band_of_needles_is_left_out():
     system = ss.MassSpring(1.0, 40.0, 1.0, ss.Coulomb(0.1))
     times = np.arange(0.0, 9.0, 0.05)

@@ -38,6 +38,7 @@ def one():
     return ss.simulate(many.system, base, t1=T1, y0=y0)
 
 
+@pytest.mark.slow
 def test_simulation(one):
     shown = one._repr_html_()
     (table,) = tables(shown)

@@ -115,6 +115,7 @@ def needed_position(name, times):
     return -np.interp(times, GROUND.times, GROUND.accelerations) / 40
 
 
+@pytest.mark.slow_but_for("motor")
 @of(*MASSES, "motor")
 def test_history_is_the_trajectory(one):
     panels = history(one)
@@ -377,6 +378,7 @@ def two():
     return ss.simulate(TwoMasses(), ss.Harmonic(1.0, 0.8), t1=12.0, y0=(0.0, 0.0, 1.0, 0.0))
 
 
+@pytest.mark.slow
 def test_base_of_an_own_system_has_a_panel(two):
     *panels, last = plot.time_history(two)
     assert (len(panels), last.get_ylabel(), last.get_xlabel()) == (4, "base velocity (m/s)", "time $t$ (s)")
@@ -386,6 +388,7 @@ def test_base_of_an_own_system_has_a_panel(two):
     assert len(plot.time_history(two, axes=plt.figure().subplots(4))) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("x", "y", "pair"), [(None, None, (0, 1)), ("position 2", "velocity 2", (2, 3))])
 def test_portrait_of_chosen_coordinates(two, x, y, pair):
     ax = plot.phase_portrait(two, x=x, y=y)

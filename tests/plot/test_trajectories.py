@@ -54,6 +54,7 @@ def filled(simulation, name):
     return np.asarray(getattr(simulation.sticks, name))[np.asarray(simulation.sticks.mask)]
 
 
+@pytest.mark.slow
 def test_history_draws_each_stick_where_it_happens(one):
     upper, lower = plot.time_history(one)
     for panel in (upper, lower):
@@ -160,6 +161,7 @@ def test_portrait_crosses_mark_the_centers(one):
     assert crosses.get_marker() == "x"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 def test_portrait_marks_the_only_equilibrium_of_a_belt_that_runs_one_way(sign):
     """Conference paper, section 2: (n mu / (m omega), 0) if the belt runs forward, else minus that."""
@@ -176,6 +178,7 @@ def test_portrait_pieces_last_the_whole_window(one):
         assert np.min(np.linalg.norm(ends - state, axis=1)) < 1e-12
 
 
+@pytest.mark.slow
 def test_portrait_on_a_base_at_rest():
     """The base moves forward, rests, moves backward, rests; the mass sticks on each rest."""
     base = ss.VelocitySteps(jnp.array([3.0, 3.0, 2.0, 2.0]), jnp.array([1.0, 0.0, -1.0, 0.0]))

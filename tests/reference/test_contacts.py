@@ -126,6 +126,7 @@ def seeded(seed: int):
     return random_structure(np.random.default_rng(seed), 2 + seed % 9, coupled=seed % 2 == 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 112))
 def test_energy_and_conditions(seed):
     """What comes in and what is lost make up the change of energy; friction obeys its law all the time."""
@@ -164,6 +165,7 @@ def test_energy_and_conditions(seed):
     assert run.events > 0
 
 
+@pytest.mark.slow_but_for("103")
 @pytest.mark.parametrize("seed", [103, 104])
 def test_other_steps_and_tolerances_change_nothing(seed):
     setup = seeded(seed)

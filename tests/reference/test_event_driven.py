@@ -102,6 +102,7 @@ def test_steady_forced_motion_of_den_hartog(b, ratio, amplitude):
     assert turns == pytest.approx(x0 * np.resize([-1.0, 1.0], 10), abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(25))
 def test_switching_base_against_event_by_event(seed):
     source = np.random.default_rng(seed)
@@ -293,6 +294,7 @@ def test_sticks_of_the_motor_keep_their_bound(mu, highest):
         assert mu * abs(math.sin(stick.position)) > 0.176982
 
 
+@pytest.mark.slow_but_for("0.5-physical")
 @pytest.mark.parametrize(("mu", "equation"), [(0.3, "printed"), (0.5, "physical")])
 def test_motor_against_library_integrators(mu, equation):
     compared = 0

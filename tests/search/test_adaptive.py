@@ -88,6 +88,7 @@ def test_states(shape, kind):
     assert not wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "number"),
     [("tanh", 5), *(pytest.param(shape, 400, marks=pytest.mark.slow) for shape in (*PHI, "LuGre"))],

@@ -12,6 +12,7 @@ from support.search_ties import first_release, tie
 from support.switched import coulomb, errors_against
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["clinging", "frictionless", "lattice", "slow"])
 def test_families(family):
     case = drawn("harmonic", family, 1, first=5)[0]

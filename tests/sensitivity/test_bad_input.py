@@ -57,6 +57,7 @@ BAD = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_bad_input(name):

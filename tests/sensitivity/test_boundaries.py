@@ -39,6 +39,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["bang-bang", *(pytest.param(name, marks=pytest.mark.slow) for name in MOTIONS if name != "bang-bang")]
 )
@@ -127,6 +128,7 @@ def parts(sticks):
     ])  # fmt: skip
 
 
+@pytest.mark.slow
 def test_stick_of_no_length():
     """Put between two; in the place of one that is there; and at the end."""
     two = sequence((1.0, 2.0), (4.0, 7.0))

@@ -44,6 +44,7 @@ CASES = {
 IN_STEPS = set(CASES) - {"gap", "speed"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.slow] * (one in IN_STEPS)) for one in CASES])
 def test_count(name):
     """Counted and recorded sticks against differences of other samples."""
@@ -65,6 +66,7 @@ def test_count(name):
         assert abs(found.derivative) > AGREE * error, statistic
 
 
+@pytest.mark.slow
 def test_first_arc_without_density():
     """A first arc that misses the base velocity by 0.2 % does so in all samples, and changes no derivative.
 
@@ -84,6 +86,7 @@ def test_first_arc_without_density():
         assert abs(one.derivative - differences.derivative) < AGREE * error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("statistic", [ss.mean_stick_count, RECORDED], ids=["counted", "recorded"])
 def test_first_end_without_density(statistic):
     """All first segments end at multiples of one interval: one that ends just after the arrival has no part in the

@@ -131,6 +131,7 @@ def test_a_differentiable_function_of_distributions():
     assert abs(slope - found.derivative) < 4 * found.standard_error
 
 
+@pytest.mark.slow
 def test_what_is_not_known_is_refused():
     options = {"t1": 4.0, "samples": 256, "key": jax.random.key(0)}
     for system in (oscillator(ss.Uniform(0.3, 0.7), damping=0.5), oscillator(ss.Beta(2.0, 3.0))):

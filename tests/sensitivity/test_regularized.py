@@ -54,6 +54,7 @@ CASES: dict[str, Any] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pooled", *(pytest.param(name, marks=pytest.mark.slow) for name in list(CASES)[1:])])
 def test_differences_of_ensembles(name):
     """The same random numbers at both ends; the default threshold, which follows from mu, follows it."""

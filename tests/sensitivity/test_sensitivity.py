@@ -93,6 +93,7 @@ def test_poisson_switching(w, rate):
             assert abs(corrected[name].pathwise - differences[name].derivative) > AGREE * error, (statistic, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("statistic", [ss.mean_stick_count, ss.mean_stick_duration], ids=lambda one: one.name)
 def test_rate_with_starts_that_hardly_differ(statistic):
     """Random starts change the engine, not the estimator by the rate, which rests on the likelihood of the switches."""
@@ -299,6 +300,7 @@ def test_stick_time_has_no_event_part():
     assert pooled.derivative == pytest.approx(relative.derivative - count.derivative, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_elasticities_are_derivatives_in_other_units():
     """``d log statistic / d log mu``, and its error, of statistics that one compiled function serves."""
     case = poisson(1.4, 1.0)
@@ -358,6 +360,7 @@ def test_few_sticks_are_told():
         ss.sensitivity(ss.mean_stick_count, system, law, wrt="mu", samples=64, key=jax.random.key(0), **case)
 
 
+@pytest.mark.slow
 def test_differentiable_gives_the_corrected_derivative():
     """By reverse mode under jit, the same as `sensitivity` with the same windows and random numbers."""
     case = poisson(1.4, 1.0)

@@ -20,6 +20,7 @@ def both():
     return ss.sensitivity([ss.mean_stick_duration, "stick_fraction"], SYSTEM, POISSON, wrt=("mu", "speed"), **RUN)
 
 
+@pytest.mark.slow
 def test_the_same_as_alone(both):
     assert list(both) == [ss.mean_stick_duration, "stick_fraction"]
     for statistic in (ss.mean_stick_duration, ss.stick_fraction):
@@ -29,6 +30,7 @@ def test_the_same_as_alone(both):
             assert one.estimator == "corrected"
 
 
+@pytest.mark.slow
 def test_kinds_are_mixed():
     """Those of totals, of single sticks and of slips at once, all by differences of the same trajectories."""
     asked = [ss.mean_slip_count, ss.StickDuration(1), ss.mean_stick_count]
@@ -62,6 +64,7 @@ def test_slips_between_ensembles(statistic):
         ss.sensitivity(statistic, SYSTEM, POISSON, wrt="mu", estimator="corrected", **RUN)
 
 
+@pytest.mark.slow
 def test_errors_of_what_is_the_same():
     """The mean total stick time is ``t1`` times the stick fraction: nothing is left of the difference."""
     found = ss.sensitivity([ss.stick_fraction, ss.mean_total_stick_time], SYSTEM, POISSON, wrt="mu", **RUN)
@@ -88,6 +91,7 @@ def test_arithmetic(both):
     assert math.isnan((a / other).standard_error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elasticity", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_errors_of_combinations_are_honest(elasticity):
     """z-scores of independent repeats against their mean, and far from those that ignore the correlation.
@@ -127,6 +131,7 @@ def products(system, law, **run):
     return [str(one.message) for one in caught if "act on this only through" in str(one.message)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["corrected", "finite-difference"])
 def test_parameters_that_act_through_their_product_are_told(estimator):
     (told,) = products(SYSTEM, POISSON, wrt=("mu", "normal_force", "rate"), estimator=estimator)
@@ -156,6 +161,7 @@ def test_the_mean_of_a_peak_in_closed_form():
     assert float(slope) == pytest.approx(one.derivative, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_an_output_that_is_a_count():
     """As the statistic of totals, by the same differences; a pathwise derivative of it would be 0."""
     number = ss.Output(lambda one: one.sticks.count, name="number")

@@ -48,6 +48,7 @@ def test_slope_of_the_count_grows_as_steps_shrink():
     assert slopes[1].derivative == pytest.approx(214, abs=4 * slopes[1].standard_error + 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("w", [pytest.param(1.0, marks=pytest.mark.slow), 2.0, 3.0])
 def test_special_base_speeds_are_told(w):
     """The slope of the mean count depends on the step there; that by the rate exists."""

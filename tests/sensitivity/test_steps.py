@@ -35,6 +35,7 @@ def harmonic(frequency: float = 1.3):
 FEW = pytest.mark.filterwarnings("ignore:The event part rests on")
 
 
+@pytest.mark.slow
 @FEW
 @pytest.mark.parametrize(
     ("statistic", "system", "law", "estimator"),

@@ -80,6 +80,7 @@ def assert_derivatives_agree(setup: SetUp):
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("w", [0.05, 0.3, 1.0, 3.0])
 def test_random_bases(w, seed):
@@ -120,6 +121,7 @@ def by_rate(rate):
     return gathered(ss.simulate(system, base, t1=30.0, y0=(0.9, 0.1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.4, 0.7, 1.1])
 def test_switching_rate(rate):
     """Gaps scale as 1 / rate, so the reference is differenced with scaled durations."""
@@ -205,6 +207,7 @@ def constant_base(values):
     return jnp.stack([simulation.stick_time, simulation.stick_fraction, *simulation.final_state])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 @pytest.mark.parametrize("speed", [0.05, 0.0, -0.05])
 def test_infinite_durations_give_finite_derivatives(mode, speed):

@@ -23,6 +23,7 @@ def free(mu, method=ss.Exact()):  # noqa: B008 - nothing in it changes
     return ss.simulate(system, ss.Constant(0.0), t1=20.0, y0=(3.0, 0.0), method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", [ss.Exact(), pytest.param(ss.Exact(step=0.1), marks=pytest.mark.slow)], ids=["intervals", "steps"]
 )
@@ -61,6 +62,7 @@ def test_belt_of_constant_speed():
     assert_allclose(later.dissipated["friction"], 0.3 * speed * (round_trips - release), rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_friction_feeds_energy_in_where_the_mass_is_slower_than_the_belt_and_moves_its_way():
     """Lima and Sampaio 2015, section 2: elsewhere in a slip friction takes energy from the mass."""
     one = ss.simulate(BELT, ss.Constant(0.5), t1=8.0, y0=(0.4, -1.0))
@@ -90,6 +92,7 @@ CASES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [case if case in ("random belt", "all at once") else pytest.param(case, marks=pytest.mark.slow) for case in CASES],
@@ -113,6 +116,7 @@ def test_balance_closes_to_round_off(case):
     assert_allclose(held[0], held[1], rtol=0, atol=2e-13 * scale)  # nor does it arise in sticks
 
 
+@pytest.mark.slow
 def test_force_of_a_stick_is_what_it_needs():
     """``m v' + c v + k x - F`` (Lima and Sampaio 2017, eq. 3), at most ``mu_static n``; ``mu n`` in slips."""
     system, base, method = CASES["all at once"]
@@ -131,6 +135,7 @@ def test_force_of_a_stick_is_what_it_needs():
     assert np.abs(needed[sticks]).max() <= 1.5 * 0.5 + 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [0.3, 0.3 + math.pi, -0.3], ids=["first half", "second half", "before"])
 def test_motor(start):
     """``k_e c = f_r d sin(alpha)`` in sticks (Lima and Sampaio 2022, eq. 4), ``mu m g`` against the cart in slips."""
@@ -160,6 +165,7 @@ def test_heat_of_a_cart_that_goes_round(start):
     assert abs(float(found.imbalance[0])) < 1e-6
 
 
+@pytest.mark.slow
 def test_regularised_force_comes_near():
     """At most ``mu n``, and where neither is about to change the mode, near the exact one."""
     exact = ss.simulate(FREE, ss.Constant(0.0), t1=10.0, y0=(3.0, 0.0))
@@ -169,6 +175,7 @@ def test_regularised_force_comes_near():
     assert np.abs(smooth.friction_force(np.linspace(0, 10, 500))).max() <= 0.4
 
 
+@pytest.mark.slow
 def test_transformations():
     """Under jit, vmap and derivatives: friction takes ``4.5 - (3 - 8 mu)^2 / 2`` until the mass rests."""
 
@@ -202,6 +209,7 @@ class Own(ss.SwitchedSystem):
         return y[1] - base.velocity
 
 
+@pytest.mark.slow
 def test_what_is_not_known_is_refused():
     one = free(0.4)  # its system is not asked for anything else
     own = eqx.tree_at(lambda one: one.system, one, Own(0.4))

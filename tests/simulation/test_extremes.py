@@ -19,6 +19,7 @@ def at_rest(mu=1.0, x0=0.0, v0=2.0):
     return ss.simulate(system, ss.Constant(0.0), t1=T1, y0=(x0, v0))
 
 
+@pytest.mark.slow
 def test_free_vibration_in_closed_form():
     """From x = 0 at v the first circle has the centre -a; each half turn brings the mass 2 a closer (a = mu n / k)."""
     a, top = 0.25, -0.25 + math.hypot(0.25, 2.0 / 2)
@@ -40,6 +41,7 @@ def test_belt_in_closed_form():
     assert float(mirrored.minimum()) == -float(one.maximum())
 
 
+@pytest.mark.slow
 def test_derivatives_in_closed_form():
     """Of ``-a + hypot(a, v / omega)``: by mu through a = mu / 4, and by v."""
     by_mu, by_v = jax.grad(lambda mu, v: at_rest(mu, 0.0, v).maximum(), (0, 1))(1.0, 2.0)
@@ -65,6 +67,7 @@ CASES = {
 SLOWER = ("fast base", "in steps", "static friction")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOWER else name for name in CASES]
 )
@@ -114,6 +117,7 @@ def test_against_an_independent_integration():
 OTHERS = [(coordinate, name) for coordinate in ("position", "velocity") for name in ("closed form", "static friction")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("coordinate", "name"),
     [
@@ -134,6 +138,7 @@ def test_derivatives_are_slopes(coordinate, name):
     assert float(jax.grad(peak)(2.5)) == pytest.approx(slope, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_batches():
     bases = jax.vmap(lambda key: CASES["closed form"][1].sample(key, t1=T1))(jax.random.split(jax.random.key(0), 4))
     many = jax.vmap(lambda base: ss.simulate(SYSTEM, base, t1=T1, y0=(0.4, 2.5)))(bases)

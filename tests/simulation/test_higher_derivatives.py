@@ -178,6 +178,7 @@ def test_second_and_third_derivatives(name):
     assert_close(third(at), differences(second, at, direction, case.step))
 
 
+@pytest.mark.slow
 def test_a_last_step_that_ends_on_a_kink_has_the_slopes_of_this_side():
     """Friction of `Pendulum` has a kink at rest, and every fifth last step ends exactly there.
 
@@ -214,6 +215,7 @@ class Duffing(ss.SwitchedSystem):
         return 2 * np.pi
 
 
+@pytest.mark.slow
 def test_steps_that_overflow_and_are_tried_again_leave_no_trace():
     """The integral ``v^2 / 2 + x^2 / 2 + x^4 / 4 - 0.3 x`` is constant, the base is always faster."""
 

@@ -34,6 +34,7 @@ def expected(start, end, position, carried, x0: float) -> np.ndarray:
     return position - np.concatenate([[x0], left_at[:-1]])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 @pytest.mark.parametrize(("dtype", "close"), [("float64", 1e-12), ("float32", 2e-5)])
 def test_it_is_what_the_base_has_not_carried(dtype, close):
@@ -45,6 +46,7 @@ def test_it_is_what_the_base_has_not_carried(dtype, close):
     np.testing.assert_allclose(got, expected(start, end, position, carried, Y0[0]), rtol=0, atol=close * T1)
 
 
+@pytest.mark.slow
 def test_time_steps_find_the_same():
     base = LAW.sample(jax.random.key(3), T1)
     # Both coefficients given, as where friction drops below: compiled once for both.

@@ -58,6 +58,7 @@ SIMULATIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=pytest.mark.slow) if name in ("no unit", "motor") else name for name in SIMULATIONS],
@@ -80,6 +81,7 @@ def test_a_table_holds_every_stick(name, tmp_path):
         pd.testing.assert_frame_equal(read(path), table, check_exact=True)
 
 
+@pytest.mark.slow
 def test_the_columns_are_those_of_an_ensemble(tmp_path):
     """So that both kinds of files can be read by one program."""
     many = ss.simulate_ensemble(MASS, WAVE, samples=3, t1=T1, y0=START, keep="sticks")
@@ -124,6 +126,7 @@ def test_names_are_those_of_an_ensemble():
         assert one[name].attrs.items() <= many[name].attrs.items()
 
 
+@pytest.mark.slow
 def test_what_comes_out_of_jit(tmp_path):
     start = jnp.asarray(START)
     alone = ss.simulate(MASS, WAVE, t1=T1, y0=START)
@@ -140,6 +143,7 @@ CALLS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", CALLS)
 def test_batches_and_traced_simulations(call, tmp_path):
     def followed(y0):
@@ -163,6 +167,7 @@ def test_batches_and_traced_simulations(call, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", CALLS)
 def test_what_did_not_finish_is_told(call, tmp_path):
     one = ss.simulate(MASS, ss.Harmonic(0.5, 2.1), t1=T1, y0=START, method=ss.Exact(max_steps=20))

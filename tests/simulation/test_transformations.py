@@ -50,16 +50,19 @@ def assert_close(got, expected, ulps=64):
             np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_jit_changes_nothing(keys, lanes):
     assert_close(numbers(one(keys[0])), numbers(lanes[0]))
 
 
+@pytest.mark.slow
 def test_vmap_over_keys(keys, lanes):
     pick = jax.vmap(lambda key: numbers_in_jit(one(key)))(keys)
     for index, lane in enumerate(lanes):
         assert_close(jax.tree.map(lambda leaf, i=index: np.asarray(leaf)[i], pick), numbers(lane))
 
 
+@pytest.mark.slow
 def test_jit_of_vmap_over_keys(keys, lanes):
     many = jax.jit(jax.vmap(lambda key: numbers_in_jit(one(key))))(keys)
     for index, lane in enumerate(lanes):
@@ -70,6 +73,7 @@ def numbers_in_jit(simulation):
     return simulation.sticks, simulation.totals, simulation.final_state, simulation.status
 
 
+@pytest.mark.slow
 def test_vmap_over_a_parameter(keys):
     friction = jnp.asarray([0.0, 0.2, 1.0, 3.0])
     many = jax.jit(jax.vmap(lambda mu: numbers_in_jit(one(keys[0], mu))))(friction)
@@ -91,6 +95,7 @@ def test_results_of_vmap_offer_their_properties(keys, lanes):
     assert "Simulation" in repr(many)
 
 
+@pytest.mark.slow
 def test_forward_and_reverse_derivatives_under_jit_and_vmap(keys):
     def stick_time(mu, key):
         return one(key, mu).stick_time
@@ -104,6 +109,7 @@ def test_forward_and_reverse_derivatives_under_jit_and_vmap(keys):
     assert float(nearby - value) / 1e-6 == pytest.approx(float(slope), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_spare_capacity_changes_nothing(keys):
     compiled = jax.jit(one, static_argnames="slots")
     for key in keys:
@@ -114,6 +120,7 @@ def test_spare_capacity_changes_nothing(keys):
         assert numbers(little)[1:] == numbers(much)[1:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [ss.Constant(0.3), ss.PiecewiseConstant(jnp.array([0.0, 3.0]), jnp.array([0.3, -0.3]))])
 def test_laws_without_randomness_are_simulated_as_they_are(law):
     plain = numbers(ss.simulate(SYSTEM, law, t1=T1, y0=START))
@@ -121,6 +128,7 @@ def test_laws_without_randomness_are_simulated_as_they_are(law):
     assert_close(plain, sampled)
 
 
+@pytest.mark.slow_but_for("Constant-values0")
 @pytest.mark.parametrize(
     ("make", "values"),
     [
@@ -138,6 +146,7 @@ def test_laws_of_known_length_need_no_capacity_under_jit(make, values):
     assert_close(compiled(values, T1), numbers(ss.simulate(SYSTEM, make(*values), t1=T1, y0=START)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_float32_agrees_with_float64(seed):
     """One ulp of t1 for each of the twenty intervals bounds the clock's error; sticks wipe out the state's."""
@@ -169,6 +178,7 @@ def test_float32_laws_draw_in_float32(keys):
             assert float(sample.durations.sum()) >= T1
 
 
+@pytest.mark.slow
 def test_base_too_short_is_reported(keys):
     assert int(one(keys[0], slots=4).status) == ss.Status.BASE_TOO_SHORT
     short = simulate_compiled(SYSTEM, padded((1.0, 2.0), (0.3, -0.3), 8), T1, START)
@@ -177,6 +187,7 @@ def test_base_too_short_is_reported(keys):
     assert int(exactly.status) == ss.Status.FINISHED
 
 
+@pytest.mark.slow
 def test_no_lane_is_silently_truncated(keys):
     """A capacity near the mean number of switches cuts some lanes and not others; each says which."""
     many = jax.random.split(jax.random.key(3), 200)
@@ -270,6 +281,7 @@ def test_states_at_times_of_any_shape():
         assert float(alone[1]) == pytest.approx(float(velocity[index]), abs=1e-15)
 
 
+@pytest.mark.slow
 def test_nothing_is_told_of_the_time_after_the_base_ran_out(keys):
     short, whole = one(keys[0], slots=4), one(keys[0])
     assert int(short.status) == ss.Status.BASE_TOO_SHORT

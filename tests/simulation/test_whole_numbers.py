@@ -17,6 +17,7 @@ def end(mu, base, method, whole=int):
     return ss.simulate(system, base, t1=6, y0=(0, 1), method=method).final_state[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "engine", [pytest.param(name, marks=pytest.mark.slow) if name != "closed form" else name for name in STEPS]
 )

@@ -45,6 +45,7 @@ def assert_covers(hits, level):
     assert abs(rate - level) < 4 * error, f"covers {rate:.3f} of {level}"
 
 
+@pytest.mark.slow_but_for("stick_fraction-0.95")
 @pytest.mark.parametrize("level", [0.9, 0.95])
 @pytest.mark.parametrize("statistic", STATISTICS, ids=lambda statistic: statistic.__name__)
 def test_t_intervals_cover_as_often_as_they_promise(many, statistic, level):
@@ -165,6 +166,7 @@ def test_bootstrap_intervals_cover_as_often_as_they_promise(many, statistic):
     assert_covers(hits, 0.9)
 
 
+@pytest.mark.slow
 def test_bootstrap_intervals_are_those_of_samples_drawn_again(many):
     """A share p of n scores lies below a quantile that is off by ``sqrt(p (1 - p) / n)`` in p: 4 of these here.
 
@@ -191,6 +193,7 @@ def test_bootstrap_intervals_are_those_of_samples_drawn_again(many):
         assert least < (value - end) / error < most
 
 
+@pytest.mark.slow
 def test_errors_of_distributions_are_honest(many):
     """Scores of estimates of small studies against those of all samples have mean 0 and standard deviation 1."""
 

@@ -102,6 +102,7 @@ def test_sticks_from_the_start_to_the_end_leave_no_slip():
     assert statistics.duration.repeated_share.value == 0  # four values are too few to decide
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "y0", "t1"), [
     (ss.Constant(1.0), (30.0, 0.0), 0.5),  # slides all the time
     (ss.Constant(0.0), (0.0, 0.0), 5.0),  # at rest all the time
@@ -172,6 +173,7 @@ def test_arguments_of_what_needs_an_ensemble(tmp_path, annotations_unchecked):
     assert ss.bootstrap_interval(ss.stick_fraction, one) == pytest.approx((math.nan, math.nan), nan_ok=True)
 
 
+@pytest.mark.slow
 def test_motion_without_chance():
     """All samples are the same: every value repeats, and there is no spread to resample."""
     many = ss.simulate_ensemble(SYSTEM, ss.SquareWave(1.0, 2.6), t1=40.0, samples=50, y0=(0.0, 1.0), chunk=64)

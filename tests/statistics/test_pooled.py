@@ -76,6 +76,7 @@ def test_numbers_of_samples_hold_every_stick(motors):
     assert motors.statistics.own_mean_duration.mean.value == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_angles_stay_in_a_circle_everywhere(motors):
     """They are those of the simulations modulo 2 pi, in sums, histograms, tables and files."""
     flat = motors.flat_sticks

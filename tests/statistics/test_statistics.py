@@ -45,6 +45,7 @@ def values_by_hand(sticks):
 QUANTITIES = list(values_by_hand(sticks_from([[]])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_moments_by_brute_force(statistics, sticks, quantity):
     values, of = np.array(values_by_hand(sticks)[quantity]), getattr(statistics, quantity)
@@ -74,6 +75,7 @@ def test_histogram_and_entropy_by_brute_force(statistics, sticks, quantity):
         assert of.entropy(bins).value == pytest.approx(plain - bias, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", QUANTITIES)
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.5, 0.9, 1.0])
 def test_quantiles_to_their_resolution(statistics, sticks, quantity, share):

@@ -143,6 +143,7 @@ def slips_by_hand(samples, dtype, any_at_zero):
     return [slip for slip in before if slip > 0 or not any_at_zero] + [slip for slip in after if slip > 0]
 
 
+@pytest.mark.slow
 @WAYS
 @TYPES
 @pytest.mark.parametrize("rest", [False, True])
@@ -244,6 +245,7 @@ def test_a_further_quantity_needs_no_loop_of_its_own(rest, monkeypatch):
     )
 
 
+@pytest.mark.slow_but_for("statistics-2")
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("keep", ["statistics", "sticks"])
 def test_ensembles_without_numba_are_the_same(keep, threads, monkeypatch):

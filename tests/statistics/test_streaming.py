@@ -49,6 +49,7 @@ def test_histograms_of_parts_merge_to_that_of_the_whole(parts, most):
         assert inside == list(whole.counts)
 
 
+@pytest.mark.slow
 @given(parts=st.lists(st.lists(st.tuples(NUMBERS, NUMBERS), max_size=6), min_size=1, max_size=4))
 def test_joint_histograms_of_parts_merge_to_that_of_the_whole(parts):
     def counts(pairs):
@@ -207,6 +208,7 @@ class _EndsEarly(ss.PoissonSwitching):
         return jnp.where(number < 3, super().draw(key_data, number, dtype), 0)
 
 
+@pytest.mark.slow
 def test_unfinished_samples_enter_no_statistic():
     law = _EndsEarly(speed=1.0, rate=1.0)
     kept = ss.simulate_ensemble(SYSTEM, law, t1=3.0, samples=200, key=jax.random.key(1), y0=(0.0, 1.0), keep="sticks")

@@ -138,6 +138,7 @@ RUN = "[run]\nt1 = 20.0\nsamples = 20\nchunk = 64\nthreads = 1\n"
 SHORT = {"samples": 20, "t1": 20.0, "chunk": 64, "threads": 1}
 
 
+@pytest.mark.slow
 def test_study_is_the_ensemble(tmp_path):
     """Every stick and every statistic of the example, to the last bit."""
     options = SHORT | {"out": str(tmp_path / "result"), "figures": False}
@@ -180,6 +181,7 @@ def test_figures(tmp_path):
     assert set(study.files) == set(RESULT_FILES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "more", "method"),
     [
@@ -227,6 +229,7 @@ def test_building_under_an_accelerogram(tmp_path):
 SWEEP = '[sweep]\nkeep = "totals"\nstatistics = ["stick_fraction"]\n[sweep.over]\n'
 
 
+@pytest.mark.slow
 def test_sweep_over_numbers_of_a_structure(tmp_path):
     text = (
         f"{HEAD}{CONTACT}[base]\nspeed = 0.3\n[run]\nt1 = 20.0\nsamples = 30\ninitial_state = [0.1, 0.0, 0.0, 0.0]\n"

@@ -251,6 +251,7 @@ def test_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
 # --- what is stored
 
 
+@pytest.mark.slow
 def test_every_variable_has_units_and_a_name(dataset):
     assert len(dataset.data_vars) == 19 + 2 * len(STATISTICS)
     for variable in dataset.variables.values():

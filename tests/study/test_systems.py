@@ -138,6 +138,7 @@ def check_against(study, many):
 SLOWER = ("records", "random start", "jumps", "friction law", "artificial accelerogram", "regularised", "bristles")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [pytest.param(case, marks=pytest.mark.slow) if case in SLOWER else case for case in STUDIES],
@@ -174,6 +175,7 @@ def test_figures_show_as_much_as_they_can_hold(tmp_path, monkeypatch):
 CART = '[system]\nmodel = "MotorCart"\nmu = 0.25\n[run]\nt1 = 1.0\nsamples = 40\nchunk = 64\nthreads = 1\n'
 
 
+@pytest.mark.slow
 def test_motor_cart(tmp_path):
     study = run(tmp_path, CART)
     paper = ss.papers.motor_cart(mu=0.25, t1=1.0)
@@ -226,6 +228,7 @@ def test_initial_rest_is_counted_if_asked_for(tmp_path):
         assert np.all(dataset["first_stick_start"] == 0)
 
 
+@pytest.mark.slow
 def test_motor_cart_by_statistics_alone(tmp_path, monkeypatch):
     whole = run(tmp_path, CART).ensemble
     bare = dataclasses.replace(whole, flat_sticks=None, sample_totals=None)
@@ -338,6 +341,7 @@ def test_command_finds_records_beside_the_configuration(tmp_path, monkeypatch, c
     assert f'file = "{tmp_path}/elsewhere/../record.AT2"' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_sweep_over_the_numbers_of_a_law_made_of_others(tmp_path):
     """Names are those of the sections; a start may leave out the ages of sticks."""
     text = (

@@ -62,6 +62,7 @@ def tasks_of(client) -> dict:
 # --- the same numbers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", [False, True])
 def test_cluster_gives_the_same_bits_and_keeps_nothing(client, undisturbed, tmp_path, shared):
     found = small_sweep().run(tmp_path, executor=client, shared_folder=shared)
@@ -123,6 +124,7 @@ def test_two_sweeps_at_once_on_one_worker_do_not_mix(client, undisturbed):
 # --- what goes wrong
 
 
+@pytest.mark.slow
 def test_point_that_cannot_be_simulated_is_a_failed_point(client, monkeypatch, tmp_path):
     def failing(plan, task):
         if task.point == 1:
@@ -136,6 +138,7 @@ def test_point_that_cannot_be_simulated_is_a_failed_point(client, monkeypatch, t
     assert log_of(tmp_path).count("done ") == 9
 
 
+@pytest.mark.slow
 def test_errors_that_may_pass_are_tried_again(client, undisturbed, monkeypatch):
     tried = []
 
@@ -177,6 +180,7 @@ def test_client_of_coroutines_is_refused(annotations_unchecked):
         small_sweep().run(executor=Asynchronous())
 
 
+@pytest.mark.slow
 def test_client_closed_in_the_middle_is_told_and_another_goes_on(undisturbed, tmp_path):
     with local_cluster(processes=False) as cluster:
         first = Client(cluster)

@@ -57,6 +57,7 @@ SPOILT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".zip", ".json"])
 @pytest.mark.parametrize("how", SPOILT)
 def test_damaged_batch_is_found_and_done_again(copied, how, kind):

@@ -42,10 +42,12 @@ def environment() -> dict[str, str]:
 # --- the same numbers
 
 
+@pytest.mark.slow
 def test_two_threads_give_the_same_bits(undisturbed):
     assert_same(small_sweep().run(threads=2), undisturbed)
 
 
+@pytest.mark.slow
 def test_order_of_the_points_changes_nothing(undisturbed):
     over = {name: values[::-1] for name, values in POINTS.items()}
     found = small_sweep(over=over).run(threads=2)
@@ -73,6 +75,7 @@ def test_size_of_the_batches_changes_means_by_round_off_and_counts_not_at_all(un
         assert np.all(np.abs(found[name] - undisturbed[name]) <= 2 * counts * unit * size), name
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_bits(undisturbed, tmp_path):
     """Started by a program from standard input, without ``if __name__ == "__main__"``, which they do not run again."""
     program = script(f"""

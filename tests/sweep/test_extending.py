@@ -25,6 +25,7 @@ def simulated(monkeypatch):
     return tasks
 
 
+@pytest.mark.slow
 def test_more_samples(tmp_path, simulated):
     options = {"keep": "statistics", "statistics": ["stick_fraction", "duration"]}
     run(sweep_of(**options), tmp_path / "sweep")

@@ -275,6 +275,7 @@ def test_numbers_written_otherwise_are_the_same_sweep(whole, tmp_path):
     assert {name for name in before if before[name] != after[name]} <= {"log.txt", "sweep.nc"}
 
 
+@pytest.mark.slow
 def test_two_runs_at_once(tmp_path):
     """Of two processes: the second one says so, and the first goes on."""
     folder = tmp_path / "sweep"

@@ -90,6 +90,7 @@ def _renamed(folder: Path, first: int, end: int) -> None:
     path.rename(named(path, first, end))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("move", MOVES)
 def test_batch_under_another_name_is_found_and_done_again(copied, move):
     folder, wanted = copied

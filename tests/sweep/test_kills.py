@@ -102,6 +102,7 @@ def kill_while_simulating(folder, moments) -> None:
     assert process.returncode == -signal.SIGKILL
 
 
+@pytest.mark.slow
 def test_two_kills_at_random_moments(tmp_path, undisturbed_long):
     folder, moments = tmp_path / "sweep", random.Random(2)
     kill_while_starting(folder, moments)

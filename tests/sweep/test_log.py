@@ -22,6 +22,7 @@ def test_log_of_a_whole_sweep(tmp_path):
     assert sorted(done) == [f"mu = {mu}: samples {part}" for mu in ("0.5", "1") for part in ("0 to 255", "256 to 499")]
 
 
+@pytest.mark.slow
 def test_samples_that_did_not_finish_are_counted(tmp_path):
     """As the ensemble counts them; the log names them batch by batch."""
     sweep = sweep_of(method=ss.Exact(step=0.05, max_steps=420))

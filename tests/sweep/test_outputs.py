@@ -16,6 +16,7 @@ def sweep_of(outputs, **more):
     return ss.Sweep(SYSTEM, POISSON, over={"mu": [0.5, 1.0]}, outputs=outputs, **run)
 
 
+@pytest.mark.slow
 def test_outputs_at_each_point(tmp_path):
     sweep = sweep_of({"peak": PEAK})
     found = sweep.run(tmp_path / "sweep", progress=False, threads=1)

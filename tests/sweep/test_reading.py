@@ -41,6 +41,7 @@ def read_samples(folder) -> list[int]:
     return found.tolist()
 
 
+@pytest.mark.slow
 def test_all_ways_to_read_see_the_same(begun):
     folder, add_and_join = begun
     assert read_samples(folder) == [256, 256]
@@ -64,6 +65,7 @@ def test_batches_that_join_between_the_two_readings(begun, monkeypatch):
     assert read_samples(folder) == [500, 500]
 
 
+@pytest.mark.slow_but_for("status")
 @pytest.mark.parametrize("read_it", [status_of, stored_dataset], ids=["status", "show"])
 def test_batches_that_join_after_they_were_listed(begun, monkeypatch, read_it):
     folder, add_and_join = begun
@@ -97,6 +99,7 @@ def test_listing_that_misses_the_parts_and_the_whole(begun, monkeypatch):
     assert stored_dataset(folder)["samples"].values.tolist() == [500, 500]
 
 
+@pytest.mark.slow
 def test_what_was_read_goes_to_the_disk_where_it_is_much(monkeypatch):
     monkeypatch.setattr("stickslip_jax._sweep.dataset._IN_MEMORY", 10)
     cache = ReadCache()

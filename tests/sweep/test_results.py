@@ -39,6 +39,7 @@ def many():
     return ensemble(1.2, 2.5)
 
 
+@pytest.mark.slow
 def test_points_are_ensembles(dataset, many):
     at = dataset.sel(mu=1.2, rate=2.5)
     assert at.samples == at.samples_finished == SAMPLES
@@ -93,6 +94,7 @@ def test_sticks_of_the_first_realizations(dataset, many):
         np.testing.assert_array_equal(starts[np.isfinite(starts)], np.asarray(many.sticks.start[sample])[mask])
 
 
+@pytest.mark.slow
 def test_random_numbers_are_common_unless_asked(many):
     """With common ones the difference of two near points is far less noisy than that of independent ones."""
     near = {"over": {"mu": [1.0, 1.01], "rate": [2.5]}, "keep": "totals", "samples": 1000}
@@ -132,6 +134,7 @@ def test_wanted_standard_errors():
     assert len(np.unique(found.samples)) > 2
 
 
+@pytest.mark.slow
 def test_sensitivities():
     over = {"mu": [0.6], "rate": [0.8, 1.5]}
     found = sweep(over=over, keep="totals", sensitivities=[("mean_stick_duration", ("mu", "rate"))]).run()

@@ -261,6 +261,7 @@ def test_loading_does_not_warn_of_a_precision_that_only_a_run_has(finished):
         assert ss.Sweep.load(finished).points == 6
 
 
+@pytest.mark.slow
 def test_status_and_table_of_a_finished_sweep(capsys, finished, monkeypatch):
     assert cli.main(["status", str(finished)]) == 0
     first, spent, how = capsys.readouterr().out.splitlines()
@@ -333,6 +334,7 @@ def _numbers(folder):
     return {name: np.asarray(one) for name, one in dataset.data_vars.items() if name != "run_seconds"}
 
 
+@pytest.mark.slow
 def test_stopped_sweep_goes_on(capsys, tmp_path):
     """Ctrl-C waits for the batches under way; SIGTERM and a second Ctrl-C do not. Nothing that is stored is lost."""
     path = config_file(tmp_path, LONG)
@@ -372,6 +374,7 @@ def test_stopped_sweep_goes_on(capsys, tmp_path):
     assert "`stickslip resume sweep` goes on from here." in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_second_interrupt_ends_a_sweep_at_once(capsys, tmp_path):
     """The batch under way takes minutes: a short one could end, and with it the process, before the second Ctrl-C."""
     path = config_file(tmp_path, LONG.replace("t1 = 2000.0", "t1 = 1e6").replace("batch = 4096", "batch = 100_000"))
@@ -390,6 +393,7 @@ def test_second_interrupt_ends_a_sweep_at_once(capsys, tmp_path):
     assert "`stickslip resume sweep` goes on from here." in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_resumed_sweep_has_the_numbers_of_one_that_was_not_stopped(tmp_path, finished):
     path = config_file(tmp_path, SMALL)
     sweep = sweep_of(read_sweep_config(path))
@@ -405,6 +409,7 @@ def test_resumed_sweep_has_the_numbers_of_one_that_was_not_stopped(tmp_path, fin
         assert np.array_equal(values, expected[name], equal_nan=True), name
 
 
+@pytest.mark.slow
 def test_answers_without_a_simulation_do_not_start_jax(finished):
     code = f"""
 import sys

@@ -30,6 +30,7 @@ def both_ways(growth=EXPONENTIAL):
     return ss.Directional(ss.Ageing(ss.Coulomb(0.5, 0.6), growth), ss.Coulomb(0.8))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("growth", [EXPONENTIAL, LOGARITHMIC, lambda age: 0.2 * jnp.tanh(age / 3)])
 def test_sticks_on_a_belt_end_where_the_spring_wins(growth):
     """The root of ``k (x + v tau) = n (mu_static + growth(tau))``; the reference for slips is a circle."""
@@ -112,6 +113,7 @@ def expected():
     return reference()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mass and spring", "structure"])
 def test_either_direction_against_scipy(kind, expected):
     one = ss.simulate(moving(kind), ss.Harmonic(1.0, 0.9), t1=40.0, y0=START)
@@ -121,6 +123,7 @@ def test_either_direction_against_scipy(kind, expected):
     np.testing.assert_allclose(one.final_state[:2], expected[1], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["equations of one's own", pytest.param("several of them", marks=pytest.mark.slow)])
 def test_equations_of_ones_own_against_scipy(kind):
     def limit(sign, age):
@@ -155,6 +158,7 @@ def test_without_growth_nothing_changes():
     assert [one.meaning for one in two_blocks(none).coordinates[4:]] == ["age of stick 1 in s", "age of stick 2 in s"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "time"), [("mass and spring", 17.0), pytest.param("structure", 18.5, marks=pytest.mark.slow)]
 )
@@ -167,6 +171,7 @@ def test_a_motion_goes_on_from_any_state(how, time):
     np.testing.assert_allclose(rest.final_state, whole.final_state, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["one contact", pytest.param("two contacts", marks=pytest.mark.slow)])
 def test_ensembles_are_single_runs(how):
     law, key = ss.PoissonSwitching(0.5, rate=0.7), jax.random.key(3)
@@ -204,6 +209,7 @@ def differences(function):
     return np.moveaxis(high - low, 0, -1) / (2 * FEW)
 
 
+@pytest.mark.slow
 def test_derivatives():
     forward = jax.jit(jax.jacfwd(last_state))(NUMBERS)
     assert np.all(np.abs(forward) > 1e-2)
@@ -230,6 +236,7 @@ def test_sensitivity_of_an_ensemble():
     assert abs(corrected.value - other.value) < 4 * math.hypot(corrected.standard_error, other.standard_error)
 
 
+@pytest.mark.slow
 def test_limit_cycle_on_a_belt():
     """A slip mirrors the release at mu n / k, and a release depends on the position of the stick by its age tau.
 
@@ -249,6 +256,7 @@ def test_limit_cycle_on_a_belt():
     assert float(orbit.period) == pytest.approx(tau + slip, rel=0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_starts_of_sections_may_leave_out_the_ages():
     system, drive = ss.MassSpring(1.0, 1.0, 1.0, ss.Ageing(ss.Coulomb(0.3, 0.4), LOGARITHMIC)), ss.Harmonic(0.5, 0.3)
     starts = np.array([[0.1, 0.0], [0.5, 0.2]])

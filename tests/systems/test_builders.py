@@ -43,6 +43,7 @@ def test_a_building():
     np.testing.assert_array_equal(building.contacts[0].direction, [1, 0, 0])
 
 
+@pytest.mark.slow
 def test_a_building_that_is_nearly_rigid_is_a_sliding_block():
     """Newmark's block of the same weight: displacements differ by as much as the storey gives way."""
     times = np.arange(0, 4.001, 0.02)

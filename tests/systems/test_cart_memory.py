@@ -68,6 +68,7 @@ def listed(sticks):
     return np.stack([np.asarray(column)[mask] for column in (sticks.start, sticks.end, sticks.position)], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in LAWS]
 )
@@ -141,6 +142,7 @@ def test_ensembles_and_their_sensitivity():
     assert by_mu.value == pytest.approx(default.value, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_mu_is_the_default():
     given, default = cart(ss.Coulomb(0.35)), ss.MotorCart(mu=0.35)
     bounds = [ss.stick_duration_bound(system, VOLTAGE, np.linspace(0, 6, 13)) for system in (given, default)]
@@ -160,6 +162,7 @@ def test_coulombs_law_is_the_default():
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_motion_goes_on_from_its_last_state():
     """In a stick, whose age is in the state."""
     middle, room = 0.65, ss.Exact(max_steps=8192)
@@ -207,6 +210,7 @@ def test_what_a_stick_holds_in_each_direction_and_age():
     assert [number.meaning for number in system.coordinates][-1] == "age of the stick in s"
 
 
+@pytest.mark.slow
 def test_bound_of_sticks_with_a_memory():
     """In the end static friction is that of its limit."""
     angles = np.linspace(0.1, 6.2, 50)

@@ -26,6 +26,7 @@ def sticks_of(one, contact):
 # --- drivetrains
 
 
+@pytest.mark.slow
 def test_three_coupled_clutches():
     """The Modelica library's example; an event-by-event integration with rtol 1e-12 found these numbers."""
     pressures = (
@@ -106,6 +107,7 @@ def closed_form_of_closing(inertia, radius):
     return jnp.array([(sliding + WEAKENING * sliding**2 / 2) / rate, speed, speed])
 
 
+@pytest.mark.slow
 def test_friction_law_of_a_clutch_is_asked_with_the_speed_at_its_radius():
     np.testing.assert_allclose(closing(INERTIA, RADIUS)[0], closed_form_of_closing(INERTIA, RADIUS), rtol=1e-11)
 
@@ -129,6 +131,7 @@ def test_derivatives_by_inertias_and_radius(mode):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_brake_stops_an_inertia():
     """Angular deceleration ``mu N radius / J``; the distance slid in the brake is the radius times the angle."""
     disk = ss.FrictionDisk(100.0, ss.Coulomb(0.4), radius=0.25)
@@ -259,6 +262,7 @@ def check_events(one, starts, ends):
     assert int(one.near_grazing_count) == 0
 
 
+@pytest.mark.slow
 def test_limit_cycle_of_a_string_driven_by_a_torque():
     """Table, pipes, collars and bit, against the equations of the paper followed event by event.
 

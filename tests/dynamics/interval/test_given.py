@@ -54,6 +54,7 @@ def scanned():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 5, 256, 257, 600])
 def test_any_number_of_lanes(scanned, lanes):
     base, expected = jax.tree.map(lambda leaf: leaf[:lanes], scanned)
@@ -69,6 +70,7 @@ def test_an_empty_batch_has_empty_results():
     assert sticks.start.shape == sticks.ending.shape == (0, SLOTS)
 
 
+@pytest.mark.slow
 def test_vmap_of_vmap_and_parameters_alone():
     base = bases(3)
     frictions = jnp.linspace(0.2, 1.4, 100)
@@ -112,6 +114,7 @@ def total(follow, mu, base):
     return jnp.where(sticks.ending >= 0, sticks.end - sticks.start, 0).sum()
 
 
+@pytest.mark.slow
 def test_gradient_of_a_mean_over_lanes_outside_of_vmap():
     base = bases(300)
 

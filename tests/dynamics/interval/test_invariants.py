@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.interval import GRID, SetUp, evaluate_compiled, filled
@@ -63,6 +64,7 @@ def base_at(setup: SetUp, times) -> tuple[np.ndarray, np.ndarray]:
     return merged[interval], velocities[interval]
 
 
+@pytest.mark.slow
 @given(set_ups())
 def test_sticks_are_ordered_disjoint_and_inside_the_horizon(setup):
     sticks = filled(run(setup))
@@ -172,6 +174,7 @@ def test_radius_is_conserved_along_slip_arcs(setup):
     assert np.all(np.ptp(radius, axis=1) <= 1e-10 * amplitude(setup) if arcs else True)
 
 
+@pytest.mark.slow
 @given(set_ups())
 def test_derivative_of_the_position_is_the_velocity(setup):
     """Exact differentiation of `evaluate` with respect to time, at instants inside the intervals."""

@@ -48,6 +48,7 @@ def followed(mu, x, p, durations, velocities, t1):
     return one.sticks.start, one.sticks.end, one.sticks.mask, one.near_grazing_count, one.stick_time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)])
 def test_all_on_one_lattice(dtype, seed):
@@ -80,6 +81,7 @@ def square_waves():
     return ss.simulate_ensemble(BELT, law, t1=200.0, samples=len(RATIOS), y0=(0.0, 1.0), keep="sticks", progress=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.5, 2.0, *(pytest.param(r, marks=pytest.mark.slow) for r in (1.6, 1.9, 2.2, 2.4))])
 def test_the_belt_of_the_conference_paper_in_exact_numbers(ratio):
     with mp.workdps(60):
@@ -119,6 +121,7 @@ def random_belts(samples):
     return ss.simulate_ensemble(BELT, law, t1=200.0, samples=samples, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [8, pytest.param(100, marks=pytest.mark.slow)])
 def test_a_random_belt_on_a_lattice(samples):
     many, checked = random_belts(1000), 0

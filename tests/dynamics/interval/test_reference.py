@@ -33,6 +33,7 @@ def assert_agrees(setup, simulation, tolerance=TOLERANCE):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", LEVELS)
 @pytest.mark.parametrize("w", SPEEDS)
 def test_random_levels(w, levels):

@@ -28,6 +28,7 @@ def table():
     return jax.tree.map(np.asarray, jax.jit(jax.vmap(simulate))(jnp.asarray(list(SQUARE_WAVE_SHARES))))
 
 
+@pytest.mark.slow
 def test_all_lanes_finish(table):
     assert table[3].tolist() == [ss.Status.FINISHED] * len(SQUARE_WAVE_SHARES)
 

@@ -59,6 +59,7 @@ def is_tie(a: Fraction, x: Fraction, p: Fraction, v: Fraction) -> bool:
     return root > 0 and root * root == square
 
 
+@pytest.mark.slow
 @BOTH
 def test_first_arcs_with_numbers_on_a_lattice(dtype):
     source = np.random.default_rng(0)
@@ -158,6 +159,7 @@ def test_a_whole_study_has_none(dtype, most):
     assert sum(int(one(keys).sum()) for keys in jax.random.split(jax.random.key(0), (16, 2_500))) <= most
 
 
+@pytest.mark.slow
 def test_ensembles_look_at_the_start():
     """Of 64 samples those whose base begins with the velocity 1 start at the edge of the band."""
     law, system = ss.PoissonSwitching(1.0, 1.0), ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(1.0))

@@ -44,6 +44,7 @@ def random_setups(contacts: int) -> tuple[jax.Array, ...]:
     return tuple(map(jnp.asarray, (speed, stiffness, largest, fall, width, guess)))
 
 
+@pytest.mark.slow_but_for("1-linear")
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("contacts", [1, 2, 5, 10])
 def test_the_forces_balance_from_any_guess(shape, contacts):
@@ -68,6 +69,7 @@ def test_the_forces_balance_from_any_guess(shape, contacts):
     assert np.any(np.abs(force) < 0.99 * setups[2])
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences():
     speed, stiffness, largest, fall, _, guess = (values[:20] for values in random_setups(3))
     width = jnp.full(20, 0.3)

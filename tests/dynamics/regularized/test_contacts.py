@@ -107,6 +107,7 @@ def shown(one, number):
     return np.asarray(sticks.start)[mask], np.asarray(sticks.end)[mask]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [pytest.param({"step": 1e-3}, id="fixed"), ADAPTIVE])
 def test_three_blocks_converge_to_the_exact_events(how):
     """With order 1: errors of all events and positions halve with the width, to a tenth."""
@@ -135,6 +136,7 @@ def test_three_blocks_converge_to_the_exact_events(how):
         np.testing.assert_allclose(coarse / fine, 2.0, rtol=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["linear", pytest.param("tanh", marks=pytest.mark.slow)])
 def test_fixed_steps_follow_the_equations(shape):
     """Coupled contacts, one of which opens, against scipy; a second-order method gains 4 by half the step."""
@@ -158,6 +160,7 @@ def test_adaptive_steps_follow_the_equations(shape):
     np.testing.assert_allclose(jnp.stack(one.final_state), radau_of_stack(shape), atol=2e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "error"),
     [({"step": 2e-3}, 2e-5), pytest.param({"rtol": 1e-9}, 2e-8, marks=pytest.mark.slow)],
@@ -184,6 +187,7 @@ def test_sticks_are_those_of_the_exact_engine():
         np.testing.assert_array_equal(one.sticks.ending[:count], other.sticks.ending[:count])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [pytest.param({"step": 2e-3}, id="fixed"), ADAPTIVE])
 def test_a_clutch_that_is_opened_and_closed(how):
     """Its stick ends where the force jumps to zero, and begins where it is closed at rest; open, nothing sticks.
@@ -204,6 +208,7 @@ def test_a_clutch_that_is_opened_and_closed(how):
     np.testing.assert_allclose(one.final_state[2:], [1.0, 1.0], atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["linear", pytest.param("arctan", marks=pytest.mark.slow)])
 def test_one_contact_of_a_list_is_the_mass_alone(shape):
     """Two programs for one motion: the scalar balance of one contact, and that of a list with one entry."""
@@ -222,6 +227,7 @@ def test_one_contact_of_a_list_is_the_mass_alone(shape):
     assert float(one.method.threshold) == pytest.approx(float(other.method.threshold[0]), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_differences(mode):
     """By a friction coefficient and an entry of the mass matrix, of the end and of a stick's start."""
@@ -296,6 +302,7 @@ def test_adaptive_samples_of_one_contact_are_single_runs():
         assert float(one.stick_time) == pytest.approx(float(many.totals.stick_time[sample]), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_static_above_kinetic_friction_in_adaptive_steps():
     """One mass of a list against the exact engine: releases at the static limit."""
     contact = ss.Contact(np.ones(1), 4.0, ss.Coulomb(0.25, 0.375))

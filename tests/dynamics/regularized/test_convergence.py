@@ -20,6 +20,7 @@ def study():
     return loaded("docs/regularized_study.py")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["linear", "tanh"])
 def test_errors_fall_with_the_width(study, shape):
     """Trajectory and begin of sticks by a factor of 5 in a decade at least; in theory 10, and 7.7 for tanh.

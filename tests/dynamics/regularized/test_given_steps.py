@@ -70,6 +70,7 @@ def spring_rates(k, cubic, push, tone):
     return rates
 
 
+@pytest.mark.slow_but_for("numbers2-0.2", "numbers5-0.005")
 @pytest.mark.parametrize(
     ("numbers", "step"),
     [((4.0, 0.0, 0.0, 1.0), 0.2), ((400.0, 0.0, 0.0, 1.0), 0.02), ((400.0, 0.0, 0.0, 1.0), 0.2),
@@ -85,6 +86,7 @@ def test_systems_of_users(numbers, step):
     np.testing.assert_allclose(found / largest, expected / largest, atol=1e-3 * radians + 5e-3)
 
 
+@pytest.mark.slow
 def test_one_that_would_need_too_many_steps():
     """No result that is wrong: the status tells."""
     numbers, y0 = (4e4, 0.0, 0.0, 1.0), (1.0, 0.0)
@@ -108,6 +110,7 @@ def cart_rates(cart, voltage):
     return rates
 
 
+@pytest.mark.slow_for("1000.0-0.0", "300.0-0.0")
 @pytest.mark.parametrize(("speed", "current"), [(300.0, 0.0), (1000.0, 0.0), (-300.0, 0.0), (0.0, 300.0), (0.0, 0.0)])
 def test_a_motor_that_starts_fast(speed, current):
     """The voltage does not tell the speed of the start. At 1000 rad/s a step of 1 ms was off by 33 rad."""
@@ -132,6 +135,7 @@ def test_derivatives_do_not_see_how_long_steps_are():
     np.testing.assert_allclose(slope, above - below, atol=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("options", [{}, {"step": 0.01}], ids=["adaptive", "fixed"])
 def test_accelerations_that_are_no_numbers(bad, options):

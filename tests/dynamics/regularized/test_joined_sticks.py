@@ -74,6 +74,7 @@ def detected(t, velocity, slope, normal, normal_slope):
     return jax.lax.scan(one, start_joining(criterion, seen(0), none, ALL), jnp.arange(STEPS + 1))[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_contacts_and_all_at_once(seed):
     """Against the same rule on a fine grid."""

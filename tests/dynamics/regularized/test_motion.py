@@ -54,6 +54,7 @@ def test_against_scipy(shape, law):
         np.testing.assert_allclose(evaluate_compiled(runs[2], times), states, atol=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", PHI)
 @pytest.mark.parametrize("law", LAWS)
 def test_coefficient(shape, law):
@@ -68,6 +69,7 @@ def test_coefficient(shape, law):
         assert found[-1] == pytest.approx(0.5, abs=1e-4)
 
 
+@pytest.mark.slow_but_for("None-rational", "None-tanh", "None-linear")
 @pytest.mark.parametrize("shape", PHI)
 @pytest.mark.parametrize("slides", [None, 0.0, 1.0])
 def test_the_friction_of_an_implicit_stage(shape, slides):
@@ -105,6 +107,7 @@ def test_the_friction_of_an_implicit_stage(shape, slides):
     np.testing.assert_allclose(found, expected, rtol=1e-10 if slides is None else 1e-5)
 
 
+@pytest.mark.slow
 def test_fixed_steps_are_stable_for_any_width():
     base = ss.PoissonSwitching(1.0, 1.0).sample(jax.random.key(3), 50.0, capacity=SLOTS)
     exact = simulate_compiled(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0)), base, 50.0, (0.0, 1.0))
@@ -244,6 +247,7 @@ def along_seed(fixed, **options):
     return tangent
 
 
+@pytest.mark.slow
 def test_forward_derivatives_of_fixed_steps():
     along_seed(True)
 
@@ -261,6 +265,7 @@ def test_derivatives(fixed):
     np.testing.assert_allclose([back[name] for name in POINT], slopes, rtol=3e-4, atol=1e-3 if fixed else 0)
 
 
+@pytest.mark.slow
 def test_vmap_in_float32():
     """Over width and friction; 250 steps of a few units in the last place."""
     items = [as_floats(case(mu=mu, width=width, pace=0.02)) for mu, width in ((0.6, 0.1), (0.3, 0.02))]
@@ -290,6 +295,7 @@ class Own(ss.SwitchedSystem):
         return y[1] - base.velocity
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fixed", [False, True])
 def test_a_system_written_by_hand(fixed):
     """The same steps, with thresholds given by hand; another width and threshold need no compilation."""
@@ -358,6 +364,7 @@ def assert_is_the_cart_of_scipy(one, phase, start):
         assert np.min(np.abs(passages - instant)) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_cart():
     start = (0.7, 0.0, 0.0)
     one = ss.simulate(CART, ss.SourceVoltage(0.0, 2.0, 10.0, phase=jnp.asarray(0.8)), y0=start, **CART_OPTIONS)

@@ -146,6 +146,7 @@ def check(rows, name, where, how, bound):
     assert not {tuple(rows[i]): error[i] for i in np.flatnonzero(error > bound)}
 
 
+@pytest.mark.slow
 def test_a_few_short_excitations():
     check(drawn(1, 4, 0.1), "Dahl", "base", "default", 0.01)
 
@@ -206,6 +207,7 @@ ALL = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 @pytest.mark.parametrize(
     ("name", "load", "x64"), [*QUICK, *(pytest.param(*one, marks=pytest.mark.slow) for one in ALL if one not in QUICK)]

@@ -53,6 +53,7 @@ def orders(widths, errors):
 QUICK = [shape if shape == "linear" else pytest.param(shape, marks=pytest.mark.slow) for shape in PHI]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", QUICK)
 def test_instants_converge_in_fixed_steps(shape):
     """For narrow widths, which the steps do not resolve, the errors are of first order, for all shapes."""
@@ -118,6 +119,7 @@ def strong(width, step, ratio=8.0):
     return ss.simulate(system, base, t1=8.0, y0=(-7.0, 0.0), method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [8.0, pytest.param(1000.0, marks=pytest.mark.slow)])
 def test_no_step_jumps_over_a_stick(ratio):
     exact = strong(None, None, ratio)
@@ -130,6 +132,7 @@ def test_no_step_jumps_over_a_stick(ratio):
         np.testing.assert_allclose(one.final_state, exact.final_state, atol=8 * width + 0.2 * step)
 
 
+@pytest.mark.slow
 def test_derivatives_through_releases():
     """Of all instants and the end by both coefficients; forward, and reverse along one direction."""
     width = jnp.array([1e-6] * 5)

@@ -112,6 +112,7 @@ def test_refused(call, message):
     assert str(caught.value).endswith(".")
 
 
+@pytest.mark.slow
 def test_out_of_steps_is_reported():
     """With the room of 10 s, for which another test compiles the same function."""
     one = run(t1=100.0, method=ss.Exact(max_steps=ROOM))
@@ -127,6 +128,7 @@ def test_ensembles_out_of_steps_are_reported():
     assert many.finished == 0
 
 
+@pytest.mark.slow
 def test_a_base_that_runs_out_is_reported():
     base = ss.PoissonSwitching(1.0, 1.0).sample(jax.random.key(0), 10.0, capacity=3)
     one = run(base=base, t1=100.0)

@@ -49,6 +49,7 @@ def uncoupled(mu, static=None):
 HARMONIC, SQUARE = ss.Harmonic(0.5, 0.7), ss.SquareWave(0.5, 6.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("base", "static"),
     [
@@ -96,6 +97,7 @@ def end_of_stack(mu, max_steps=None):
     return jnp.concatenate([jnp.stack(one.final_state), starts, one.stick_time])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mode", [pytest.param(jax.jacfwd, id="forward"), pytest.param(jax.jacrev, id="reverse", marks=pytest.mark.slow)]
 )
@@ -133,6 +135,7 @@ def test_what_sticks_together_moves_as_one_mass():
     assert np.allclose(one.final_state[::2], alone.final_state, rtol=0, atol=2e-10)
 
 
+@pytest.mark.slow
 def test_a_jump_of_the_base_asks_the_others_under_the_friction_that_it_starts():
     """Pushed by 3 N, held by at most 3.2 N: when the belt turns, the lower block is slowed, and the upper holds."""
     below, above = ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(3.2)), ss.Contact.between(1, 0, 2, 1.0, ss.Coulomb(1.0))
@@ -144,6 +147,7 @@ def test_a_jump_of_the_base_asks_the_others_under_the_friction_that_it_starts():
     np.testing.assert_allclose(one.final_state[2:], 0.9, rtol=1e-14)  # both are slowed down by 0.1 m/s^2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contacts", [2, 5, 6])
 def test_what_has_broken_settles_before_another_breaks(contacts):
     """Contacts at rest under random loads, coupled, static above kinetic friction, against the reference's cases."""
@@ -295,6 +299,7 @@ SLOW = {
 }
 
 
+@pytest.mark.slow_for("mass-float32", "structure-float64", "user's system-float64")
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 @pytest.mark.parametrize(
     ("name", "dtype"),

@@ -49,6 +49,7 @@ def test_none_of_many_random_trajectories_stops_at_a_release():
         assert longest.finished == 4000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", [10.000001, 12, 16, 23])
 def test_accepted_steps_give_the_same_sticks(parts):
     """With ten steps in a period each release is followed by a slip of 0.02 s that one step looks over."""
@@ -103,6 +104,7 @@ def test_doubts_see_every_edge():
         assert np.all(seen(side)[1] > 0)
 
 
+@pytest.mark.slow
 def test_doubts_see_races_with_the_horizon():
     """A stick (a slip) that ends within 1e-12 s of the horizon; and one that does not."""
     number, _, start, end = seen([1.0])

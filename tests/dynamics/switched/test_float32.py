@@ -60,6 +60,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("a user's system", marks=pytest.mark.slow), "motor and cart"])
 def test_a_slip_of_round_off_ends(name):
     simulate, drawn, chosen = CASES[name]
@@ -80,6 +81,7 @@ def test_a_slip_of_round_off_ends(name):
     assert np.all(np.abs(stick_time - expected) < 2e-3 * expected + 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 @pytest.mark.parametrize("method", [ss.Exact(step=1e-2), ss.Regularized(0.1, step=1e-3)])
 def test_many_steps_lose_no_digits_of_the_time(method):
@@ -100,6 +102,7 @@ def test_many_steps_lose_no_digits_of_the_time(method):
     assert float(one.final_state[1]) == pytest.approx(velocity, abs=4e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 def test_carts_that_turn_do_not_stick_at_dead_centre():
     """There the cart rests for an instant, at full speed of its motor: friction has no lever, and nothing to hold.

@@ -45,6 +45,7 @@ def system_of(law=LAWS["Coulomb"]):
     return ss.MassSpring(1.0, 1.0, 1.0, law)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Coulomb", "weakening", pytest.param("Stribeck", marks=pytest.mark.slow)])
 def test_a_mass_that_starts_with_the_base_does_not_stick(name):
     """Its free vibration is ``0.5 sin t``; at first no force is needed to stay on the base."""
@@ -54,6 +55,7 @@ def test_a_mass_that_starts_with_the_base_does_not_stick(name):
     np.testing.assert_allclose(one.final_state, right, rtol=0, atol=1e-12 if name == "Coulomb" else 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [(0, 1, 0, -1, 0), (0, 0, -1, 1, 0.5)])
 def test_a_ground_record_that_begins_at_zero(values):
     values = np.array(values, float)
@@ -69,6 +71,7 @@ def test_a_ground_record_that_begins_at_zero(values):
     np.testing.assert_allclose(one.final_state, y, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mean", [1.0, -1.0])
 def test_a_cart_without_friction_starts_either_way(mean):
     cart, voltage = ss.MotorCart(mu=0.0), ss.SourceVoltage(mean, 0.5, 7.0)
@@ -88,6 +91,7 @@ def test_a_cart_without_friction_starts_either_way(mean):
     np.testing.assert_allclose(one.final_state, right, rtol=2e-6)  # of the cart's default step
 
 
+@pytest.mark.slow
 def test_the_derivative_by_friction_at_none_is_that_from_above():
     def position(mu):
         system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(mu))
@@ -97,6 +101,7 @@ def test_the_derivative_by_friction_at_none_is_that_from_above():
     assert jax.grad(position)(0.0) == pytest.approx(float(position(small) - position(0.0)) / small, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 @pytest.mark.parametrize("x64", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [ss.Coulomb, lambda mu: ss.Stribeck(mu, mu, 0.3)])
@@ -117,6 +122,7 @@ def test_derivatives_of_a_mass_that_stays_at_rest(method, law, x64):
         assert float(jax.grad(position)(0.1, 0.0, 0.0, 0.0)) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["structure", "own", "cart"])
 def test_friction_has_no_effect_on_what_stays_at_rest(kind):
     def final(mu):
@@ -131,6 +137,7 @@ def test_friction_has_no_effect_on_what_stays_at_rest(kind):
     np.testing.assert_allclose(jax.jacfwd(final)(0.0), 0, rtol=0, atol=1e-30)
 
 
+@pytest.mark.slow
 def test_ensembles_and_intervals_do_not_stick():
     law, run = ss.PoissonSwitching(0.5, 1.0), {"t1": 20.0, "y0": (0.0, 0.5)}
     for method in (ss.Exact(), ss.Exact(step=0.1)):
@@ -138,6 +145,7 @@ def test_ensembles_and_intervals_do_not_stick():
         assert (many.finished, float(many.statistics.stick_count.mean)) == (16, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Coulomb", pytest.param("Stribeck", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("base", [ss.Constant(0.0), ss.Harmonic(0.0, 1.0)])
@@ -151,6 +159,7 @@ def test_a_mass_that_stays_at_rest_does_not_stick(name, method, base):
     assert (many.finished, float(many.statistics.stick_count.mean), many.near_grazing_samples) == (2, 0, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [METHODS[0], *METHODS[2:]])
 def test_of_two_contacts_at_rest_only_the_one_with_friction_sticks(method):
     contacts = [ss.Contact.of_mass(i, 2, 1.0, ss.Coulomb(mu)) for i, mu in enumerate([0.0, 0.3])]

@@ -86,6 +86,7 @@ def exact_under_loads(mu, x, p, twelfths, velocities, loads):
     return np.array(sticks, float).reshape(-1, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", [40, pytest.param(400, marks=pytest.mark.slow)])
 def test_steps_of_the_normal_force_on_one_lattice(lanes):
     """The contact opens, closes, presses more or less where the base jumps, where the mass arrives or is released."""
@@ -110,6 +111,7 @@ def test_steps_of_the_normal_force_on_one_lattice(lanes):
     assert mask.sum() > lanes
 
 
+@pytest.mark.slow
 def test_a_base_that_comes_to_rest_as_the_mass_does():
     """Between kinetic and static friction the mass sticks, or if the base rests an instant later slips on: it is told.
 

@@ -83,6 +83,7 @@ def as_arrays(values):
     return {name: jnp.asarray(value) for name, value in values.items()}
 
 
+@pytest.mark.slow
 def test_derivatives_against_the_reference():
     """Of event times, positions and the final state by fourth-order differences (error 1e-7)."""
     point = as_arrays(POINT)
@@ -106,6 +107,7 @@ def test_reverse_derivatives_are_the_forward_ones():
         np.testing.assert_allclose(reverse[name], forward[name], rtol=1e-9, atol=1e-10, err_msg=name)
 
 
+@pytest.mark.slow
 def test_jit_vmap_and_float32():
     starts = jnp.linspace(-2, 2, 5)
     point = as_arrays(POINT)
@@ -169,6 +171,7 @@ def test_energy_closes_to_the_order_of_the_flow():
 coefficients = st.floats(0.05, 2.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(
     mu=coefficients, extra=st.floats(0, 1), damping=st.floats(0.01, 3), push=st.floats(0, 3), swing=st.floats(0, 3),
@@ -221,6 +224,7 @@ def followed(values):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_mirror_image():
     """x, v and F turned round: the same events."""
     system, base, y0 = build()
@@ -260,6 +264,7 @@ def test_streamed_accelerograms_equal_sampled_ones():
     np.testing.assert_allclose(many.sticks.start[2, :count], one.sticks.start[:count], rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("max_steps", [None, 256])
 def test_room_for_a_stick_in_every_interval(max_steps):
     """Each jump of the base ends a stick and the next begins before the next jump: none is dropped."""

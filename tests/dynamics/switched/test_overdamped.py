@@ -37,6 +37,7 @@ def final(system, base, t1, y0, method=None):
     return np.array([float(value) for value in one.final_state])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "ratio", [256.0, *(pytest.param(ratio, marks=pytest.mark.slow) for ratio in (2.0, 16.0, 5000.0))]
 )
@@ -48,6 +49,7 @@ def test_weakening_friction_with_heavy_damping(ratio):
     np.testing.assert_allclose(final(system, base, 3.0, START), right, rtol=0, atol=2e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [pytest.param(1.0, marks=pytest.mark.slow), 12.0])
 def test_viscous_friction_damps_too(exponent):
     law = ss.Stribeck(0.5, 0.6, 0.7, exponent=exponent, viscous=64.0)
@@ -63,6 +65,7 @@ def test_viscous_friction_damps_too(exponent):
     np.testing.assert_allclose(found, right, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_steep_friction_passed_fast_is_followed():
     """A mass with thirty times the friction force in its spring passes the Stribeck speed in a step or two."""
     law, method = ss.Stribeck(1.0, 1.5, 0.05, exponent=2.0), ss.Exact(max_steps=2048)
@@ -104,6 +107,7 @@ def test_closed_form_with_heavy_damping(damping, record):
     np.testing.assert_allclose(final(system, ss.Constant(-2.0), 20.0, (0.3, 0.0)), right, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_single_precision_creeps_too():
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.5), damping=1e4)
     y0 = (jnp.float32(0.3), jnp.float32(0.0))
@@ -113,6 +117,7 @@ def test_single_precision_creeps_too():
     assert float(one.final_state[0]) == pytest.approx(0.29840161, abs=3e-6)
 
 
+@pytest.mark.slow
 def test_given_steps_are_shortened_where_the_damping_is_not_known_before_the_call():
     """Under jit a step that is too long cannot be refused."""
 

@@ -47,6 +47,7 @@ def demanded(kind: str, case: Case) -> dict[str, Any]:
     return {"tolerance": CLOSED}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [
@@ -202,6 +203,7 @@ def test_random_phases():
         assert_agrees(case._replace(base=case.base._replace(phases=tuple(phases))))
 
 
+@pytest.mark.slow
 def test_artificial_accelerograms():
     """A realisation of `KanaiTajimi` is a recorded ground acceleration; the reference reads its samples."""
     sticks = 0

@@ -63,6 +63,7 @@ def differences(seed, contacts, coupled=None, varying=False):
     return off, np.max(np.abs(np.array(ours) - np.array(sticks)), initial=0.0), told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coupled", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_structures(coupled):
     state, times, told = differences(3, 3, coupled)
@@ -71,6 +72,7 @@ def test_structures(coupled):
     assert times < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coupled", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_structures_whose_contacts_open_and_close(coupled):
     state, times, told = differences(4, 3, coupled, varying=True)

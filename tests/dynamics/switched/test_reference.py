@@ -26,6 +26,7 @@ FORCED = Case(
 FREE = Case(1.0, 1.0, 1.0, coulomb(0.4), Steps((1000.0,), (0.0,)), 20.0, (3.0, 0.0))
 
 
+@pytest.mark.slow
 def test_leine_orbit():
     """A solver flow (order 8): events and states to 1e-9."""
     sticks = filled(LEINE.follow(step=None).simulation)
@@ -41,6 +42,7 @@ def test_leine_orbit():
     np.testing.assert_allclose(LEINE.follow(step=None).simulation.evaluate(periods)[0], LEINE.y0[0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_forced_mass_on_a_moving_base():
     followed = FORCED.follow()
     sticks = filled(followed.simulation)
@@ -52,6 +54,7 @@ def test_forced_mass_on_a_moving_base():
     assert int(followed.simulation.slips.count) == 3
 
 
+@pytest.mark.slow
 def test_free_oscillation_comes_to_rest():
     """Turns at n pi with x = -2.2, 1.4, -0.6 (exact), rests at -0.2 from 4 pi on."""
     followed = FREE.follow(step=0.3)
@@ -64,6 +67,7 @@ def test_free_oscillation_comes_to_rest():
     assert [ss.Ending(code) for code in sticks.ending] == [ss.Ending.HORIZON]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("b", "ratio"), [(0.8, 0.2), (0.8, 0.5), (1.5, 0.3), (2.0, 0.2)])
 def test_den_hartog_amplitude(b, ratio):
     """Started on the steady no-stop motion, which is known: it stays there, and never sticks.
@@ -87,12 +91,14 @@ def test_den_hartog_amplitude(b, ratio):
     assert len(turns) in (15, 16)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [LEINE, FORCED, FREE], ids=["Leine", "forced", "free"])
 def test_the_reference_agrees(case):
     errors = errors_against(case.reference(), case, case.follow(step=0.1))
     assert max(errors) < (1e-9 if case is LEINE else 1e-11), errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", [(-1.0, 1.0), (-1.0, 0.0, 0.5, 1.0)], ids=["two levels", "four levels"])
 @pytest.mark.parametrize("w", [0.2, 1.0, 4.0])
 def test_both_engines_agree(w, levels):
@@ -121,6 +127,7 @@ def test_both_engines_agree(w, levels):
     assert compared > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "order"),
     [

@@ -30,6 +30,7 @@ def continued(mu, base, y, t0=T0, resting=None, steps=512):
     return at(jnp.asarray(TIMES, dtype)), run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BASES)
 def test_a_motion_goes_on_from_any_time(name):
     base = BASES[name]
@@ -41,6 +42,7 @@ def test_a_motion_goes_on_from_any_time(name):
     assert float(done.time_reached) == 20.0
 
 
+@pytest.mark.slow
 def test_contacts_begin_at_rest_where_they_are_told_to():
     """Static friction above kinetic holds a mass on the base; with a small relative velocity it would slip."""
     near = jnp.asarray(0.3), jnp.asarray(0.3 - 1e-3)

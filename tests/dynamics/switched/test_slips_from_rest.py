@@ -77,6 +77,7 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name == "own pair" else name for name in SYSTEMS]
 )
@@ -99,6 +100,7 @@ def test_derivatives_of_the_side_to_which_it_slips(name):
         np.testing.assert_allclose(derivative, (4 * at[1] - 3 * at[0] - at[2]) / (2 * small), rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_motor_that_starts():
     cart, voltage = ss.MotorCart(mu=0.2), ss.SourceVoltage(5.0, 5.0, 7.0)
 
@@ -114,6 +116,7 @@ def test_a_motor_that_starts():
     np.testing.assert_allclose(derivative, (4 * at[1] - 3 * at[0] - at[2]) / (2 * small), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_time_steps_and_closed_form_agree():
     def final(velocity, base, method):
         system = spring(ss.Coulomb(0.5))

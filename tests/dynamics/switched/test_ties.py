@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import jax
 import numpy as np
+import pytest
 
 import stickslip_jax as ss
 
@@ -48,6 +49,7 @@ def followed(start, mu, forces):
     return one.status, one.sticks.start[0], one.sticks.end[0], one.near_grazing_count
 
 
+@pytest.mark.slow
 def test_sticks_hold_at_the_limit_itself():
     numbers = lattice(0)
     status, start, end, near = (np.asarray(values) for values in followed(*numbers))
