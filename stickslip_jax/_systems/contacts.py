@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jax.tree_util import Partial
 from jaxtyping import Array
 
-from .._excitation.motion import Harmonic, Signal, SumOfHarmonics
+from .._excitation.motion import Harmonic, Motion, Signal, SumOfHarmonics
 from .._excitation.recorded import ForceSteps, Recorded
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity, is_distribution
@@ -55,8 +55,8 @@ class ForceQuantity(Quantity):
         return isinstance(value, _FUNCTIONS)
 
     def check(self, name: str, value: object) -> None:
-        is_other = callable(value) or isinstance(value, eqx.Module)
-        if is_other and not (self.is_function(value) or is_distribution(value) or checks.is_traced(value)):
+        is_other = isinstance(value, Motion) or (callable(value) and not is_distribution(value))
+        if is_other and not self.is_function(value):
             hint = "of a function of your own make a signal, ss.Signal.of(function, shortest_period=...)"
             demand = f"be a number (in {self.unit}), a Signal such as Harmonic, a Recorded or a ForceSteps"
             raise checks.refused(name, demand, value, hint)

@@ -486,7 +486,7 @@ class MassSpringConfig(section_of(MassSpring, "model", _USUAL, base=WithFriction
     driven_by_voltage: ClassVar[bool] = False
     mu: float | None = _MU
     friction: FrictionConfig | None = FRICTION
-    force: ForceConfig | None = about("external force on the mass", None)
+    force: ForceConfig | None = about("external force on the mass, N", None)
 
 
 _, _CART_MU = key_of(MotorCart, "mu", default=USUAL_MU)

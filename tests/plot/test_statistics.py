@@ -361,7 +361,7 @@ def test_bad_arguments(many, annotations_unchecked):
             plot.stick_raster,
             (many,),
             {"window": (0.0, 41.0)},
-            r"window must be two times \(in s\) with 0 <= t_a < t_b <= t1 = 40",
+            r"window must be two times \(in s\) with 0 <= t_a < t_b <= 40, the end",
         ),
         (plot.stick_raster, (many,), {"window": (3.0, 3.0)}, "window must be two times"),
         (plot.stick_raster, (many,), {"window": ("now", 3.0)}, "window must be two times"),

@@ -256,7 +256,7 @@ def test_the_time_that_is_left_follows_from_the_log(tmp_path):
 
 
 def test_loading_does_not_warn_of_a_precision_that_only_a_run_has(finished):
-    with jax.experimental.disable_x64(), warnings.catch_warnings():
+    with jax.enable_x64(False), warnings.catch_warnings():
         warnings.simplefilter("error")
         assert ss.Sweep.load(finished).points == 6
 
