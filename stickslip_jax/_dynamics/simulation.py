@@ -135,7 +135,8 @@ def _forces(
         # The power of friction is linear in the force, and minus the velocity its slope.
         velocity = jnp.where(now, 0, -known.powers(forcing, y, jnp.ones_like(time)).dissipated["friction"])
         inside = (time >= 0) & (time <= last)
-        return tuple(jnp.where(inside, one, jnp.nan) for one in (known.friction_force(y, coefficient), velocity))
+        force = known.friction_force(y, coefficient)
+        return jnp.where(inside, force, jnp.nan), jnp.where(inside, velocity, jnp.nan)
 
     return jax.vmap(at)(times)
 

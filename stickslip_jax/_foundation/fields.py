@@ -161,8 +161,8 @@ def in_one_line(value: object) -> str:
     if isinstance(value, (tuple, list)):
         inside = ", ".join(map(in_one_line, value[:_FEW])) + (", ..." if len(value) > _FEW else "")
         return f"({inside}{',' * (len(value) == 1)})" if isinstance(value, tuple) else f"[{inside}]"
-    is_array = isinstance(value, (np.generic, np.ndarray, jax.Array)) and not checks.is_traced(value)
-    if not is_array or value.dtype.kind not in "biuf":
+    is_array = isinstance(value, (np.generic, np.ndarray, jax.Array))
+    if not is_array or checks.is_traced(value) or value.dtype.kind not in "biuf":
         return " ".join(repr(value).split())
     array = np.asarray(value)
     if array.ndim == 0 or array.size <= _FEW:

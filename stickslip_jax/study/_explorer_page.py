@@ -145,7 +145,9 @@ class _Process:
     """A process that computes one thing after the other. `end` ends it at once, whatever it does."""
 
     def __init__(self) -> None:
-        self._connection, self._process, self._is_over = None, None, False
+        self._connection: Any = None
+        self._process: Any = None
+        self._is_over = False
 
     def compute(self, message: bytes, told: Callable[[str], object]) -> Any:
         """What a pickled task returns; `told` hears "compiling" and "simulating".

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from bokeh.models import BasicTickFormatter, ColumnDataSource, Range1d
+from bokeh.models import BasicTicker, BasicTickFormatter, ColumnDataSource, Range1d
 from bokeh.plotting import figure
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import PdfPages
@@ -149,7 +149,9 @@ def without_unit(label: str) -> str:
 def in_words(said: str, numbers: Sequence[MovableNumber]) -> str:
     """What the package says of a scene, with the names that its numbers have in the page, and without those of code."""
     names = {one.name: without_unit(one.label) for one in numbers}
-    names |= {one.path[-1]: label for one, label in zip(numbers, names.values(), strict=True) if one.path[0] != "y0"}
+    names |= {
+        str(one.path[-1]): label for one, label in zip(numbers, names.values(), strict=True) if one.path[0] != "y0"
+    }
     known = sorted((name for name in names if name in _NAMES or "_" in name or "." in name), key=len, reverse=True)
     any_of = "|".join(map(re.escape, known))
     said = re.sub(rf"(?<![\w.])(?:{any_of})(?![\w\]])", lambda of: names[of[0]], said)
@@ -693,7 +695,7 @@ def _figure(title: str, x_label: str, y_label: str, height: int = _HEIGHT, **opt
     plot.axis.axis_label_text_font_style = "normal"
     plot.axis.formatter = BasicTickFormatter(power_limit_low=-4)
     plot.axis.minor_tick_line_color = None
-    plot.xaxis.ticker.desired_num_ticks = 5  # which a telephone has room for
+    plot.xaxis.ticker = BasicTicker(desired_num_ticks=5)  # which a telephone has room for
     plot.grid.grid_line_alpha = 0.4
     return plot
 
