@@ -152,6 +152,7 @@ def motion_of(base: BaseMotion, name: str = "base") -> Motion:
     if _is_users(base):
         return UserMotion(base)
     if _is_number(base):
+        checks.bounded(name, base, "m/s")
         return Constant(base)
     hint = ""
     if callable(base) and not isinstance(base, type):

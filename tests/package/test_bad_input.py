@@ -184,7 +184,7 @@ def test_system_must_be_a_system(value):
     refuses(lambda: run(system=value), "system", value)
 
 
-@pytest.mark.parametrize("value", [3, "abc", None, ss.Constant, jnp.ones(3)], ids=show)
+@pytest.mark.parametrize("value", [NAN, "abc", None, ss.Constant, jnp.ones(3)], ids=show)
 def test_base_must_be_a_base(value):
     refuses(lambda: run(base=value), "base", value)
 
