@@ -2,7 +2,6 @@
 how many programs of how many operations it compiles.
 """
 
-import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,12 @@ MOST = 2  # compilations of each; they vary little
 
 
 def _operations(name: str, *options: str) -> list[int]:
-    """Of each program that the case compiles, operations before XLA makes them fewer (instructions of its HLO)."""
+    """Of each program that the case compiles, operations before XLA makes them fewer (of its StableHLO)."""
     with tempfile.TemporaryDirectory() as folder:
-        flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_dump_to={folder} --xla_dump_hlo_as_text"
-        own = Worker(*options, XLA_FLAGS=flags, JAX_ENABLE_COMPILATION_CACHE="false", STICKSLIP_PROGRAMS="off")
+        own = Worker(*options, JAX_DUMP_IR_TO=folder, STICKSLIP_PROGRAMS="off")
         own.prepare(f"compiled: {name}")
         own.close()
-        return [file.read_text().count(" = ") for file in Path(folder).glob("*before_optimizations.txt")]
+        return [file.read_text().count(" = ") for file in Path(folder).glob("*.mlir")]
 
 
 def measure(bench: Bench) -> list[dict[str, Any]]:
