@@ -331,9 +331,10 @@ def draw_quantiles(ax: Axes, shares: Sequence[float], value_at: Callable[[float]
     `shares`: of the values, each between 0 and 1; `value_at` says where. Raises ValueError for other shares.
     """
     checks.bounded("quantiles", np.asarray(shares, float), above=0, below=1, ndim=1)
-    look, values = {"color": BASE, "zorder": 0.5}, [float(value_at(share)) for share in shares]
+    look, of_unit = {"color": BASE, "zorder": 0.5}, "" if unit == "1" else unit
+    values = [float(value_at(share)) for share in shares]
     for share, value in sorted(zip(shares, values, strict=True)):
-        ax.axvline(value, ls=":", lw=SLIP_WIDTH, label=quantity_label(f"{100 * share:g} %: {value:.4g}", unit), **look)
+        ax.axvline(value, ls=":", lw=SLIP_WIDTH, label=f"{100 * share:g} %: {value:.4g} {of_unit}".rstrip(), **look)
     if len(values) > 1:
         ax.axvspan(min(values), max(values), alpha=0.08, lw=0, **look)
 

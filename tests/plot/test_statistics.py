@@ -60,7 +60,7 @@ def test_quantiles_stand_behind_the_bars(many):
         for share, value in zip((5, 50, 95), found, strict=True):
             mark = line(ax, f"{share} %: ")
             assert mark.get_xdata() == pytest.approx([value] * 2)
-            assert mark.get_label() == f"{share} %: {value:.4g} (s)"
+            assert mark.get_label() == f"{share} %: {value:.4g} s"
             assert mark.zorder < bars
         band = [patch for patch in ax.patches if isinstance(patch, mpl.patches.Rectangle)][-1]
         assert (band.get_x(), band.get_x() + band.get_width()) == pytest.approx((found[0], found[2]))
