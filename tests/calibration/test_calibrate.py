@@ -60,6 +60,7 @@ def test_friction_of_a_slip_as_by_linear_regression():
     np.testing.assert_allclose(found.start["position"].standard_error, spread, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_twenty_seconds_with_one_per_cent_of_noise(found):
     found, noise = found
     assert found.converged

@@ -221,6 +221,7 @@ class TestCapacity:
             jax.jit(lambda mean: ss.SemiMarkovSwitching(ss.Exponential(mean), 1.0).sample(KEY, 1.0))(0.4)
 
 
+@pytest.mark.slow
 def test_sample_repeats_each_sample_of_an_ensemble():
     """To the last bit, as it does for the other laws of piecewise-constant velocity."""
     law = ss.SemiMarkovSwitching(ss.Weibull(2.0, 1.5), ss.Uniform(0.5, 1.0))

@@ -18,6 +18,7 @@ def outcome(base, method):
     return jnp.stack([one.sticks.count, one.stick_time, *one.final_state, one.status])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_equal_neighbours(method):
     def of(durations, velocities):

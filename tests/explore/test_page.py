@@ -60,6 +60,7 @@ def said(pane):
     return html.unescape(re.sub("<[^>]*>", " ", pane.object))
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_the_package():
     explorer = shown()
     write(control(explorer, "system.friction.mu"), "0.65")
@@ -83,11 +84,13 @@ def test_without_sticks():
     assert "No derivative by friction coefficient: too few sticks." in said(explorer.slope)
 
 
+@pytest.mark.slow
 def test_unit_of_a_difference_quotient():
     explorer = shown(law=ss.Harmonic(ss.Uniform(0.5, 0.9), 1.5), samples=40)
     assert re.search(r"± [0-9.]+ s \(central differences of [0-9.]+\)", said(explorer.slope))
 
 
+@pytest.mark.slow
 def test_pictures_are_those_of_the_sticks():
     scene = Scene(system(), ss.PoissonSwitching(0.9, 1.0), Y0, T1, SAMPLES)
     motion, found, many = motion_of(scene), statistics_of(scene), ensemble_of(scene)
@@ -141,6 +144,7 @@ def test_axes_hold_what_is_drawn():
             assert plot.y_range.start == 0 < data["top"].max() < plot.y_range.end <= 1.1 * data["top"].max()
 
 
+@pytest.mark.slow
 def test_base_with_random_numbers():
     """The realisation has those of the first sample."""
     scene = Scene(system(), ss.PoissonSwitching(ss.Uniform(0.5, 1.0), ss.Uniform(0.5, 2.0)), Y0, T1, 50, 0)
@@ -148,6 +152,7 @@ def test_base_with_random_numbers():
     assert float(realization(scene).stick_time) == pytest.approx(sticks.duration[: sticks.count[0]].sum(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_derivative_and_diagram_are_both_shown():
     explorer = shown(law=ss.SquareWave(0.9, 3.0), samples=20)
     explorer._tabs.active = 1
@@ -156,6 +161,7 @@ def test_derivative_and_diagram_are_both_shown():
     assert "Computing" not in said(explorer.slope)
 
 
+@pytest.mark.slow
 def test_moving_numbers_compiles_nothing():
     """Within the ranges of the sliders, of numbers that were moved before."""
     explorer = shown()
@@ -174,6 +180,7 @@ def test_moving_numbers_compiles_nothing():
     assert compiled == []
 
 
+@pytest.mark.slow_but_for("-1", "fast")
 @pytest.mark.parametrize("text", ["", "fast", "1;2", "nan", "-1", "0"])
 def test_bad_input_says_why_and_moves_nothing(text):
     explorer = shown()
@@ -264,6 +271,7 @@ class Own:
         return ss.Harmonic(jax.random.uniform(key, minval=0.5, maxval=1.0), 2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law",
     [
