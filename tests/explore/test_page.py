@@ -308,7 +308,7 @@ def test_what_takes_too_long_is_not_begun(name, value):
     table = explorer.statistics.object
     write(control(explorer, name), value)
     told = said(explorer._alert)
-    assert re.match(
+    assert re.search(
         r"This was not begun: it would take about [0-9,]+ (s|minutes|hours|days) and up to [0-9.,]+ GB", told
     )
     assert explorer.statistics.object == table
