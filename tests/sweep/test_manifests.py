@@ -140,7 +140,7 @@ def test_manifest_with_other_points(copied, dimensions):
 @pytest.mark.parametrize("name", ["system", "law", "y0", "method"])
 def test_manifest_with_another_object(annotations_unchecked, copied, name):
     folder, _ = copied
-    rewrite(folder, lambda body: body["objects"].update({name: 5}))
+    rewrite(folder, lambda body: body["objects"].update({name: True}))
     with pytest.raises(ss.SweepError) as error:
         ss.Sweep.load(folder)
     one_sentence(error, f"{folder}: its manifest cannot be used (")

@@ -54,8 +54,8 @@ def test_batches_that_join_between_the_two_readings(begun, monkeypatch):
     folder, add_and_join = begun
     before, common_bins = stored_dataset(folder), dataset._common_bins
 
-    def joined_after(work):
-        found = common_bins(work)
+    def joined_after(*arguments):
+        found = common_bins(*arguments)
         add_and_join()
         return found
 

@@ -116,8 +116,8 @@ def test_folder_taken_away_at_the_end(tmp_path, monkeypatch):
     folder = tmp_path / "sweep"
     dataset_of = run_module.dataset_of
 
-    def taken(work):
-        found = dataset_of(work)
+    def taken(*arguments):
+        found = dataset_of(*arguments)
         for name in (".lock", *MANIFESTS):
             (folder / name).unlink()
         return found
