@@ -294,13 +294,7 @@ def histogram(
             demand = "be a whole number for a distribution, whose bins were fixed while it was summed"
             raise checks.refused("bins", demand, bins, "edges go with the sticks: histogram(ensemble, bins=edges)")
         drawn = result.histogram(None if bins is None else checks.whole_number("bins", bins))
-        number, name, unit, is_whole, value_at = (
-            result.number,
-            result.name,
-            result.unit,
-            result.is_whole,
-            result.quantile,
-        )
+        number, name, unit, is_whole, where = result.number, result.name, result.unit, result.is_whole, result.quantile
         # A bin of whole numbers is centred on its number.
         edges, heights, errors = drawn.edges - 0.5 * is_whole, drawn.density, drawn.error
         color, mean = _style.STICK if "stick" in name else _style.SERIES[0], result.mean if number else None
@@ -314,7 +308,7 @@ def histogram(
         edges = edges_of_bins("bins", DEFAULT_BINS if bins is None else bins, (0.0, longest), "s")
         counts, _ = np.histogram(duration, edges)
         heights, errors = counts / (max(number, 1) * np.diff(edges)), np.full(len(counts), np.nan)
-        text, value_at = outside(text, number - int(counts.sum())), partial(np.quantile, duration)
+        text, where = outside(text, number - int(counts.sum())), partial(np.quantile, duration)
     checks.text("label", label, or_none=True)
     text = text if label is None else f"{label}: {text}"
     ax = _style.axes_or_new(ax, (5.6, 3.8))
@@ -335,7 +329,7 @@ def histogram(
                 ax.axvspan(mean.value - error, mean.value + error, color=color, alpha=0.25, lw=0, zorder=0)
                 named += " (shaded: ±)"
             ax.axvline(mean.value, color=color, lw=_style.SLIP_WIDTH, ls="--", label=named)
-        _style.draw_quantiles(ax, quantiles, value_at, unit)
+        _style.draw_quantiles(ax, quantiles, where, unit)
         edges = np.concatenate([outline.get_data()[1] for outline in _outlines(ax)])
         ax.set_xlim(edges.min(), edges.max())
         ax.autoscale(axis="y")

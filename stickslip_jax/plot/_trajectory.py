@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .._compiler.programs import kept_jit
+from .._dynamics.common.method import Exact
 from .._dynamics.simulation import Simulation
 from .._excitation.motion import SourceVoltage
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
@@ -548,22 +549,33 @@ def friction_force(
     checks.chosen("over", over, list(_OVER))
     all_of_it = check_window(window, float(result.time_reached))
     phases, shown = phases_in(result, window) if over == "time" else (phases_of(result, all_of_it), all_of_it)
-    times, lengths = whole(phases, "times"), [len(phase.values["times"]) for phase in phases]
-    before, last = times.copy(), np.cumsum(lengths) - 1
+    times, numbers = whole(phases, "times"), [len(phase.values["times"]) for phase in phases]
+    before, last = times.copy(), np.cumsum(numbers) - 1
     before[last] = np.nextafter(times[last], times.dtype.type(0))  # just before a jump of the force at an event
-    force, velocity = (np.asarray(at(before), float) for at in (result.friction_force, result.relative_velocity))
-    steps = np.diff(times) * (velocity[1:] + velocity[:-1]) / 2
-    slip, lost = np.concatenate([[0.0], np.cumsum(steps)]), -np.sum(steps * (force[1:] + force[:-1]) / 2)
+    # Simpson's rule from each point to the next: the middles follow the points.
+    lengths = np.diff(times)
+    instants = np.concatenate([before, times[:-1] + lengths / 2])
+    force, velocity = (np.asarray(at(instants), float) for at in (result.friction_force, result.relative_velocity))
+
+    def steps(values: np.ndarray) -> np.ndarray:
+        ends, middles = values[: len(times)], values[len(times) :]
+        return lengths * (ends[:-1] + 4 * middles + ends[1:]) / 6
+
+    slip, lost = np.concatenate([[0.0], np.cumsum(steps(velocity))]), -np.sum(steps(force * velocity))
+    force, velocity = force[: len(times)], velocity[: len(times)]
     x = {"time": times, "relative velocity": velocity, "slip": slip}[over]
     ax = _style.axes_or_new(ax, (6.4, 3.2) if over == "time" else (5.0, 4.2))
     ax.plot(x, force, label="slip", **_style.MASS_LINE)  # whole, so that jumps are seen; sticks over it
-    sticks = np.repeat([phase.sticks for phase in phases], lengths)
+    sticks = np.repeat([phase.sticks for phase in phases], numbers)
     gaps = np.flatnonzero(sticks[1:] & ~sticks[:-1]) + 1
     drawn = (np.insert(np.where(sticks, values, np.nan), gaps, np.nan) for values in (x, force))
     if np.any(sticks):
         ax.plot(*drawn, label="stick", marker="o", ms=_style.STICK_WIDTH, mew=0, **_style.STICK_LINE)
     if over == "slip":
         ax.fill(x, force, color=_style.BAND, alpha=0.25, lw=0, zorder=0)
+        if isinstance(result.method, Exact):
+            with suppress(ValueError):  # energies of a `MotorCart` with the printed equation are not known
+                lost = float(np.diff(result.energies(np.array(all_of_it)).dissipated["friction"])[0])
         ax.plot([], [], ls="none", label=f"energy lost: {lost:.4g} J")
     ax.set_ylabel("friction force (N)")
     if over == "time":

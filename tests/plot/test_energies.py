@@ -70,14 +70,20 @@ def test_friction_force_over_time_and_relative_velocity(one):
         plot.friction_force(one, over="velocity")
 
 
-def test_the_area_of_a_hysteresis_loop_is_what_friction_dissipates():
+@pytest.mark.parametrize("base", [ss.Harmonic(1.0, np.pi), ss.SquareWave(1.0, 2.0)], ids=["harmonic", "square"])
+def test_the_area_of_a_hysteresis_loop_is_what_friction_dissipates(base):
+    """The slip is how far the mass has moved beyond the base, whose displacement is known."""
     period, t1 = 2.0, 16.0
-    shaken = ss.simulate(BELT, ss.Harmonic(1.0, 2 * np.pi / period), t1=t1)
-    ax = plot.friction_force(shaken, over="slip", window=(t1 - period, t1))
+    shaken = ss.simulate(BELT, base, t1=t1)
+    begin, end = t1 - 1.3 * period, t1 - 0.1 * period
+    ax = plot.friction_force(shaken, over="slip", window=(begin, end))
     slip, force = line(ax, "slip").get_data()
+    dissipated = np.diff(shaken.energies(np.array([begin, end])).dissipated["friction"])[0]
     area = -np.sum(np.diff(slip) * (force[1:] + force[:-1]) / 2)
-    dissipated = np.diff(shaken.energies(np.array([t1 - period, t1])).dissipated["friction"])[0]
-    assert area == pytest.approx(dissipated, rel=1e-3)
+    assert area == pytest.approx(dissipated, rel=1e-5)
     (told,) = [text.get_text() for text in ax.get_legend().get_texts() if "energy" in text.get_text()]
-    assert told == f"energy lost: {area:.4g} J"
+    assert told == f"energy lost: {dissipated:.4g} J"
+    moved = float(np.diff(shaken.evaluate(np.array([begin, end]))[0])[0])
+    of_base = 0.4 if isinstance(base, ss.SquareWave) else np.diff(np.sin(np.pi * np.array([begin, end])))[0] / np.pi
+    assert slip[-1] == pytest.approx(moved - of_base, abs=1e-6)
     assert ax.get_xlabel() == "slip (m)"
