@@ -80,7 +80,7 @@ BAD = [
     ({"t1": -1.0}, "Argument t1 must be positive"),
     ({"method": "exact"}, "Argument method must be"),
     ({"threads": 0}, "Argument threads must be"),
-    ({"law": 3.0}, "Argument law must be a base motion"),
+    ({"law": "3.0"}, "Argument law must be a base motion"),
     ({"realizations": 0}, "Argument realizations must be a whole number of at least 1"),
     ({"summaries": "sticks"}, "Argument summaries must be a function"),
 ]
