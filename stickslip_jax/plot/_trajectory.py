@@ -565,7 +565,10 @@ def friction_force(
     force, velocity = force[: len(times)], velocity[: len(times)]
     x = {"time": times, "relative velocity": velocity, "slip": slip}[over]
     ax = _style.axes_or_new(ax, (6.4, 3.2) if over == "time" else (5.0, 4.2))
-    ax.plot(x, force, label="slip", **_style.MASS_LINE)  # whole, so that jumps are seen; sticks over it
+    # Whole, so that jumps of the force are seen, sticks over it; but no line goes where the relative velocity jumps.
+    leaps = np.abs(np.diff(velocity)) > 1e-6 * float(np.ptp(velocity))
+    breaks = last[:-1][leaps[last[:-1]]] + 1 if over == "relative velocity" else []
+    ax.plot(*(np.insert(values, breaks, np.nan) for values in (x, force)), label="slip", **_style.MASS_LINE)
     sticks = np.repeat([phase.sticks for phase in phases], numbers)
     gaps = np.flatnonzero(sticks[1:] & ~sticks[:-1]) + 1
     drawn = (np.insert(np.where(sticks, values, np.nan), gaps, np.nan) for values in (x, force))

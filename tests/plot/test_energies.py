@@ -66,6 +66,9 @@ def test_friction_force_over_time_and_relative_velocity(one):
     assert ax.get_ylabel() == "friction force (N)"
     speed, force = line(plot.friction_force(one, over="relative velocity"), "slip").get_data()
     np.testing.assert_allclose(force[np.abs(speed) > 1e-9], -0.3 * np.sign(speed[np.abs(speed) > 1e-9]), rtol=1e-12)
+    on_steps = ss.simulate(BELT, ss.SquareWave(1.0, 2.0), t1=8.0)
+    speed, _ = line(plot.friction_force(on_steps, over="relative velocity"), "slip").get_data()
+    assert np.nanmax(np.abs(np.diff(speed))) < 0.5  # the base jumps by 2 m/s: no line goes there
     with pytest.raises(ValueError, match="Argument over must be one of 'time', 'relative velocity', 'slip', but"):
         plot.friction_force(one, over="velocity")
 
