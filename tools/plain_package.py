@@ -49,6 +49,11 @@ def every_public_name() -> None:
         assert all(getattr(module, name) is not None for name in public), module
 
 
+def sobol_indices() -> Any:
+    """Indices of two inputs, of outputs that are given."""
+    return ss.sobol_indices(1.0 + np.arange(24), ss.design.saltelli(4, ["mu", "mass"]))
+
+
 def figures() -> dict[str, Callable[[], object]]:
     """One call of each kind, and the figure of each result by the name of its function."""
     one = ss.simulate(SYSTEM, LAW.sample(KEY, T1), t1=T1, y0=(0.0, 1.0))
@@ -69,10 +74,12 @@ def figures() -> dict[str, Callable[[], object]]:
     assert np.isfinite(np.asarray(ss.LuGre(0.3, 0.4, 0.1, 1e3, 1.0).force(TIMES, np.sin(TIMES), 1.0))).all()
     assert nonlinear.periodic_orbit(BELT.system, BELT.law, y0=BELT.y0, iterations=5).state.shape == (2,)
     bound = ss.MotorCart(), ss.SourceVoltage()
+    indices = sobol_indices()
     return {
         "time_history": lambda: plot.time_history(one),
         "phase_portrait": lambda: plot.phase_portrait(one),
         "energies": lambda: plot.energies(one),
+        "friction_force": lambda: plot.friction_force(one),
         "animate": lambda: plot.animate(one, window=(0.0, 1.0), speed=1.0, fps=5).save("film.gif"),
         "save": lambda: plot.save(plot.time_history(one), "history.png"),
         "stick_raster": lambda: plot.stick_raster(many),
@@ -87,6 +94,7 @@ def figures() -> dict[str, Callable[[], object]]:
         "parameter_map": lambda: plot.parameter_map(
             [1.0, 2.0], [1.0, 2.0], np.eye(2), xlabel="a", ylabel="b", label="c"
         ),
+        "sobol_indices": lambda: plot.sobol_indices(indices),
         "sensitivity_curve": lambda: plot.sensitivity_curve([derivative]),
         "tornado": lambda: plot.tornado(derivatives),
         "calibration": lambda: plot.calibration(fitted),
@@ -99,8 +107,8 @@ def needing_an_extra() -> dict[str, Callable[[], object]]:
     one = ss.simulate(SYSTEM, LAW.sample(KEY, T1), t1=T1, y0=(0.0, 1.0))
     many = ss.simulate_ensemble(SYSTEM, LAW, **MANY, keep="sticks")
     sweep, starts = ss.Sweep(SYSTEM, LAW, over={"mu": [0.5, 1.0]}, **MANY), [BELT.y0]
-    repeating, outputs = {"system": BELT.system, "base": BELT.law}, np.ones(24)
-    indices = ss.sobol_indices(outputs + np.arange(24), ss.design.saltelli(4, ["mu", "mass"]))
+    repeating = {"system": BELT.system, "base": BELT.law}
+    indices = sobol_indices()
     return {
         "study": lambda: ss.study,
         "sweep": lambda: sweep.run(progress=False),
