@@ -52,7 +52,7 @@ Run = Callable[[int], Work]
 
 
 def _ensemble(keep: ss.Keep, threads: int, sizes: Sizes) -> Run:
-    """The default study from call to result."""
+    """The conference paper's study from call to result."""
 
     def run(number: int) -> Work:
         many = ss.simulate_ensemble(
@@ -66,7 +66,7 @@ def _ensemble(keep: ss.Keep, threads: int, sizes: Sizes) -> Run:
 
 
 def _uncertain(threads: int, sizes: Sizes) -> Run:
-    """The default study, each sample with its own mu, stiffness and start: as many intervals, about as many sticks."""
+    """The conference paper's study, each sample with its own numbers: as many intervals, about as many sticks."""
     moved = ss.MassSpring(
         mass=1.0, stiffness=ss.LogNormal(4.0, 0.1), normal_force=1.0, friction=ss.Coulomb(ss.Uniform(0.8, 1.2))
     )

@@ -1,4 +1,4 @@
-"""One million trajectories of the default study, with all their statistics: time and memory.
+"""One million trajectories of the conference paper's study, with all their statistics: time and memory.
 
 ``python -m benchmarks.million``; with ``totals`` as an argument, the engine alone.
 """

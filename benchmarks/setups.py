@@ -1,4 +1,4 @@
-"""What is simulated: the default study, ensembles in time steps, settings of regularised dynamics."""
+"""What is simulated: the conference paper's study, ensembles in time steps, settings of regularised dynamics."""
 
 from collections.abc import Callable
 from typing import Any

@@ -16,7 +16,7 @@ jax.config.update("jax_enable_x64", True)
 def belt(samples: int = 100_000, keep: str = "statistics") -> ss.Ensemble:
     """The default study: a base that flips its velocity once a second on average."""
     return ss.simulate_ensemble(
-        papers.belt_oscillator(),
+        papers.belt_oscillator(mu=0.8),
         ss.PoissonSwitching(speed=1.0, rate=1.0),
         t1=200.0,
         samples=samples,

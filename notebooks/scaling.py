@@ -42,7 +42,7 @@ FOLDER = Path(kept.name) / "mu_and_rate"
 # Nothing is simulated until `run`. Names of the parameters are those of the numbers in system and law.
 
 # %%
-system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
+system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=0.8))
 law = ss.PoissonSwitching(speed=1.0, rate=1.0)
 OVER = {"mu": [0.5, 0.8, 1.2, 1.6], "rate": [0.3, 0.6, 1.2, 2.4]}
 

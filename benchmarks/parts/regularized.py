@@ -1,4 +1,4 @@
-"""What regularised dynamics costs and how wrong it is: trajectories of the default study (200 s), on one thread.
+"""What regularised dynamics costs and how wrong it is: the conference paper's study (200 s), on one thread.
 
 The error is that of the mean stick fraction, against the exact engine on the same realisations. The last row is what
 the papers did: an explicit Runge-Kutta pair of order 4 and 5 whose steps are at most 1e-4 s.

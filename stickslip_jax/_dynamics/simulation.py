@@ -265,7 +265,7 @@ class Simulation(WithMethods):
         status: A `Status` code; 0 is FINISHED. With any other code do not use the numbers.
         near_grazing_count: Number of instants at which round-off decided whether there was an event: the relative
             velocity had an extremum near zero, or the force that a stick needs one near the friction limit; the mass
-            came to rest where friction could just hold it; or a jump of the base or the horizon came just before or
+            came to rest where friction could just hold it; or a jump of the base or the end came just before or
             after an event. Near means within about 1e-9 of the scale (float32: 1e-3). Where the motion is known in
             closed form: the number of intervals of the base in which an error of up to 256 units in the last place
             (float32: 64) would have decided; a slip tangent to the base velocity from which it was released is none.

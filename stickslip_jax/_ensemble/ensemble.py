@@ -246,8 +246,8 @@ class Ensemble(EnsembleData):
         else:
             notes.append(f"There is no stick{' but those that begin at t = 0' if begins_at_zero else ''}.")
         notes.append(
-            "Sticks and slips cut by the horizon count with the part before it. Entropies are those of histograms with "
-            "50 bins, or with one bin for each whole number."
+            "Sticks and slips cut by the end (HORIZON) count with the part before it. Entropies are those of "
+            "histograms with 50 bins, or with one bin for each whole number."
         )
         if begins_at_zero and not statistics.numbering.count_initial_rest:
             notes.append(

@@ -63,7 +63,7 @@ def complete_sticks(result: SimulatedSticks, *, also: str = "") -> tuple[np.ndar
     kept, left_out = used & ~cut, int(np.sum(used & cut))
     duration, position = (np.asarray(values, float)[kept] for values in (duration, sticks.position))
     label = (f"{len(duration):,} sticks" if len(duration) else "no sticks") + part
-    return duration, position, label + (f" ({left_out:,} more, cut by the horizon, left out)" if left_out else "")
+    return duration, position, label + (f" ({left_out:,} more, cut by the end, left out)" if left_out else "")
 
 
 def edges_of_bins(name: str, bins: Bins, span: tuple[float, float], unit: str) -> np.ndarray:

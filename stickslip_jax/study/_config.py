@@ -232,8 +232,8 @@ class FileConfig(Section):
 
 
 class StudyConfig(FileConfig):
-    """A whole study of one ensemble. The default is the oscillator of Lima and Sampaio's conference paper under Poisson
-    switching.
+    """A whole study of one ensemble. The default is the oscillator of Lima and Sampaio's conference paper, but with
+    mu = 0.8 in place of 1, under Poisson switching.
     """
 
     runs: ClassVar[_Runs] = _runs(MassSpringRunConfig, MotorCartRunConfig, StructureRunConfig)

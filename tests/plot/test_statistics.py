@@ -213,7 +213,7 @@ def test_maps_and_durations_of_the_sticks_retained(many):
         drawn = np.asarray(only(ax, mpl.collections.PathCollection).get_offsets())
         assert drawn.tolist() == np.column_stack([sticks.position, sticks.duration])[complete].tolist()
         part = " of the first 60 samples" if samples == 60 else ""
-        more = f" ({np.sum(used & ~complete):,} more, cut by the horizon, left out)"
+        more = f" ({np.sum(used & ~complete):,} more, cut by the end, left out)"
         assert [text.replace("\n", " ") for text in texts(ax)] == [f"{complete.sum():,} sticks{part}{more}"]
         assert texts(plot.histogram(ensemble)) == texts(ax)
 

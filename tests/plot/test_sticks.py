@@ -84,7 +84,7 @@ def test_map_of_all_sticks_in_half_a_circle(many):
     assert ax.get_xlim() == (0, np.pi)
     assert [tick.get_text() for tick in ax.get_xticklabels()][-1] == r"$\pi$"
     (text,) = ax.get_legend().get_texts()
-    assert text.get_text() == f"{complete.sum():,} sticks ({np.sum(~complete):,} more, cut by the horizon, left out)"
+    assert text.get_text() == f"{complete.sum():,} sticks ({np.sum(~complete):,} more, cut by the end, left out)"
 
 
 def test_map_shades_where_the_cart_can_stick_for_ever(many):

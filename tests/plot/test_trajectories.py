@@ -205,7 +205,7 @@ def test_durations_count_every_complete_stick_once(ensemble):
     assert density * np.diff(edges) * complete.sum() == pytest.approx(counts)
     assert len(density) == 20
     (text,) = ax.get_legend().get_texts()
-    assert text.get_text() == (f"{complete.sum():,} sticks ({np.sum(~complete):,} more, cut by the horizon, left out)")
+    assert text.get_text() == (f"{complete.sum():,} sticks ({np.sum(~complete):,} more, cut by the end, left out)")
 
 
 def test_durations_with_given_edges_stay_a_density(ensemble):
@@ -251,7 +251,7 @@ def test_no_sticks_is_a_labeled_empty_figure():
 def test_only_a_censored_stick_is_noted():
     sticking = simulate(ss.Constant(0.01).sample(None, 3.0), 3.0, (0.0, 0.01))
     ax = plot.histogram(sticking)
-    assert [text.get_text() for text in ax.texts] == ["no sticks (1 more, cut by the horizon, left out)"]
+    assert [text.get_text() for text in ax.texts] == ["no sticks (1 more, cut by the end, left out)"]
 
 
 def test_durations_need_kept_sticks():

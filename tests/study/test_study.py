@@ -281,7 +281,7 @@ def test_file_says_where_it_comes_from(study, dataset):
     assert attributes["python_version"].startswith("3.")
     assert attributes["date_created"].endswith("+00:00")
     expected = {
-        "system_mass": 1.0, "system_stiffness": 4.0, "system_normal_force": 1.0, "system_mu": 1.0,
+        "system_mass": 1.0, "system_stiffness": 4.0, "system_normal_force": 1.0, "system_mu": 0.8,
         "base_law": "PoissonSwitching", "base_speed": 1.0, "base_rate": 1.0, "base_first_sign": "random",
         "run_t1": 20.0, "run_samples": 40, "run_seed": 0, "run_dtype": "float64",
         "run_initial_position": 0.0, "run_initial_velocity": 1.0,
