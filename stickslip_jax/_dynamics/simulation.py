@@ -23,7 +23,7 @@ from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
 from .common.method import Exact, Regularized
-from .common.path import MotionPath
+from .common.path import MotionPath, padded_length
 from .regularized.field import Switch
 from .sticks import (
     NUMBERS,
@@ -654,8 +654,12 @@ class Simulation(WithMethods):
             return f"Simulation(status={self.status}, sticks={self.sticks!r})"
         status = Status(int(self.status))
         if status != Status.FINISHED:
-            stopped = f"stopped at {float(self.time_reached):g} of {float(self.t1):g} s"
-            return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {stopped}, because {status.meaning}"
+            reached, t1 = float(self.time_reached), float(self.t1)
+            why = f"stopped at {reached:g} of {t1:g} s, because {status.meaning}"
+            if status == Status.OUT_OF_STEPS and self.method.max_steps and reached > 0:
+                enough = padded_length(math.ceil(1.5 * self.method.max_steps * t1 / reached))
+                why += f"; at this pace method=ss.{type(self.method).__name__}(max_steps={enough}) is enough"
+            return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {why}"
         near = f", {int(self.near_grazing_count)} near-grazing" if self.near_grazing_count else ""
         if self.sticks.contact is not None:
             counts = ", ".join(str(int(count)) for count in self.totals.sticks)
