@@ -526,7 +526,12 @@ def _close_calls(
     # The guard is so flat that it is close to its minimum: if the minimum were a little higher or lower, there would be
     # no event, or one. (In a slip that has just begun at rest the guard is still small, and this says nothing.)
     flat = jnp.abs(trial.d1) * step < math.sqrt(2 * few) * trial.scale
-    flat = flat & ((lane.sign == 0) | (age > step))
+    # With curvature c, that of the cubic through the ends of the step and its round-off, the minimum is d1^2 / (2 c)
+    # away: a slow guard without curvature, such as that of an overdamped mass, falls far below.
+    h = jnp.maximum(trial.h, jnp.finfo(step.dtype).tiny)
+    bend = jnp.abs(2 * trial.d0 + 4 * trial.d1 - 6 * (trial.s1 - trial.s0) / h)
+    bend = jnp.maximum(bend, jnp.abs(trial.d1 - trial.d0)) + 6 * trial.noise / h
+    flat = flat & (trial.d1**2 * h < 2 * few * trial.scale * bend) & ((lane.sign == 0) | (age > step))
     inside = trial.lowest < few * trial.scale
     inside = inside & (trial.lowest > -trial.noise) & (trial.s0 > trial.noise)
     tie = (trial.taken & (inside | (flat & (trial.s1 < few * trial.scale)))) | (at_event & flat)
@@ -592,9 +597,14 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, 
     segments = sum(law.segments(horizon) for law in laws)
     steps = 1.5 * (horizon / shortest) + 2 * segments + _ROOM
     if steps > MOST_STEPS:
+        scales = system.time_scales(excitation, None).scales.items()
+        times = {which: smallest(of.time) for which, of in scales if of.time is not None}
+        which = min(times, key=times.__getitem__, default="")
+        fast = f"; the {which} is {times[which]:.3g} s" if which else ""
         raise ValueError(
             f"Argument {name} must be shorter: {horizon:g} s hold more than {MOST_STEPS} steps of {shortest:.3g} s or "
-            "segments of the motion."
+            f"segments of the motion{fast}. Where a fast decay is what is short, method=ss.Regularized(width) follows "
+            "the slow motion after it in long steps."
         )
     return padded_length(math.ceil(steps))
 

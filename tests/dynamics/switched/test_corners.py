@@ -235,3 +235,18 @@ def test_round_off_does_not_shorten_steps():
     one = ss.simulate(system, ss.Constant(5.0), t1=200.0, y0=(1.0, 0.0))
     assert (one.status, one.sticks.count) == (ss.Status.FINISHED, 0)
     np.testing.assert_allclose(one.final_state, [0.3, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("mass", [0.01, 1e-3])
+def test_an_overdamped_valve_is_not_near_grazing(mass):
+    """It slides at (F - mu N) / c as the force F lets it, slowly, and so comes to rest with a small deceleration.
+
+    The velocity falls through zero all the same: nothing is uncertain. Once the fast decay is over, c x' = 50 cos t - 2
+    sgn x' - k x with c = 1e6 N s/m and k x below 1e-4 N; so it rests while |50 cos t| < 2 N, from acos(2 / 50) on.
+    """
+    valve = ss.MassSpring(mass, 1.0, 10.0, ss.Coulomb(0.2), damping=1e6, force=ss.Harmonic(50.0, 1.0))
+    one = ss.simulate(valve, ss.Constant(0.0), t1=8.0)
+    starts = math.acos(2 / 50) + math.pi * np.arange(3)
+    assert one.sticks.start[one.sticks.mask] == pytest.approx(starts, abs=1e-5)
+    assert one.sticks.duration[one.sticks.mask][:2] == pytest.approx(2 * math.asin(2 / 50), abs=1e-5)
+    assert int(one.near_grazing_count) == 0
