@@ -216,7 +216,7 @@ _DIRECTIONAL = section_of(
     forward=(_ONE_WAY, "friction law of slips with a positive relative velocity"),
     backward=(_ONE_WAY, "that of negative ones"),
 )
-_FORCES = (*_laws(Harmonic, SumOfHarmonics, signal_unit="N"), RecordedConfig)
+_FORCES = (*_laws(Harmonic, SumOfHarmonics, signal_unit="N"), RecordedConfig, *_laws(ForceSteps))
 
 
 def _number_or(number: Any, kinds: tuple[Any, ...]) -> Any:
@@ -235,15 +235,13 @@ if TYPE_CHECKING:
     BaseConfig = Any
     FrictionConfig = Any
     ForceConfig = Any
-    NumberOrForce = Any
     NormalForceConfig = Any
 else:
     BaseConfig = _any_of(_BASES)
     FrictionConfig = _any_of((*_OF_SPEED, _DIRECTIONAL, _AGEING, *_WITH_INNER_STATE), usual="Coulomb")
-    ForceConfig = _any_of(_FORCES)
-    NumberOrForce = _number_or(float, _FORCES)
+    ForceConfig = _number_or(float, _FORCES)
     """An external force, N: a number, or a function of time."""
-    NormalForceConfig = _number_or(Annotated[float, Field(gt=0)], (*_FORCES, *_laws(ForceSteps)))
+    NormalForceConfig = _number_or(Annotated[float, Field(gt=0)], _FORCES)
     """A normal force, N: a number, or a function of time."""
 
 _, MU = key_of(Coulomb, "mu", default=None, description="friction coefficient (Coulomb), or a section friction")
@@ -397,7 +395,7 @@ class LinearStructureConfig(StructureSection):
     damping: _Matrix | None = about("N s/m (or N m s/rad), likewise; not given: none", None)
     rotates: bool = about("whether positions are angles, and masses inertias", False)
     contact: _Counted = about(_COUNTED)
-    force: list[NumberOrForce] | None = about(
+    force: list[ForceConfig] | None = about(
         'external force on each mass, N: a number or { law = "Harmonic", ... }', None
     )
     contacts: list[ContactConfig] = about("the contacts, a section for each", min_length=1)

@@ -76,6 +76,7 @@ def test_twenty_seconds_with_one_per_cent_of_noise(found):
     np.testing.assert_allclose(found.residuals, found.measured - found.fitted)
 
 
+@pytest.mark.slow
 def test_result_knows_its_system_and_correlations(found):
     found, _ = found
     again = ss.simulate(found.system, found.base, t1=20.0, y0=tuple(found.start_states[0]))

@@ -55,11 +55,13 @@ def test_values_are_those_of_simulations(record, compiled, point):
     assert_allclose(compiled(jnp.asarray(point))[0], directly(record, *point), rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_motion_with_sticks_was_tried():
     sticks = ss.simulate(SYSTEM, BASE, t1=float(TIMES[-1]), y0=START).sticks
     assert np.count_nonzero(np.asarray(sticks.duration) > 0) >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", POINTS)
 def test_derivatives_are_those_of_differences(record, compiled, point):
     step = 1e-5

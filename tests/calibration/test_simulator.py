@@ -32,6 +32,7 @@ def test_rows_are_samples_with_these_numbers():
     assert len(np.unique(found[:, 0])) > 5
 
 
+@pytest.mark.slow
 def test_means_over_realizations():
     totals = directly(np.repeat(ROWS, 3, axis=0)).totals
     both = np.column_stack([totals.sticks, totals.stick_time]).reshape(len(ROWS), 3, 2)

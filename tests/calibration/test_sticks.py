@@ -76,6 +76,7 @@ def test_parameters_are_recovered_from_far_guesses(found):
     assert (found.recordings, found.samples, found.unfinished) == (RECORDINGS, SAMPLES, 0)
 
 
+@pytest.mark.slow
 def test_observed_moments_are_those_of_the_ensemble(found):
     data = observed()
     time, count, squares, first = (one.observed for one in found.moments)

@@ -107,6 +107,7 @@ BAD = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("annotations_unchecked")
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input(case):

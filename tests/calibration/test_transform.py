@@ -24,6 +24,7 @@ def test_first_guess_is_the_origin():
     np.testing.assert_allclose(OF.numbers(np.zeros(8)), START, rtol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x", [-30.0, -3.0, -1.0, 0.5, 30.0])
 def test_values_derivatives_and_bounds(x):
     """Against closed forms; the derivatives against those of JAX, which are finite."""
@@ -46,6 +47,7 @@ def test_bounds_that_a_number_may_have_are_reached():
     np.testing.assert_allclose(OF.numbers(np.where(np.isinf(ends[1]), 0, ends[1]))[7], 3, rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_static_friction_is_counted_from_kinetic_friction():
     """Both searched: 0 and 0.5 above it at the guess; one alone: the other bounds it."""
     law = ss.Stribeck(0.4, 0.9, 0.1)

@@ -337,6 +337,7 @@ BATCHES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("batch", BATCHES)
 def test_a_batch_is_a_program(batch, filtered, folder, compiled):

@@ -172,6 +172,7 @@ def test_results_and_arguments_that_nobody_reads_do_no_harm():
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
 
 
+@pytest.mark.slow
 def test_of_functions_that_hold_a_users_only_what_is_known_is_native():
     """XLA cannot sort in a native loop, nor add up thousands of numbers; their derivatives have other operations."""
 

@@ -118,6 +118,7 @@ def test_one_contact_alone_is_the_same_to_the_last_bit(many, number, keep):
         assert ss.mean_stick_duration(alone).value == ss.mean_stick_duration(part).value
 
 
+@pytest.mark.slow
 def test_all_at_once_is_when_each_sticks(many):
     """No contact opens: the times are the intersections of those of the contacts, found here by sweeping over them."""
     each = [part.flat_sticks for part in parts_of(many)]

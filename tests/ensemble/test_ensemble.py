@@ -125,6 +125,7 @@ class _EndsEarly(ss.PoissonSwitching):
         return jnp.where(number < 3, super().draw(key_data, number, dtype), 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keep", ["statistics", "sticks"])
 def test_samples_that_end_early_are_counted_apart_and_enter_nothing(keep):
     law = _EndsEarly(speed=1.0, rate=1.0)
@@ -144,6 +145,7 @@ def test_samples_that_end_early_are_counted_apart_and_enter_nothing(keep):
         assert many.moments.mean[TOTALS.index("stick_time")] == pytest.approx(rows.mean(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_state_that_overflows_is_reported_not_counted():
     many = ss.simulate_ensemble(SYSTEM, POISSON, t1=1.0, samples=3, key=KEY, y0=(1e200, 0.0))
     assert many.status_counts[ss.Status.NOT_FINITE] == 3

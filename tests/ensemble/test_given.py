@@ -54,6 +54,7 @@ def test_simulations_are_the_ensemble_of_the_same_samples(given):
     assert str(ss.identically_distributed(given)) == str(ss.identically_distributed(many))
 
 
+@pytest.mark.slow
 def test_simulations_know_their_motion_and_start(given, tmp_path):
     base = POISSON.sample(jax.random.fold_in(KEY, 5), 20.0)
     for many in (given, ss.load(given.save(tmp_path / "given.nc"))):
@@ -116,6 +117,7 @@ def test_angles_of_given_simulations_stay_in_a_circle():
     assert many.law == voltage
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_what_is_no_batch_is_refused(batch):
     one = ss.simulate(SYSTEM, ss.Constant(1.0), t1=1.0)

@@ -40,6 +40,7 @@ def test_outputs_are_those_of_each_sample(many):
     np.testing.assert_allclose(many.output_values["longest"], longest, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_distributions(many):
     peaks, found = many.output_values["peak"], many.outputs["peak"]
     assert found.mean.value == pytest.approx(peaks.mean(), rel=1e-13)
@@ -64,6 +65,7 @@ def test_the_same_bits_whatever_the_chunk_or_threads(many, changed):
         np.testing.assert_array_equal(values, many.output_values[name][: other.samples])
 
 
+@pytest.mark.slow
 def test_joined_and_extended(many):
     first = ss.simulate_ensemble(SYSTEM, POISSON, samples=100, keep="sticks", outputs=OUTPUTS, **RUN)
     last = ss.simulate_ensemble(SYSTEM, POISSON, samples=50, first_sample=100, keep="sticks", outputs=OUTPUTS, **RUN)

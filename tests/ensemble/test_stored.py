@@ -184,6 +184,7 @@ def test_sums_that_a_version_did_not_make_are_missing(kept):
         ss.concatenate([old, dataclasses.replace(kept, key_data=(1, 2))])
 
 
+@pytest.mark.slow
 def test_a_class_of_ones_own_comes_back_as_a_stand_in(tmp_path, short):
     back = ss.load(short.save(tmp_path / "short.nc"))
     assert 0 < back.finished < 90
@@ -260,6 +261,7 @@ def test_every_method_comes_back(kept, method):
     assert type(back.method) is type(method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_every_law_comes_back(tmp_path, kept, law):
     back = ss.load(dataclasses.replace(kept, law=law).save(tmp_path / "many.nc"))

@@ -128,6 +128,7 @@ EDITED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", EDITED)
 def test_an_edited_data_set_is_one_sentence(kept, case):
     edit, expected = EDITED[case]
@@ -139,6 +140,7 @@ def test_an_edited_data_set_is_one_sentence(kept, case):
     assert message.endswith(".")
 
 
+@pytest.mark.slow_but_for("law", "of another program")
 @pytest.mark.parametrize("case", ["shorter t1", "start NaN", "law", "newer", "of another program"])
 def test_an_edited_file_is_one_sentence(stored, case):
     """The check sum tells, if nothing else does."""

@@ -80,6 +80,7 @@ def test_noise_is_told(name):
     assert is_told(TIMES * 1e-3, NOISY[name] * 1e6)  # whatever the units are
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [64, 256, 1024])
 def test_false_alarms(number):
     """Of random walks, the roughest of what is no noise, at most 1 in 1000: `bound` is exceeded with chance 1e-4.
@@ -147,6 +148,7 @@ def test_the_bandwidth_is_the_one_stated(share, even):
     assert turned == pytest.approx(0.0, abs=1e-4 if even else 3e-3)
 
 
+@pytest.mark.slow
 def test_smoothing_brings_the_sticks_back():
     def count(record):
         return int(ss.simulate(MASS, record, t1=20.0).sticks.count)
@@ -159,6 +161,7 @@ def test_smoothing_brings_the_sticks_back():
     assert count(ss.Recorded.smoothed(TIMES, noisy, cutoff_hz=1.0)) == clean == 1
 
 
+@pytest.mark.slow
 def test_smoothed_records_are_stored(tmp_path):
     smooth = ss.Recorded.smoothed(TIMES, NOISY["uniform"], cutoff_hz=2.0)
     many = ss.simulate_ensemble(MASS, smooth, t1=5.0, samples=2, keep="totals")

@@ -92,6 +92,7 @@ def ensemble(law, method=CLOSED):
     return ss.simulate_ensemble(SYSTEM, law, t1=T1, samples=SAMPLES, key=KEY, method=method, keep="sticks")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "method"),
     [
@@ -116,6 +117,7 @@ def test_neighbours_of_equal_velocity_are_one_interval(law, method):
     assert joined > 100
 
 
+@pytest.mark.slow
 def test_a_sample_is_the_simulation_of_its_realization():
     law = Coins(1.0)
     many = ensemble(law)
@@ -133,6 +135,7 @@ CASES = [(fault, method) for fault in FAULTS for method in ("closed", "steps")]
 CASES += [("negative gap", "fixed"), ("gap of 0", "adaptive"), ("velocity of NaN", "adaptive")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "method"),
     [pytest.param(*case, marks=() if case == ("negative gap", "closed") else pytest.mark.slow) for case in CASES],
@@ -149,6 +152,7 @@ def test_what_cannot_be_is_reported_sample_by_sample(fault, method):
     assert "duration" in status.meaning
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("kind", ["next_interval", "next_segment"])
 def test_realizations_that_cannot_be_are_refused(fault, kind):
@@ -276,6 +280,7 @@ class Nowhere(Runaway):
         return jnp.nan * t
 
 
+@pytest.mark.slow
 def test_adaptive_steps_tell_a_base_without_a_value_from_one_without_a_length():
     one = ss.simulate(SYSTEM, Nowhere(), t1=1.0, method=ss.Regularized(1e-2))
     assert ss.Status(int(one.status)) is ss.Status.NOT_FINITE

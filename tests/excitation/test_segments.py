@@ -174,6 +174,7 @@ def test_a_law_without_randomness_is_its_own_realization():
     assert record.sample(None, T1) is record
 
 
+@pytest.mark.slow
 def test_ground_motion():
     """Its realisation is the record of the same accelerations, and ends where the law has no further segment."""
     base = Shaking().sample(KEY, 10.0)
@@ -226,6 +227,7 @@ def test_parameters_of_laws_are_found_in_their_excitation(case):
     assert jax.tree.leaves(excitation_of(law))[leaf] == number_at(law, path)
 
 
+@pytest.mark.slow
 def test_sensitivity_by_finite_differences(many):
     """Of the mean number of sticks by `speed`: the difference of two ensembles of the same key."""
     found = ss.sensitivity(

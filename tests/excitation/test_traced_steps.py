@@ -44,6 +44,7 @@ def test_a_ride_in_three_intervals_by_hand():
     assert one.ending[0] == ss.Ending.BASE_SWITCHED
 
 
+@pytest.mark.slow
 def test_derivatives():
     """By the lengths: the stick lasts as long as the three intervals together, 1 each."""
 

@@ -69,6 +69,7 @@ LAWS = {
 }
 
 
+@pytest.mark.slow_but_for("user's", "Recorded", "WithJumps", "WithJumps of a record")
 @pytest.mark.parametrize("name", MOTIONS)
 def test_closed_forms(name):
     motion, expected = MOTIONS[name]
@@ -80,6 +81,7 @@ def test_closed_forms(name):
     assert float(ss.base_velocity(motion, 0)) == pytest.approx(expected(np.zeros(1))[0], abs=1e-12)
 
 
+@pytest.mark.slow_but_for("WithJumps", "RandomPhase")
 @pytest.mark.parametrize("name", LAWS)
 def test_realisations(name):
     """What simulations follow; of those that jump, by the arrays of the realisation."""
@@ -101,6 +103,7 @@ def test_realisations(name):
         ss.base_velocity(LAWS[name], TIMES)
 
 
+@pytest.mark.slow
 def test_it_is_what_simulations_follow():
     base = MOTIONS["WithJumps"][0]
     one = ss.simulate(SYSTEM, base, t1=T1)
@@ -108,6 +111,7 @@ def test_it_is_what_simulations_follow():
     np.testing.assert_allclose(ss.base_velocity(base, times), one.base_velocity(times), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_at_jumps_and_beyond():
     base = ss.PiecewiseConstant([0.0, 1.0], [0.5, -0.5])
     np.testing.assert_array_equal(ss.base_velocity(base, [0.5, 1.0]), [0.5, -0.5])
@@ -116,6 +120,7 @@ def test_at_jumps_and_beyond():
     np.testing.assert_array_equal(ss.base_velocity(record, [-0.1, 0.0, 1.0, 1.1]), [np.nan, 0.0, 1.0, np.nan])
 
 
+@pytest.mark.slow
 def test_under_jax():
     times = jnp.asarray([0.5, 2.0])
     for name in ("Harmonic", "Recorded", "user's", "PiecewiseConstant"):

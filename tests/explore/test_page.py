@@ -77,6 +77,7 @@ def test_numbers_are_those_of_the_package():
     assert explorer.scene.system.friction.mu == 0.65
 
 
+@pytest.mark.slow
 def test_without_sticks():
     explorer = shown(system=system(0.0))
     assert "nan" not in said(explorer.statistics) + said(explorer.slope)
@@ -300,6 +301,7 @@ def test_steps_end_at_the_first_failure():
     assert done == [0, "no"]
 
 
+@pytest.mark.slow_but_for("t1-2e8")
 @pytest.mark.parametrize(("name", "value"), [("law.rate", "110001"), ("t1", "2e8")])
 def test_what_takes_too_long_is_not_begun(name, value):
     """The page says what it would take; what is shown stays, and is marked as old until something else is shown."""
@@ -326,6 +328,7 @@ def test_estimate_follows_the_sizes():
     assert require_little(scene._replace(t1=600.0))[0] == pytest.approx(2 * steps, rel=0.05)
 
 
+@pytest.mark.slow
 def test_messages_are_in_the_words_of_the_page():
     """Of what the package says, the names of code are those of the controls, and advice about code is left out."""
     explorer = shown(system=ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8, 1.0)))
@@ -341,6 +344,7 @@ def test_messages_are_in_the_words_of_the_page():
         assert word not in said(special.slope)
 
 
+@pytest.mark.slow
 def test_diagram_is_clipped_to_what_the_system_allows():
     scene = Scene(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8, 1.0)), ss.SquareWave(0.9, 3.0), Y0, T1, 20)
     (number,) = (one for one in numbers_of(scene) if one.path[-1] == "mu")
@@ -350,6 +354,7 @@ def test_diagram_is_clipped_to_what_the_system_allows():
     assert re.search(r"Only from [0-9.]+ to (1|0\.99\d+), which the other numbers of the system allow\.", note)
 
 
+@pytest.mark.slow
 def test_reset():
     explorer = shown(samples=20)
     before = explorer.scene

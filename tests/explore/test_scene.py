@@ -58,6 +58,7 @@ def test_program_has_the_same_system_and_base(name):
     assert written["y0"] == scene.y0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_study_file_has_the_same_system_and_base(name, tmp_path):
     scene = EVERY[name]
@@ -69,6 +70,7 @@ def test_study_file_has_the_same_system_and_base(name, tmp_path):
     assert (read.run.y0(), read.run.t1, read.run.samples, read.run.seed) == (scene.y0, scene.t1, 77, 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_sliders_stay_inside_the_bounds(name):
     """Both ends of each slider are taken, but where other numbers bound it."""
@@ -192,6 +194,7 @@ def test_scene_of_float32_says_so(monkeypatch):
     assert '"jax_enable_x64", False' in as_python(scene_called("mass on a spring"))
 
 
+@pytest.mark.slow
 def test_program_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     scene = Scene(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.6)), ss.PoissonSwitching(1.0, 1.0), (0.1, 0.0), 20.0, 50, 3)

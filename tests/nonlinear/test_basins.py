@@ -36,6 +36,7 @@ def test_published_labels_in_one_call(case):
     assert not np.any(found.is_stuck)
 
 
+@pytest.mark.slow
 def test_grid_of_starts_and_stuck_motions():
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.5))
     grid = {"position": np.linspace(-3, 3, 7), "velocity": np.linspace(-1, 1, 3)}

@@ -99,6 +99,7 @@ def test_first_stop_of_den_hartog_in_closed_form():
     assert _stops_from(b) == pytest.approx(gain * b * b / math.sqrt(1 + b**4 * lag * lag), abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("b", [0.8, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_stops_of_den_hartog(b):
     system = ss.MassSpring(1.0, 1.0, 0.1, ss.Coulomb(1.0), force=ss.Harmonic(1.0, b))
@@ -177,6 +178,7 @@ def test_events_do_not_depend_on_the_step(step):
     assert others[-1].text.endswith("becomes - 0 + 0")
 
 
+@pytest.mark.slow
 def test_a_long_step_to_the_end_is_shortened():
     system = ss.MassSpring(1.0, 1.0, 0.5, ss.Coulomb(1.0), force=ss.Harmonic(1.0, 0.8))
     orbit = nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.8, 1.2))
@@ -186,6 +188,7 @@ def test_a_long_step_to_the_end_is_shortened():
     assert event.parameter == pytest.approx(_stops_from(0.8), abs=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("parameter", "until"), [pytest.param("mu", 1.5, marks=pytest.mark.slow), ("period", 4.5)])
 def test_orbits_on_a_square_wave(parameter, until):
     system, law = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9), damping=0.1), ss.SquareWave(1.0, 5.6)
@@ -285,6 +288,7 @@ def orbit():
     return nonlinear.periodic_orbit(system, ss.Constant(0.0), y0=(1.0, 0.2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_bad_input_is_told_in_a_sentence(orbit, name):

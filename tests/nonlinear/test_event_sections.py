@@ -20,6 +20,7 @@ def one():
     return ss.simulate(SYSTEM, LAW.sample(None, 60 * 2.6), t1=60 * 2.6, y0=(0.3, -0.2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("event", ["stick_start", "stick_end"])
 def test_sticks_on_a_square_wave(one, event):
     section = nonlinear.event_section(SYSTEM, LAW, event, y0=(0.3, -0.2), transient=3, kept=10, progress=False)
@@ -32,6 +33,7 @@ def test_sticks_on_a_square_wave(one, event):
     np.testing.assert_array_equal(section.event, np.arange(4, 14))
 
 
+@pytest.mark.slow
 def test_of_a_system_that_nothing_drives():
     starts = np.array([[1.0, 0.2], [0.0, -1.0]])
     section = nonlinear.event_section(
@@ -42,6 +44,7 @@ def test_of_a_system_that_nothing_drives():
     assert section.time.dims == ("start", "event")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("time", [7.3, 20.0])
 def test_goes_on_from_any_state_and_time(time):
     """The drive's phase says at which time a motion goes on: in a slip, and in a stick of the mass."""
@@ -71,6 +74,7 @@ def test_coordinate_through_a_value(direction):
         np.testing.assert_array_equal(np.sign(velocity), np.sign(velocity[0]) * np.array([1, -1, 1, -1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("event", "sign"), [("slip_forward", 1), ("slip_backward", -1)])
 def test_direction_of_slips(one, event, sign):
     section = nonlinear.event_section(SYSTEM, LAW, event, y0=(0.3, -0.2), transient=0, kept=20, progress=False)
@@ -83,6 +87,7 @@ def test_direction_of_slips(one, event, sign):
     assert np.all(sign * before <= 1e-12)
 
 
+@pytest.mark.slow
 def test_contacts_are_told_apart():
     system = ss.LinearStructure(
         np.ones(2), np.array([[2.2, -1.2], [-1.2, 2.2]]), None,
@@ -99,6 +104,7 @@ def test_contacts_are_told_apart():
         np.testing.assert_allclose(section.time, times[times > 0][1:4], atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [1, 0])
 def test_many_passages_in_one_period(direction):
     # A fast mass on a slow base passes a value more often in a period than there are slots at first.
@@ -113,6 +119,7 @@ def test_many_passages_in_one_period(direction):
     np.testing.assert_allclose(section.time, expected / 20, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_an_angle_passes_its_value_in_each_turn():
     section = nonlinear.event_section(
         ss.MotorCart(mu=0.5), ss.SourceVoltage(), nonlinear.Crossing("angle", 1.0), transient=1, kept=6, progress=False
@@ -136,6 +143,7 @@ def test_an_angle_does_not_pass_its_value_half_a_turn_away():
     np.testing.assert_allclose(section.angle, 1.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_events_that_have_not_settled_are_told():
     """A spring whose motion falls by exp(-0.048) in a period of the force: to 1e-6 of it in 290 of them."""
     slow = {"system": ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0), 0.02, force=ss.Harmonic(1.0, 1.3))}
@@ -148,6 +156,7 @@ def test_events_that_have_not_settled_are_told():
     assert int(nonlinear.event_section(**slow, **how, transient=500).recurrence) == 1
 
 
+@pytest.mark.slow
 def test_events_that_are_missing_are_told():
     with pytest.warns(RuntimeWarning, match="In 1 of 2 cases fewer events were found in 60 periods"):
         section = nonlinear.event_section(
@@ -167,6 +176,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_bad_input_is_told_in_a_sentence(name):

@@ -57,6 +57,7 @@ def test_stick_forgets():
     assert found.running_exponent.dims == ("start", "cycle", "exponent")
 
 
+@pytest.mark.slow
 def test_exponents_of_what_has_not_settled_are_told():
     """A spring whose motion falls by exp(-0.048) in a period of the force: to 1e-6 of it in 290 of them."""
     slow = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0), 0.02, force=ss.Harmonic(1.0, 1.3))
@@ -64,6 +65,7 @@ def test_exponents_of_what_has_not_settled_are_told():
     assert nonlinear.lyapunov_exponents(slow, ss.Constant(0.0), transient=500, kept=30, progress=False).settled
 
 
+@pytest.mark.slow
 def test_directions_that_a_stick_takes_away():
     moved = jnp.array([[1.0, 2.0], [1e-20, 1e-20]])
     directions, logarithms = stretches(moved, jnp.asarray(True))

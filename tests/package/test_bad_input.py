@@ -295,6 +295,7 @@ def test_many_keys_at_once(keys, capacity):
         ss.PoissonSwitching(1.0, 1.0).sample(keys, 5.0, capacity=capacity)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", ["1", None, [NAN], ["a"], INF], ids=show)
 def test_evaluation_times(value):
     simulation = run()

@@ -127,6 +127,7 @@ def test_table_and_files(capsys, tmp_path):
     assert sorted(os.listdir("result")) == [DATA, CONFIG, SUMMARY]
 
 
+@pytest.mark.slow
 def test_quiet_prints_nothing(capsys, tmp_path):
     assert cli.main(["study", str(config_file(tmp_path)), "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
@@ -140,6 +141,7 @@ def test_quiet_leaves_json(capsys, tmp_path):
     assert set(STATISTICS) < set(json.loads(out))
 
 
+@pytest.mark.slow
 def test_result_is_replaced_only_by_force(capsys, tmp_path):
     path = str(config_file(tmp_path))
     assert cli.main(["study", path, "--quiet"]) == 0
@@ -208,6 +210,7 @@ def of_a_finalizer(call):
     Dying(call)
 
 
+@pytest.mark.slow_for("2-130-of_the_collector")
 @pytest.mark.parametrize("callback", [of_the_collector, of_a_weak_reference, of_a_finalizer])
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_stop_whose_exception_python_drops_is_not_lost(capsys, tmp_path, monkeypatch, number, code, callback):
@@ -266,6 +269,7 @@ def test_float32_is_a_choice(tmp_path):
         assert dataset["stick_start"].dtype == "float32"
 
 
+@pytest.mark.slow
 def test_bad_input_ends_the_process_with_code_2(tmp_path):
     done = _subprocess("study", config_file(tmp_path, "[system]\nmas = 1.0"))
     assert (done.returncode, done.stdout) == (2, "")
@@ -328,6 +332,7 @@ def test_another_broken_pipe_is_told(capsys, tmp_path, monkeypatch):
     assert "of a worker" in _refused(capsys, ["study", config_file(tmp_path, SMALL)], code=1)
 
 
+@pytest.mark.slow
 def test_answers_without_a_simulation_do_not_start_jax():
     code = """
 import sys
@@ -397,6 +402,7 @@ def test_without_extras_all_names_are_there_and_each_says_what_it_needs(tmp_path
     ]
 
 
+@pytest.mark.slow
 def test_missing_extra_is_named():
     absent = "import sys; sys.modules['h5netcdf'] = None"
     code = f"{absent}; from stickslip_jax._cli import main; sys.exit(main(['study']))"

@@ -108,16 +108,19 @@ def test_no_public_call_waits_for_ever_in_a_fork():
     assert not {said.partition(":")[0] for _, said in told} - {"", "RuntimeError", *MISSING}
 
 
+@pytest.mark.slow
 def test_jax_that_only_made_a_key_has_started():
     program = PROGRAM.replace("EARLY", "sweep = None\nkey_made = jax.random.key(0)\n")
     assert [line.partition(" JAX")[0] for line in lines_of(program)] == ["simulate said"] * 2 + ["first 0"]
 
 
+@pytest.mark.slow
 def test_a_fork_before_jax_has_started_is_a_process_like_others():
     lines = [line.partition(" JAX")[0] for line in lines_of(PROGRAM.replace("EARLY", "sweep = None"))]
     assert lines == ["simulate ran", "simulate said", "first 0"]  # the fork of the fork came after it had run
 
 
+@pytest.mark.slow
 def test_the_question_changes_nothing():
     """Whether JAX has started is asked of it without a trace."""
     program = """

@@ -77,6 +77,7 @@ def loaded():
 """
 
 
+@pytest.mark.slow
 def test_importing_the_package_imports_nothing_heavy():
     assert python(f"{LOADED}\nimport stickslip_jax\nprint(loaded())").strip() == "[]"
 
@@ -168,6 +169,7 @@ print(*(decoder.decoded(json.loads(line)) for line in sys.stdin), sep="\\n")
 """
 
 
+@pytest.mark.slow
 def test_stored_classes_are_found_though_nobody_has_asked_for_them():
     """Those of the package that are loaded when asked for, and solvers of diffrax."""
     stored = [

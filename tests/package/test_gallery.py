@@ -80,6 +80,7 @@ def test_code_that_the_page_shows_fits_its_column():
     assert not [line for code in shown for line in code.splitlines() if len(line) > WIDTH]
 
 
+@pytest.mark.slow
 def test_the_quickest_picture():
     ax = script().stick_bounds()
     assert isinstance(ax, Axes)

@@ -25,6 +25,7 @@ def shown(method):
     return pydoc.render_doc(method, renderer=pydoc.plaintext).splitlines()[2:]
 
 
+@pytest.mark.slow
 def test_help_of_methods(one):
     heads = {
         "evaluate(times: ": (one.evaluate, "    The state at `times` (s, any shape)"),

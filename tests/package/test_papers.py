@@ -19,6 +19,7 @@ def share():
     return jax.jit(jax.vmap(papers.steady_stick_share))
 
 
+@pytest.mark.slow
 def test_steady_share_reproduces_the_figure(share):
     """0.02 percentage points: the table's rounding (0.005) and what a slowly settling motion still lacks."""
     shares = np.asarray(share(jnp.asarray(list(TABLE))))
@@ -89,6 +90,7 @@ def test_bad_numbers_of_periods(periods, annotations_unchecked):
         papers.steady_stick_share(1.0, periods=periods)
 
 
+@pytest.mark.slow
 def test_constant_belt_holds_the_mass_until_the_spring_wins():
     """It starts at the belt's speed in the middle, sticks for mu n / (k v), and never again (physics: tangent slip)."""
     found = papers.stick_share_map("constant").run(progress=False)
@@ -97,6 +99,7 @@ def test_constant_belt_holds_the_mass_until_the_spring_wins():
     assert found.stick_fraction.values == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_square_belt_sticks_as_in_the_figure():
     """What is added from 1000 to 1025 periods of r = 1 (pi s each) is whole periods of r = 0.8, 1.0 and 1.2 too."""
     times = [1000 * math.pi, 1025 * math.pi]

@@ -71,6 +71,7 @@ def test_ctrl_c_at_forty_moments_of_the_first_seconds(tmp_path):
         assert err.splitlines()[-1].startswith("stickslip: ")
 
 
+@pytest.mark.slow
 def test_other_programs_answer_ctrl_c_themselves():
     """Also while the package is loaded, and afterwards."""
     code = (
@@ -88,6 +89,7 @@ def test_other_programs_answer_ctrl_c_themselves():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_program_that_has_the_name_of_the_command_keeps_ctrl_c(tmp_path):
     """One that loads the package, and not the command: Python's answer is back when it is loaded."""
     script = tmp_path / "stickslip"

@@ -75,6 +75,7 @@ def test_frames_are_as_far_apart_as_speed_and_rate_say(one):
     assert plot.animate(one, window=(2.0, 8.0), speed=4.0, fps=1).times.tolist() == [2.0, 6.0]
 
 
+@pytest.mark.slow
 def test_a_film_lasts_ten_seconds_unless_told_otherwise(one):
     film = plot.animate(one)
     assert (len(film.times), film.fps, film.speed) == (251, 25, pytest.approx(T1 / 10))
@@ -93,6 +94,7 @@ def test_the_picture_tells_time_and_speed(one):
 # Histories and colours.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinate", [pytest.param("position", marks=pytest.mark.slow), "velocity"])
 def test_history_grows_to_the_time_of_the_frame(one, coordinate):
     film = plot.animate(one, window=(1.0, 11.0), speed=2.0, fps=5, coordinate=coordinate)
@@ -190,6 +192,7 @@ def test_single_precision(one):
     assert float(single.final_state[0]) == pytest.approx(float(one.final_state[0]), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_motion_without_sticks_and_one_without_motion():
     fast = ss.simulate(SYSTEM, ss.Constant(50.0), t1=2.0, y0=(0.5, 0.0))
     film = plot.animate(fast, fps=5)
@@ -198,6 +201,7 @@ def test_a_motion_without_sticks_and_one_without_motion():
     assert all(is_coloured(bodies(still.frame(number))[-1]) for number in range(len(still.times)))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_animated(one, several, annotations_unchecked):
     batch = jax.tree.map(lambda *leaves: np.stack(leaves), one, one)
     stopped = eqx.tree_at(
@@ -237,6 +241,7 @@ def test_what_cannot_be_animated(one, several, annotations_unchecked):
 # Files.
 
 
+@pytest.mark.slow_for("30")
 @pytest.mark.parametrize("fps", [10, 30, 12.5])
 def test_gif_has_all_frames_and_the_speed_of_the_film(one, fps, tmp_path):
     film = plot.animate(one, speed=6.0, fps=fps, figsize=(3.2, 2.4))
@@ -324,6 +329,7 @@ with open(sys.argv[-1], "wb") as file:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fails", ["", "yes"])
 def test_mp4_by_ffmpeg(one, tmp_path, fails):
     """A program in its place, which says what it was given."""
@@ -408,6 +414,7 @@ def of(part):
     return lambda state, base: plot.Mechanism((part(state[2]),), (0.0, 1.0), (0.0, 1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("made", "message"),
     {

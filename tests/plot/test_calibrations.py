@@ -34,6 +34,7 @@ def test_motion_of_each_window_and_residuals(found):
     assert lower.get_xlabel() == "time $t$ (s)"
 
 
+@pytest.mark.slow
 def test_a_part_of_the_record(found):
     upper, _ = plot.calibration(found, channel="position", window=(3.0, 5.0))
     times = upper.lines[0].get_xdata()

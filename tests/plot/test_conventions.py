@@ -118,6 +118,7 @@ def test_figures_are_saved_and_closed(many, tmp_path):
     assert plt.get_fignums() == []
 
 
+@pytest.mark.slow
 def test_bad_combinations(many, annotations_unchecked):
     """What one kind of result takes and another does not is refused by name, with what to do."""
     statistics = many.statistics

@@ -44,6 +44,7 @@ def test_lines_are_the_energies(one, window):
     assert (upper.get_ylabel(), lower.get_xlabel()) == ("stored energy (J)", "time $t$ (s)")
 
 
+@pytest.mark.slow
 def test_regions_where_friction_feeds_energy_in(one):
     ax = plot.phase_portrait(one, energy_regions=True)
     bounds = sorted((patch.get_y(), patch.get_y() + patch.get_height()) for patch in ax.patches)
@@ -55,6 +56,7 @@ def test_regions_where_friction_feeds_energy_in(one):
         plot.phase_portrait(swinging, energy_regions=True)
 
 
+@pytest.mark.slow
 def test_friction_force_over_time_and_relative_velocity(one):
     """Coulomb's friction is +-0.3 N in a slip and what the spring needs in a stick."""
     ax = plot.friction_force(one)
@@ -73,6 +75,7 @@ def test_friction_force_over_time_and_relative_velocity(one):
         plot.friction_force(one, over="velocity")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", [ss.Harmonic(1.0, np.pi), ss.SquareWave(1.0, 2.0)], ids=["harmonic", "square"])
 def test_the_area_of_a_hysteresis_loop_is_what_friction_dissipates(base):
     """The slip is how far the mass has moved beyond the base, whose displacement is known."""

@@ -56,6 +56,7 @@ def test_simulation(one):
     assert plt.get_fignums() == []
 
 
+@pytest.mark.slow
 def test_simulations_that_are_not_one(one):
     assert one._repr_html_.__self__ is one
     batch = jax.tree.map(lambda *leaves: np.stack(leaves), one, one)

@@ -58,6 +58,7 @@ def mesh_of(ax):
     return np.ma.filled(mesh.get_array(), 0).T, corners[0, :, 0], corners[:, 0, 1]
 
 
+@pytest.mark.slow
 def test_map_shows_every_complete_first_stick_below_the_bound(many):
     first = ss.first_stick(many)
     ax = plot.stick_map(first, system=many.system, bound=many.law)

@@ -137,6 +137,7 @@ def ends_of(simulation):
     return filled(simulation, "start"), filled(simulation, "end")
 
 
+@pytest.mark.slow
 @of(*MASSES, "motor")
 def test_each_stick_is_drawn_where_it_happens(one):
     assert int(one.sticks.count) >= 2
@@ -232,6 +233,7 @@ def test_window_on_a_jump_shows_one_side_of_it(one):
         assert lower.get_xlim() == window
 
 
+@pytest.mark.slow
 @of("harmonic", "motor")
 def test_long_runs_are_drawn_with_fewer_points(one, monkeypatch):
     monkeypatch.setattr(_trajectory, "_MOST_POINTS", 50)
@@ -410,6 +412,7 @@ def test_portrait_of_a_current(one):
     assert against_angle.get_xlim() == (0, FULL_CIRCLE)
 
 
+@pytest.mark.slow
 def test_bad_coordinates(two, annotations_unchecked):
     for options, message in (
         (

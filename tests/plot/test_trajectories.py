@@ -66,6 +66,7 @@ def test_history_draws_each_stick_where_it_happens(one):
     assert [piece[0, 1] for piece in drawn] == pytest.approx(filled(one, "position"), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_during_sticks_the_mass_has_the_velocity_of_the_base(one):
     _, lower = plot.time_history(one)
     for piece in segments(line(lower, "mass, stick")):
@@ -73,6 +74,7 @@ def test_during_sticks_the_mass_has_the_velocity_of_the_base(one):
         assert piece[:, 1] == pytest.approx(base, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_history_of_the_mass_is_the_trajectory(one):
     upper, lower = plot.time_history(one)
     times, position = line(upper, "mass").get_data()
@@ -117,6 +119,7 @@ def test_window_cuts_sticks_and_curve(one):
     assert first[:, 0].tolist() == [window[0], end]
 
 
+@pytest.mark.slow
 def test_a_window_on_an_event_but_for_round_off_draws_no_crumb(one):
     end = float(filled(one, "end")[1])
     window = (end - 1e-15 * end, end + 0.05)
@@ -356,6 +359,7 @@ def stopped_at(time, one):
     return stopped
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [plot.time_history, plot.phase_portrait, plot.friction_force])
 def test_an_unfinished_motion_is_drawn_as_far_as_it_came(one, draw):
     axes = draw(stopped_at(12.5, one))

@@ -128,6 +128,7 @@ def test_switching_base_against_event_by_event(seed):
     assert run.final_state[1] == pytest.approx(float(exact.final_velocity), abs=1e-11 * size * omega)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("v", np.linspace(0.1, 3.0, 8))
 def test_released_mass_does_not_stick_where_it_touches(v):
     run = simulate_mass_spring(**PLAIN | {"base_velocity": lambda t, _: v}, t1=100.0, y0=(0.3, v))
@@ -279,6 +280,7 @@ def first_stick_by_library(mu: float, theta: float, alpha0: float, power: int) -
     return Stick(start, release(start, angle, current)[0], angle, "RELEASED")
 
 
+@pytest.mark.slow_but_for("0.4-0.3668", "0.5-0.50828")
 @pytest.mark.parametrize(("mu", "highest"), [(0.2, 0.10315), (0.3, 0.2522), (0.4, 0.3668), (0.5, 0.50828)])
 def test_sticks_of_the_motor_keep_their_bound(mu, highest):
     assert upper_bound(mu, math.pi / 2) == pytest.approx(highest, abs=5e-5)
@@ -308,6 +310,7 @@ def test_motor_against_library_integrators(mu, equation):
     assert compared >= 5
 
 
+@pytest.mark.slow_but_for("printed")
 @pytest.mark.parametrize("equation", ["physical", "printed"])
 def test_motor_is_converged(equation):
     for number, start in enumerate(random_starts(8, seed=5)):

@@ -22,6 +22,7 @@ def test_families(family):
     assert max(errors_against(case.reference(), case, followed)) < 1e-10
 
 
+@pytest.mark.slow
 def test_other_units():
     """Powers of two change no digit."""
     case = drawn("harmonic", "everyday", 1)[0]

@@ -142,6 +142,7 @@ def test_stick_of_no_length():
     np.testing.assert_allclose(statistic._jump_of_stick(parts, two, jnp.array(3.0), True), between)
 
 
+@pytest.mark.slow
 def test_slip_of_no_length():
     """In a stick; in the place of the slip that is there; outside of all sticks."""
     two = sequence((1.0, 2.0), (4.0, 7.0))

@@ -86,6 +86,7 @@ def test_against_exact_dynamics(wrt):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [{"estimator": "corrected"}, {"relative_bandwidth": 0.01}])
 def test_no_corrected_estimator(asked):
     with pytest.raises(ValueError, match=r"Argument estimator must be 'finite-difference' .* method=Regularized"):

@@ -313,6 +313,7 @@ def test_elasticities_are_derivatives_in_other_units():
         assert relative.derivative == pytest.approx(plain.derivative * mu / plain.value, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_independent_of_threads_chunks_and_other_parameters():
     case = poisson(1.4, 1.0)
     system, law = case.pop("system"), case.pop("law")

@@ -77,6 +77,7 @@ def test_errors_of_what_is_the_same():
     assert ratio.standard_error < 1e-6
 
 
+@pytest.mark.slow
 def test_arithmetic(both):
     a, b = both[ss.mean_stick_duration]["mu"], both["stick_fraction"]["mu"]
     assert (2 * a).standard_error == pytest.approx(2 * a.standard_error, rel=1e-12)

@@ -66,6 +66,7 @@ def test_an_option_chooses_its_estimator():
     assert found.estimator == "corrected"
 
 
+@pytest.mark.slow
 def test_fraction_on_a_harmonic_base():
     """No event part: exact differentiation of every trajectory, against differences with other random numbers."""
     options = {"wrt": "mu", "t1": 20.0, "samples": 4_096, "y0": anywhere()}

@@ -42,6 +42,7 @@ def test_free_vibration(method):
     assert np.isnan(one.energies(-0.1).stored["kinetic"])
 
 
+@pytest.mark.slow
 def test_belt_of_constant_speed():
     """A stick to ``mu n / k``, then full circles: the belt does ``mu n v`` per second, and all of it becomes heat.
 

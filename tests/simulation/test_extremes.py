@@ -32,6 +32,7 @@ def test_free_vibration_in_closed_form():
     assert float(one.peak("velocity")) == 2.0
 
 
+@pytest.mark.slow
 def test_belt_in_closed_form():
     """The slip after a release is a circle about +a with the radius speed / omega."""
     one = ss.simulate(SYSTEM, ss.Constant(1.0), t1=T1, y0=(0.0, 1.0))

@@ -58,6 +58,7 @@ def test_time_steps_find_the_same():
     np.testing.assert_allclose(stepped, whole, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_force_drop_in_closed_form():
     """On a belt the slip arc is a circle about mu N / k, symmetric between its two points at the belt's velocity."""
     mu, mu_static, speed = 0.5, 0.8, 0.3
@@ -133,6 +134,7 @@ def test_regularised_ensembles_hold_it(options):
     np.testing.assert_allclose(many.flat_sticks.slip_displacement[own], columns(one.sticks)[3], **close)
 
 
+@pytest.mark.slow
 def test_ensembles_and_their_tables_hold_it(tmp_path):
     many = ss.simulate_ensemble(SYSTEM, LAW, t1=T1, samples=300, key=jax.random.key(1), y0=Y0, keep="sticks")
     _, base, y0 = many.realization(17)

@@ -93,6 +93,7 @@ def test_the_columns_are_those_of_an_ensemble(tmp_path):
     assert ss.stick_fraction(back).value == pytest.approx(table["duration_s"].sum() / T1, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["closed form", pytest.param("motor", marks=pytest.mark.slow), "own system"])
 def test_labeled_arrays(name, tmp_path):
     one, unit = SIMULATIONS[name][0](), SIMULATIONS[name][1].removeprefix("_")
@@ -118,6 +119,7 @@ def test_labeled_arrays(name, tmp_path):
         assert data.attrs["source"] == f"stickslip_jax {ss.__version__}"
 
 
+@pytest.mark.slow
 def test_names_are_those_of_an_ensemble():
     many = ss.simulate_ensemble(MASS, WAVE, samples=3, t1=T1, y0=START, keep="sticks").to_xarray()
     one = ss.simulate(MASS, WAVE, t1=T1, y0=START).to_xarray()

@@ -82,6 +82,7 @@ def test_vmap_over_a_parameter(keys):
         assert_close(jax.tree.map(lambda leaf, i=index: np.asarray(leaf)[i], many), alone(mu))
 
 
+@pytest.mark.slow
 def test_results_of_vmap_offer_their_properties(keys, lanes):
     """What can be asked of one simulation can be asked of a batch of them."""
     many = jax.vmap(one)(keys)
@@ -168,6 +169,7 @@ def test_float32_agrees_with_float64(seed):
     np.testing.assert_allclose(rough.position, exact.position, rtol=0, atol=tolerance * setup.omega * setup.half_width)
 
 
+@pytest.mark.slow
 def test_float32_laws_draw_in_float32(keys):
     with jax.enable_x64(False):
         base = LAW.sample(keys[0], T1)
@@ -260,6 +262,7 @@ def test_nan_in_a_base_shows_in_the_status(which, index):
     assert int(from_steps(**base)) == ss.Status.BASE_INVALID
 
 
+@pytest.mark.slow
 def test_one_bad_lane_leaves_the_others_alone(keys):
     friction = jnp.asarray([1.0, np.nan, 1.0])
     _, totals, _, status = jax.jit(jax.vmap(lambda mu: numbers_in_jit(one(keys[0], mu))))(friction)

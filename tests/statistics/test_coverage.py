@@ -141,6 +141,7 @@ def test_intervals_of_shares_are_exact(having):
     assert found.interval() == pytest.approx((expected.low, expected.high), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_mutual_information_of_independent_pairs_is_zero():
     """Without correction it is 0.34 for these: more than ten of its errors. Default bins, and too many of them."""
     rng, found = np.random.default_rng(3), []
@@ -214,6 +215,7 @@ def test_errors_of_distributions_are_honest(many):
 POINTS = [(1.0, 1.0, 1.0), (1.0, 0.25, 0.2), (0.4, 1.0, 3.0), (2.0, 1.0, 0.6), (1.0, 2.0, 1.5), (0.7, 0.5, 0.4)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mu", "speed", "rate"), POINTS)
 def test_sticks_ended_by_a_switch_number_rate_times_stick_time(mu, speed, rate):
     """A Poisson base has no memory: while the mass sticks, switches come at their rate, whatever went before."""

@@ -218,6 +218,7 @@ def test_joint_distributions_by_brute_force(statistics, sticks, pair):
             assert math.isnan(means.mean[index])
 
 
+@pytest.mark.slow_but_for("('duration', 'position')")
 @pytest.mark.parametrize("pair", [PAIRS[0], PAIRS[2]], ids=str)
 def test_errors_of_correlations_by_jackknife(statistics, sticks, pair):
     joint = statistics.joint(*pair)
@@ -265,6 +266,7 @@ def test_values_that_repeat_are_told_apart():
     assert math.isnan(statistics.stick_count.differential_entropy.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [pytest.param(np.float32, marks=pytest.mark.slow), np.float64])
 def test_values_that_are_close_by_their_number_do_not_repeat(dtype):
     """60,000 values on [1, 2), one in fifty 1.5: in float32 eleven neighbours lie within the round-off of the times."""

@@ -189,6 +189,7 @@ def assert_same(one, other):
             np.testing.assert_array_equal(mine, theirs)
 
 
+@pytest.mark.slow
 @TYPES
 @pytest.mark.parametrize("samples", [0, 1, 4000])
 def test_many_sticks_and_none(samples, dtype):
@@ -261,6 +262,7 @@ def test_ensembles_without_numba_are_the_same(keep, threads, monkeypatch):
         np.testing.assert_array_equal(mine, theirs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keep", ["statistics", "sticks"])
 def test_an_ensemble_without_sticks(keep):
     run = {"t1": 0.5, "samples": 300, "y0": (30.0, 0.0), "keep": keep}

@@ -71,6 +71,7 @@ def test_bins_are_as_narrow_as_their_number_allows():
     assert DyadicCounts.of(np.zeros(5), 64).counts.tolist() == [5]
 
 
+@pytest.mark.slow
 @given(parts=st.lists(st.lists(st.tuples(NUMBERS, NUMBERS), max_size=6), min_size=1, max_size=4))
 def test_sums_of_parts_merge_to_those_of_the_whole(parts):
     def sums(pairs):

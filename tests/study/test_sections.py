@@ -74,6 +74,11 @@ SYSTEMS = {
         f"[system.force]\n{HARMONIC}phase = 0.1\noffset = 0.2",
         mass_spring(force=ss.Harmonic(0.5, 1.5, 0.1, 0.2)),
     ),
+    "constant force": ("[system]\nforce = -0.5", mass_spring(force=-0.5)),
+    "force that jumps": (
+        '[system.force]\nlaw = "ForceSteps"\ntimes = [0, 1]\nvalues = [1, -1]',
+        mass_spring(force=ss.ForceSteps([0.0, 1.0], [1.0, -1.0])),
+    ),
     "SumOfHarmonics force": (
         '[system.force]\nlaw = "SumOfHarmonics"\namplitudes = [0.5, 0.2]\nangular_frequencies = [1.5, 4]\n'
         "phases = [1, 2]",

@@ -65,10 +65,10 @@ def dataset(study):
 # --- configuration
 
 
-def test_default_is_the_papers_oscillator():
+def test_default_is_the_papers_oscillator_off_its_special_point():
     config = read_config()
     assert config == StudyConfig()
-    assert config.system.build() == ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0))
+    assert config.system.build() == ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8))
     assert config.base.build() == ss.PoissonSwitching(1.0, 1.0)
     run = config.run
     assert (run.t1, run.samples, run.seed, run.keep) == (200.0, 10_000, 0, "sticks")
@@ -259,8 +259,9 @@ def test_every_variable_has_units_and_a_name(dataset):
         assert variable.attrs["long_name"]
 
 
+@pytest.mark.slow
 def test_statistics_in_the_file_are_the_librarys(study, dataset):
-    law, system = ss.PoissonSwitching(1.0, 1.0), ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0))
+    law, system = ss.PoissonSwitching(1.0, 1.0), ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8))
     same = ss.simulate_ensemble(
         system, law, t1=20.0, samples=40, key=jax.random.key(0), y0=(0.0, 1.0), keep="sticks", chunk=64, progress=False
     )
@@ -291,6 +292,7 @@ def test_file_says_where_it_comes_from(study, dataset):
     np.testing.assert_array_equal(attributes["key_data"], jax.random.key_data(jax.random.key(0)))
 
 
+@pytest.mark.slow
 def test_a_study_comes_back_as_an_ensemble(study):
     """From its folder or its file; the summary, the table and the file agree on the pooled sticks."""
     many = study.ensemble

@@ -221,6 +221,7 @@ def test_figures_of_a_motor_cart(tmp_path):
         assert (study.directory / name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_initial_rest_is_counted_if_asked_for(tmp_path):
     study = run(tmp_path, CART + "count_initial_rest = true\n")
     assert "A first stick was found in 40 of 40 samples." in table(study)
@@ -329,6 +330,7 @@ def test_long_name_of_a_missing_record_is_shown_whole(tmp_path):
     assert f'file must be the name of a file that exists, but "{name}" was given' in str(caught.value)
 
 
+@pytest.mark.slow
 def test_command_finds_records_beside_the_configuration(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("stickslip_jax.study._commands.prepare_jax", lambda dtype: None)
     (tmp_path / "elsewhere").mkdir()

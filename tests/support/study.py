@@ -172,7 +172,7 @@ BAD_SYSTEMS_AND_BASES = {
     "table misspelt": ("[system.frictoin]\nmu = 1", ["frictoin in [system]", "did you mean friction?"]),
     "table outside its section": ("[friction]\nmu = 1", ["[friction]", "did you mean [system.friction]?"]),
     "table of another law": ("[base.motion]\n" + HARMONIC, ["motion in [base]", "motion belongs", "law WithJumps"]),
-    "force that is none": ("[system]\nforce = 3", ["force must be a section [system.force] of keys", "3"]),
+    "force that is none": ("[system]\nforce = true", ["force in [system]", "true"]),
     "force without a law": ("[system.force]\namplitude = 3", ["[system.force] lacks law", "Harmonic, SumOf"]),
     "force that jumps": ('[system.force]\nlaw = "SquareWave"', ["law in [system.force]", '"SquareWave"']),
     "jumps without a motion": (_JUMPS, ["[base] lacks [base.motion]", "WithJumps"]),
@@ -307,4 +307,4 @@ def write_records(folder: Path) -> None:
 
 def mass_spring(friction: ss.FrictionLaw | None = None, **more) -> ss.MassSpring:
     """The mass and spring that a study has unless it says otherwise."""
-    return ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0) if friction is None else friction, **more)
+    return ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8) if friction is None else friction, **more)

@@ -119,6 +119,7 @@ def test_both_manifests_damaged(copied):
     assert files_in(folder) == before
 
 
+@pytest.mark.slow_but_for(".zip")
 @pytest.mark.parametrize("kind", [".zip", ".json"])
 def test_batch_of_another_sweep(copied, tmp_path, kind):
     """It is whole: nobody removes it or writes over it."""
@@ -136,6 +137,7 @@ def test_batch_of_another_sweep(copied, tmp_path, kind):
     assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
 
 
+@pytest.mark.slow
 def test_a_batch_that_unpacks_without_end_is_damaged(copied, monkeypatch):
     """A few hundred kB of zeros that unpack to more than any batch takes: it is not unpacked, and done again."""
     folder, dataset = copied

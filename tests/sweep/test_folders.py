@@ -166,6 +166,7 @@ def test_full_disk(tmp_path, whole):
         assert set(files_in(folder)) == set(files_in(whole[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
 def test_disk_that_is_full_at_any_operation(tmp_path, whole, monkeypatch, every):
     """Whatever is being written: nothing is half-written, and the same call ends as if nothing had been."""

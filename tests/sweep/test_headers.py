@@ -183,6 +183,7 @@ def moves_told(whole, tmp_path, number: int) -> None:
         shutil.rmtree(spoilt)
 
 
+@pytest.mark.slow
 def test_four_batches_moved_at_random(whole, tmp_path):
     moves_told(whole, tmp_path, 4)
 
@@ -213,6 +214,7 @@ def flips_told(copied, number: int) -> None:
         path.write_bytes(whole)
 
 
+@pytest.mark.slow
 def test_sixteen_turned_bits(copied):
     flips_told(copied, 16)
 

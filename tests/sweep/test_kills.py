@@ -31,6 +31,7 @@ class DeadError(BaseException):
     """Stands for the end of a process: nothing is written any more."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
 def test_dead_at_an_operation_on_the_disk(tmp_path, undisturbed, monkeypatch, every):
     """As if killed there: the operation, and all later ones, are not done, and what is being written is cut."""

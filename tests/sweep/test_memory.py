@@ -95,6 +95,7 @@ def test_no_memory_even_alone(tmp_path, monkeypatch):
     assert_same(run(sweep_of(), folder), wanted)
 
 
+@pytest.mark.slow
 def test_fewer_and_fewer_at_a_time(tmp_path, monkeypatch):
     """Eight threads, and memory for two: what goes on together decreases once for all that failed together."""
     inside, most = [], []

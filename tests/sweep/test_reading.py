@@ -49,6 +49,7 @@ def test_all_ways_to_read_see_the_same(begun):
     assert read_samples(folder) == [500, 500]
 
 
+@pytest.mark.slow
 def test_batches_that_join_between_the_two_readings(begun, monkeypatch):
     """The histograms are in bins for what was read first: values that came later need not fit into them."""
     folder, add_and_join = begun
@@ -83,6 +84,7 @@ def test_batches_that_join_after_they_were_listed(begun, monkeypatch, read_it):
     assert len(calls) > 2
 
 
+@pytest.mark.slow
 def test_listing_that_misses_the_parts_and_the_whole(begun, monkeypatch):
     """As a folder gives it where the whole comes, and the parts go, while it is listed."""
     folder, add_and_join = begun
@@ -111,6 +113,7 @@ def test_what_was_read_goes_to_the_disk_where_it_is_much(monkeypatch):
     gc.collect()
 
 
+@pytest.mark.slow
 def test_no_room_for_what_was_read(monkeypatch, begun):
     def full(*_):
         raise OSError(28, "No space left on device")

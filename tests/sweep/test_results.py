@@ -57,6 +57,7 @@ def test_points_are_ensembles(dataset, many):
     assert float(at.share_with_order.sel(order=2)) == second.share.value
 
 
+@pytest.mark.slow
 def test_histograms_in_common_bins(dataset):
     """Counted from the sticks themselves; the entropy from these counts."""
     for mu, rate in ((0.5, 0.5), (1.2, 2.5)):
@@ -114,6 +115,7 @@ def test_random_numbers_are_common_unless_asked(many):
     assert differences[0] < 0.5 * differences[1]
 
 
+@pytest.mark.slow
 def test_wanted_standard_errors():
     """Each point ends with the first batch after which its error is small enough, or with all samples."""
     wanted = {"mean_stick_duration": 0.0022}
@@ -172,6 +174,7 @@ def test_one_compilation_serves_all_points(caplog):
     assert not compiled({})
 
 
+@pytest.mark.slow
 def test_parameter_of_the_distribution_of_a_start():
     """It has a label, in words, as that of any other distribution, and the unit of the start."""
     starts = (ss.Uniform(0.0, 1.0), 0.0)

@@ -299,6 +299,7 @@ def test_limit_cycle_of_a_string_driven_by_a_torque():
 SPEED, SOFT = 4.0, {**PAIR, "damping": [60.0]}
 
 
+@pytest.mark.slow
 def test_limit_cycle_under_a_table_of_given_speed():
     """The drive holds the table at its speed: left are the twist, and the speed of the bit."""
     t1 = 60.0

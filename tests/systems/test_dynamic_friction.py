@@ -39,6 +39,7 @@ def steady(law, velocity):
     return sign * 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("velocity", [0.0007, -0.02])
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_steady_slip(law, velocity):
@@ -80,6 +81,7 @@ def test_harmonic_motion_against_scipy(name):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [ss.Dahl(0.4, 200.0), ss.BoucWen(0.4, 200.0, exponent=1.0), ss.BoucWen(0.4, 200.0)])
 def test_curve_of_the_first_loading(law):
     """Exponentially, or as tanh, towards the force of a slip; a full turn ends on the same loop."""
@@ -90,6 +92,7 @@ def test_curve_of_the_first_loading(law):
     np.testing.assert_allclose(force, expected, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_jumps_of_the_speed_give_the_numbers_of_the_law_back():
     """A speed e times as high raises the coefficient by a at once, and lowers it by b after a slip of many lengths."""
     few, speed = 1e-9, 1e-3
@@ -110,6 +113,7 @@ def test_time_at_rest_strengthens():
         assert float(held[-1]) == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_stiff_bristles_are_coulomb_friction():
     """With growing stiffness the force of Dahl's law comes to Coulomb's: by exp(-stiffness x / mu) after a turn."""
     times = np.linspace(0.0, 10.0, 201)
@@ -138,6 +142,7 @@ def slider(times, positions, most, least, stiffness, play):
     return np.interp(times, fine, values)
 
 
+@pytest.mark.slow_but_for("arrays")
 @pytest.mark.parametrize("kind", ["signal", "arrays"])
 def test_spring_and_backlash_in_front(kind):
     law, w = ss.Directional(ss.Coulomb(0.3), ss.Coulomb(0.5)), 2.0
@@ -188,6 +193,7 @@ def forces_behind_a_spring(law, normal, stiffness, backlash, moves):
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backlash", [pytest.param(0.0, marks=pytest.mark.slow), 1e-3])
 @pytest.mark.parametrize("law", [ss.Dahl(0.4, 200.0), ss.BoucWen(0.4, 200.0)], ids=["Dahl", "Bouc-Wen"])
 def test_bristles_behind_a_spring_with_backlash(law, backlash):
@@ -207,6 +213,7 @@ def test_bristles_behind_a_spring_with_backlash(law, backlash):
     np.testing.assert_allclose(jax.jacfwd(force)(800.0), (high - low) / 0.2, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [LUGRE, pytest.param(AGEING, marks=pytest.mark.slow)], ids=["LuGre", "ageing"])
 def test_derivatives(law):
     """Of the work done by the force with respect to every number of the law: both modes, against differences."""
@@ -236,6 +243,7 @@ class Quick(ss.Dahl):
         return velocity * jnp.abs(velocity) - z
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_is_told(annotations_unchecked):
     times, still = [0.0, 1.0], [0.1, 0.1]
     coulomb = ss.Coulomb(0.3)

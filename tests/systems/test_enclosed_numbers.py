@@ -55,6 +55,7 @@ def by_regularised(high):
 OTHERS = [(jax.jacfwd, by_lambda), (jax.grad, by_class), (jax.jacfwd, by_regularised)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("derivative", "function"),
     [
@@ -67,6 +68,7 @@ def test_refused(derivative, function):
         derivative(function)(0.5)
 
 
+@pytest.mark.slow
 def test_what_is_recommended():
     """Of a module the derivative is that of differences; where nothing is differentiated, a function will do."""
     size = 1e-5

@@ -56,6 +56,7 @@ FAST = [
 ]
 
 
+@pytest.mark.slow
 def test_fast_motors_without_friction():
     """A turn of the motor within a step is short against the angle over which its inertia changes.
 

@@ -43,6 +43,7 @@ def followed(coefficients):
     return one.sticks, one.status, one.stick_time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [*(pytest.param(size, marks=pytest.mark.slow) for size in (2, 3, 100)), 9])
 def test_the_curve(size):
     draw = np.random.default_rng(size)
@@ -63,6 +64,7 @@ def test_the_curve(size):
     np.testing.assert_array_equal(slope(jnp.asarray([1.01, 2.0, 1e6]) * speeds[-1]), 0.0)
 
 
+@pytest.mark.slow
 def test_motions_against_the_reference():
     """Times of events within the accuracy of the other laws, although the curvature jumps at each point."""
     run, (sticks, status, _) = reference(), followed(jnp.asarray(COEFFICIENTS))
@@ -92,6 +94,7 @@ def test_several_tables_side_by_side():
         np.testing.assert_allclose(both[2][index], followed(tables[index])[2], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_speeds():
     """At a speed between points, against differences of scipy's curve."""
     found = jax.grad(lambda x: ss.FrictionCurve.from_table(x, COEFFICIENTS).kinetic(jnp.asarray(0.07)))(
@@ -131,6 +134,7 @@ def test_uncertain_numbers_of_a_users_curve():
         ss.simulate_ensemble(ss.MassSpring(1.0, 4.0, 1.0, law), BASE, samples=2, t1=5.0, method=STEP)
 
 
+@pytest.mark.slow
 def test_single_precision():
     with jax.enable_x64(False):
         law = ss.FrictionCurve.from_table(SPEEDS, COEFFICIENTS)

@@ -49,6 +49,7 @@ def below(solution, velocity, threshold, shortest, bend=2 * 1.5 / 1e5, of_law=No
     return spans[spans[:, 1] - spans[:, 0] >= shortest]
 
 
+@pytest.mark.slow
 def test_lugre_against_scipy():
     one = ss.simulate(ss.MassSpring(1.0, 2.0, 1.0, LUGRE), ss.Constant(0.1), t1=20.0, method=ACCURATE)
 
@@ -69,6 +70,7 @@ def test_lugre_against_scipy():
     assert [c.meaning for c in one.system.coordinates][-1] == "deflection in m"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["LuGre", pytest.param("elasto-plastic", marks=pytest.mark.slow)])
 def test_stiff_bristles_stick_as_coulomb_friction(law):
     """The starts of sticks come to the exact ones with the square root of the bristles' deflection.
@@ -97,6 +99,7 @@ def test_stiff_bristles_stick_as_coulomb_friction(law):
     assert np.all(np.array(errors[-1]) < 0.02)
 
 
+@pytest.mark.slow
 def test_motion_with_stiff_bristles_without_damping():
     """Dahl's law comes to Coulomb's as the square root of the deflection; its bristles ring while the mass sticks."""
     base, y0 = ss.Harmonic(1.0, 0.9), (0.5, 0.3)
@@ -125,6 +128,7 @@ def slider(share, form, t1):
     return ss.simulate(system, ss.Constant(SPEED), t1=t1, y0=y0, method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["ageing", pytest.param("slip", marks=pytest.mark.slow)])
 def test_steady_sliding_of_a_spring_slider_loses_stability(form):
     """At the stiffness ``normal_force (b - a) / length`` (Ruina 1983), where inertia hardly counts."""
@@ -200,6 +204,7 @@ def two_blocks(law, coupling=0.0):
     return ss.LinearStructure(np.ones(2), stiffness, None, contacts)
 
 
+@pytest.mark.slow
 def test_two_contacts_against_scipy():
     one = ss.simulate(two_blocks(LUGRE, 0.7), ss.Constant(0.1), t1=15.0, method=ACCURATE)
 
@@ -239,6 +244,7 @@ def test_contact_that_opens():
 CART_LAW = ss.LuGre(0.3, 0.4, 0.05, stiffness=2e4, damping=20.0, viscous=0.1)
 
 
+@pytest.mark.slow
 def test_a_motor_and_its_cart_against_scipy():
     """The law is that of the cart, not of the pin that moves it: past dead centre, where the cart reverses, too."""
     system, voltage = ss.MotorCart(friction=CART_LAW), ss.SourceVoltage(cart.MEAN, cart.AMPLITUDE, cart.FREQUENCY)
@@ -333,6 +339,7 @@ class Owns(ss.SwitchedSystem):
         return 3.0  # of the stiffer spring
 
 
+@pytest.mark.slow
 def test_equations_of_ones_own_against_scipy():
     one = ss.simulate(Own(LUGRE), ss.Constant(0.1), t1=20.0, method=ACCURATE)
 
@@ -384,6 +391,7 @@ class Unseen(Own):
         return tuple(map(ss.Coordinate.of, self.state_names))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("system", "message"),
     [
@@ -402,6 +410,7 @@ SYSTEM = ss.MassSpring(1.0, 4.0, 1.0, ss.LuGre(0.5, 0.7, 0.05, stiffness=1e3, da
 LAW = ss.PoissonSwitching(0.5, rate=0.5)
 
 
+@pytest.mark.slow
 def test_ensembles_are_single_runs(tmp_path):
     key = jax.random.key(2)
     method = ss.Regularized(rtol=1e-6, max_steps=6000)
@@ -433,6 +442,7 @@ def test_sensitivity_by_common_random_numbers():
     assert abs(of_lugre.value - exact.value) < 4 * error + 0.05 * exact.value
 
 
+@pytest.mark.slow
 def test_derivative_of_a_last_state():
     def last(mu):
         law = ss.LuGre(mu, mu + 0.2, 0.05, stiffness=1e3, damping=10.0)
@@ -451,6 +461,7 @@ class Bent(ss.Dahl):
         return 1e-4
 
 
+@pytest.mark.slow
 def test_an_inner_state_that_is_not_zero_at_rest_is_where_motions_begin():
     """In one trajectory, and in an ensemble whose starts are random."""
     system, base, method = ss.MassSpring(1.0, 4.0, 1.0, Bent(0.4, 1e3)), ss.Constant(0.1), ss.Regularized()
@@ -467,6 +478,7 @@ def test_an_inner_state_that_is_not_zero_at_rest_is_where_motions_begin():
     np.testing.assert_array_equal(first.totals.stick_time, second.totals.stick_time)
 
 
+@pytest.mark.slow
 def test_a_motion_goes_on_from_its_last_state():
     method = ss.Regularized(rtol=1e-9, solver=diffrax.Kvaerno5(), max_steps=20_000)
     whole, first = (ss.simulate(SYSTEM, ss.Constant(0.2), t1=t1, method=method) for t1 in (12.0, 5.0))

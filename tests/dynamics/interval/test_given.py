@@ -158,6 +158,7 @@ def test_second_derivatives_in_forward_mode():
     assert_same(mixed, expected, 1e-8)
 
 
+@pytest.mark.slow
 def test_a_block_ends_with_its_last_lane():
     base = bases(4)
     longer = jax.tree.map(lambda leaf: jnp.pad(leaf, ((0, 0), (0, 5000))), base)
@@ -174,6 +175,7 @@ def test_a_block_ends_with_its_last_lane():
     assert crossed_of(longer) == crossed_of(base) < SLOTS
 
 
+@pytest.mark.slow
 def test_bases_too_short_and_not_finite_are_seen_in_their_lane_alone():
     good = jax.tree.map(lambda leaf: leaf[0], bases(1))
     short = ss.VelocitySteps(good.durations * 1e-3, good.velocities)

@@ -74,6 +74,7 @@ def test_sticks_are_ordered_disjoint_and_inside_the_horizon(setup):
     assert np.all(sticks.start[1:] >= sticks.end[:-1])
 
 
+@pytest.mark.slow
 @given(set_ups())
 def test_spare_slots_are_marked(setup):
     sticks = run(setup).sticks
@@ -119,6 +120,7 @@ def test_endings_say_what_they_mean(setup):
     assert np.all(np.isin(sticks.end[switched], jumps))
 
 
+@pytest.mark.slow
 @given(set_ups())
 def test_sticks_and_slips_tile_the_time(setup):
     simulation = run(setup)
@@ -146,6 +148,7 @@ def test_stick_time_is_the_sum_of_the_durations(setup):
     assert int(simulation.sticks.count) == len(sticks.start)
 
 
+@pytest.mark.slow
 @given(set_ups())
 def test_mass_moves_with_the_base_during_a_stick(setup):
     simulation = run(setup)
@@ -245,6 +248,7 @@ def test_scaling_law(setup, kilograms, metres, seconds):
     assert_same(run(setup), run(scaled), time, length)
 
 
+@pytest.mark.slow
 @given(set_ups(), st.data())
 def test_splitting_an_interval_changes_nothing(setup, data):
     """A boundary between equal velocities is no boundary: a stick that runs across it is one stick."""
@@ -260,6 +264,7 @@ def test_splitting_an_interval_changes_nothing(setup, data):
     assert_same(run(setup), run(cut))
 
 
+@pytest.mark.slow
 @given(set_ups(), st.integers(0, 10))
 def test_what_the_base_does_after_the_horizon_does_not_matter(setup, more):
     longer = setup._replace(

@@ -90,6 +90,7 @@ def test_the_belt_of_the_conference_paper_in_exact_numbers(ratio):
     assert square_waves().totals.sticks[ratio == RATIOS] == 0
 
 
+@pytest.mark.slow
 def test_no_statistic_of_the_belt_knows_a_stick():
     many = square_waves()
     assert many.sticks.mask.sum() == 0

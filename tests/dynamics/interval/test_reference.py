@@ -47,6 +47,7 @@ def test_random_levels(w, levels):
     assert crossings >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("w", SPEEDS)
 def test_poisson_switching(w, rate):
@@ -61,6 +62,7 @@ def test_poisson_switching(w, rate):
     assert_agrees(setup, simulation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_long_visits_to_a_release_velocity_invent_no_stick(seed):
     """Slow one-signed levels: the mass is released and stays on an arc that its base grazes again and again."""
@@ -69,6 +71,7 @@ def test_long_visits_to_a_release_velocity_invent_no_stick(seed):
     assert_agrees(setup, setup.simulate(SLOTS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("w", [0.05, 0.5, 5.0])
 def test_release_arc_stays_free_through_thousands_of_intervals(w):
     """Round-off of R^2 - w^2 grows as the square root of their number, to a hundred ulps here; it is no arrival."""

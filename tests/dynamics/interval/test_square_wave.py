@@ -33,6 +33,7 @@ def test_all_lanes_finish(table):
     assert table[3].tolist() == [ss.Status.FINISHED] * len(SQUARE_WAVE_SHARES)
 
 
+@pytest.mark.slow
 def test_share_of_the_last_period(table):
     """0.02 percentage points: the table's rounding (0.005) and what a slowly settling orbit still lacks."""
     period, (_, before, total), *_ = table

@@ -72,6 +72,7 @@ def test_first_arcs_with_numbers_on_a_lattice(dtype):
     np.testing.assert_array_equal(near, expected)
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_switch_at_the_instant_of_a_release(dtype):
     """From a stick at the beginning; as long as it lasts, everything is rational."""

@@ -200,6 +200,7 @@ def test_numbers_of_every_kind_are_allowed():
     assert ss.Regularized(0.1, minimum_duration=0.0).minimum_duration == 0
 
 
+@pytest.mark.slow
 def test_nothing_sticks_without_friction():
     """Although a mass that starts with the base's velocity leaves it slowly."""
     base, system = ss.PiecewiseConstant([0.0, 2.0], [1.0, -1.0]), ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.0))
@@ -209,6 +210,7 @@ def test_nothing_sticks_without_friction():
     assert float(one.stick_time) == 0
 
 
+@pytest.mark.slow
 def test_a_given_step_where_a_time_scale_is_traced():
     """It counts the steps; where it is too long, it is shortened, and the status tells if they were too few."""
     method = ss.Regularized(0.01, step=0.005)

@@ -140,6 +140,7 @@ def pulse(delta, speed, start, at, pace):
     return case(damping=0.0, push=0.0, durations=(at, delta, 9.0), speeds=(speed, 5.0, speed), y0=start, pace=pace)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delta", [1e-6, 1e-5, 1e-4, 1e-3])
 @pytest.mark.parametrize("fixed", [False, True])
 def test_a_short_pulse_is_not_stepped_over(fixed, delta):

@@ -88,6 +88,7 @@ def by_radau(shape, width, mu=MU, mu_static=MU_STATIC):
     return np.array([*arc.t_events[0][:3], arc.y[0, -1]])
 
 
+@pytest.mark.slow
 def test_the_field_is_that_of_the_documentation():
     """Steps that resolve a wide switch agree with Radau on the documented field."""
     found, _, _ = program("linear")(jnp.array([0.03, 0.03, 0.03, 0.03, 0.03]), MU, MU_STATIC)

@@ -140,6 +140,7 @@ def test_a_base_that_runs_out_is_reported():
     assert float(one.time_reached) == pytest.approx(float(base.durations.sum()))
 
 
+@pytest.mark.slow
 def test_a_state_that_overflows_is_reported():
     assert int(run(y0=(1e200, 1e200), base=ss.Harmonic(1.0, 2.0)).status) in (ss.Status.FINISHED, ss.Status.NOT_FINITE)
     one = jax.jit(lambda p: run(y0=(0.0, p), method=ss.Exact(step=0.1)))(jnp.nan)

@@ -153,6 +153,7 @@ def energy_error(system, base, y0, **method):
     return abs(stored(one.final_state) - stored(y0) - work) / spent
 
 
+@pytest.mark.slow
 def test_energy_closes_to_round_off():
     """Closed-form flow: what remains is round-off of 100 steps, a few hundred units in the last place."""
     system, base, y0 = build()
