@@ -526,8 +526,8 @@ def calibrate(
         base: What drives it: a motion without randomness, such as `Harmonic`, a measured one as a `Recorded`.
         times: Of the measurements, s, increasing, from 0 on, (times,); they need not be equally spaced.
         measured: What was measured, (times,) each, NaN where it was not. By the names of the system's coordinates
-            ("position" in m, "velocity" in m/s; "angle", "current", "position 2", ...), as "acceleration" (m/s^2;
-            where a coordinate is called "velocity 2", "acceleration 2"), as "friction force" (N), or by the names in
+            ("position" in m, "velocity" in m/s; "angle", "current", "position 1", ...), as "acceleration" (m/s^2;
+            where a coordinate is called "velocity 1", "acceleration 1"), as "friction force" (N), or by the names in
             `observe`. Accelerations and friction forces jump where a stick begins or a slip reverses, and the search
             does not see how a jump moves past a measurement: set those next to jumps to NaN, and measure positions too.
         wrt: The names of the numbers to be estimated: those of fields of the system or the base,

@@ -114,7 +114,7 @@ def disks(
             parts.append(Disk((spacing * float(at[0]), 0.0), 1.25, base, is_base=True))
     for i, angle in enumerate(angles):
         own = tuple(number for number, at in enumerate(touched) if at.tolist() == [i])
-        parts.append(Disk((spacing * i, 0.0), 1.0, angle, own, f"{i + 1}"))
+        parts.append(Disk((spacing * i, 0.0), 1.0, angle, own, f"{i}"))
     right = spacing * (len(angles) - 1) + 1.5
     return Mechanism(tuple(parts), (-1.5, right), (-1.9, 2.2), equal=True)
 

@@ -548,7 +548,7 @@ class LinearStructure(WithContacts):
     def coordinates(self) -> tuple[Coordinate, ...]:
         name, unit, symbol = ("angle", "rad", r"\varphi") if self.rotates else ("position", "m", "x")
         rate = "angular velocity" if self.rotates else "velocity"
-        numbers = range(1, self.size + 1)
+        numbers = range(self.size)  # as those of contacts and of y0
         positions = [Coordinate(f"{name} {i}", unit, f"{symbol}_{{{i}}}") for i in numbers]
         rates = (Coordinate(f"{rate} {i}", f"{unit}/s", rf"\dot {symbol}_{{{i}}}") for i in numbers)
         return *positions, *rates, *self.memory.coordinates

@@ -284,7 +284,7 @@ AGE = Coordinate("age of the stick", "s", r"\tau")
 
 def ages_of(contacts: int) -> tuple[Coordinate, ...]:
     """The ages of the sticks of each contact of a list."""
-    return tuple(Coordinate(f"age of stick {i}", "s", rf"\tau_{{{i}}}") for i in range(1, contacts + 1))
+    return tuple(Coordinate(f"age of stick {i}", "s", rf"\tau_{{{i}}}") for i in range(contacts))
 
 
 class StepCount(NamedTuple):

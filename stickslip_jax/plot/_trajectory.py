@@ -310,7 +310,7 @@ def contact_history(one: Simulation, window: Window | None, axes: SeveralAxes | 
             panel.plot(times, np.asarray(state[number]), color=color, lw=_style.SLIP_WIDTH, label=label)
         if unit in ("m/s", "rad/s") and np.any(base != 0):
             panel.plot(times, base, label="base", **_style.BASE_LINE)
-        kinds = {re.sub(r"\s*\d+$", "", name) for name in named}  # "position 1", "position 2", ...
+        kinds = {re.sub(r"\s*\d+$", "", name) for name in named}  # "position 0", "position 1", ...
         panel.set_ylabel(_style.quantity_label(kinds.pop() if len(kinds) == 1 else "coordinates", unit))
         _style.time_axis(panel, shown)
     contact_rows(panels[-1], one, shown)
@@ -628,7 +628,7 @@ def phase_portrait(
     Args:
         result: A result of `simulate`, one trajectory.
         window: First and last time to draw, s, for instance the last period only; all of ``[0, t1]`` by default.
-        x: Name of the coordinate on the abscissa, such as "angle", or "position 2" of `SwitchedSystem.state_names`; by
+        x: Name of the coordinate on the abscissa, such as "angle", or "position 1" of a structure; by
             default the first one.
         y: Name of that on the ordinate, likewise; by default the second one.
         abscissa: "position" (m; of a `MotorCart` the angle), or for a mass and spring "position_times_omega" (m/s), in

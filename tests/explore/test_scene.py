@@ -93,7 +93,7 @@ def test_sliders_stay_inside_the_bounds(name):
 def test_labels():
     labels = {one.name: one.label for one in numbers_of(scene_called("two blocks"))}
     assert labels["system.contacts[1].friction.mu"] == "friction coefficient, contact 1"
-    assert labels["y0[0].low"] == "initial position 1, lowest (m)"
+    assert labels["y0[0].low"] == "initial position 0, lowest (m)"
     assert labels["law.rate"] == "rate (1/s)"
     assert labels["t1"] == "duration of a realisation (s)"
     labels = {one.name: one.label for one in numbers_of(scene_called("motor and cart"))}

@@ -155,7 +155,7 @@ def test_without_growth_nothing_changes():
     mask = np.asarray(one.sticks.mask)
     np.testing.assert_allclose(one.sticks.end[mask], other.sticks.end[other.sticks.mask], rtol=0, atol=1e-12)
     np.testing.assert_allclose(one.final_state[:4], other.final_state, rtol=0, atol=1e-12)
-    assert [one.meaning for one in two_blocks(none).coordinates[4:]] == ["age of stick 1 in s", "age of stick 2 in s"]
+    assert [one.meaning for one in two_blocks(none).coordinates[4:]] == ["age of stick 0 in s", "age of stick 1 in s"]
 
 
 @pytest.mark.slow

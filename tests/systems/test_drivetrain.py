@@ -63,7 +63,7 @@ def test_frequencies_of_equal_inertias():
     np.testing.assert_allclose(np.linalg.eigvalsh(train.stiffness) / 0.5, 60 * expected, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(np.linalg.eigvalsh(train.damping), 0.3 * expected + 0.1, rtol=1e-12)
     assert [coordinate.unit for coordinate in train.coordinates] == ["rad"] * 6 + ["rad/s"] * 6
-    assert train.coordinates[7].meaning == "angular velocity 2 in rad/s"
+    assert train.coordinates[7].meaning == "angular velocity 1 in rad/s"
     assert train.of_contact(2).stick_position.unit == "m"
     assert train.of_all_contacts().stick_position.unit == "rad"
     assert train.uncoupled
