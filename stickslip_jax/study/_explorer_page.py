@@ -37,6 +37,8 @@ from ._reading import MOST_SAMPLES
 _BOX = 96  # px
 _RED = "light-dark(#b00020, #ff8a80)"
 _UNSEEN = "label { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }"
+# Bokeh's own is black on dark pages too.
+_OWN_ARROW = "select.bk-input:not([multiple]):not([size]) { appearance: auto; background-image: none; }"
 
 
 _COLLECTED = 20  # ms: of the moves of a slider in between only the last is taken (Panel collects those of 50 ms)
@@ -122,8 +124,8 @@ def watched(widget: Any, chosen: Callable[[Any], None]) -> Any:
 
 def choice(name: str, options: Iterable[str], chosen: Callable[[str], None]) -> pn.widgets.Select:
     """A list to choose from, beside what was given."""
-    options = [GIVEN, *options]
-    return watched(pn.widgets.Select(label=name, options=options, value=GIVEN, sizing_mode="stretch_width"), chosen)
+    kept = {"options": [GIVEN, *options], "value": GIVEN, "stylesheets": [_OWN_ARROW]}
+    return watched(pn.widgets.Select(label=name, sizing_mode="stretch_width", **kept), chosen)
 
 
 # Computations beside the page, in processes of their own: nothing else ends a compilation, or a loop of XLA.
