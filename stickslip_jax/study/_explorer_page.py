@@ -2,6 +2,7 @@
 
 import asyncio
 import io
+import logging
 import math
 import multiprocessing
 import pickle
@@ -22,6 +23,7 @@ import panel as pn
 from bokeh.document import Document, without_document_lock
 from tornado.routing import HostMatches, Rule
 from tornado.web import OutputTransform
+from tornado.websocket import WebSocketClosedError
 
 from .._compiler import programs
 from .._foundation import html
@@ -688,6 +690,11 @@ def _page() -> Any:
     return page
 
 
+def _but_for_closed_pages(loop: asyncio.AbstractEventLoop, failure: dict[str, Any]) -> None:
+    if not isinstance(failure.get("exception"), WebSocketClosedError):
+        loop.default_exception_handler(failure)
+
+
 def serve(scene: Scene, *, port: int, opens: bool, say: Callable[[str], None]) -> None:
     """Serve the explorer until Ctrl-C. `port` 0: any free one. Raises OSError for one that is taken."""
     with socket.socket() as tried:
@@ -714,6 +721,9 @@ def serve(scene: Scene, *, port: int, opens: bool, say: Callable[[str], None]) -
     )  # fmt: skip
     server._tornado.transforms.append(_Headers)
     server._tornado.default_router.rules[:] = [Rule(HostMatches(ADDRESS), server._tornado.wildcard_router)]
+    # A page that closes while it is sent something is no fault.
+    logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
+    server.io_loop.asyncio_loop.set_exception_handler(_but_for_closed_pages)
     say(f"The explorer is at {address}\nCtrl-C ends it.")
     if opens:
         webbrowser.open(address)
