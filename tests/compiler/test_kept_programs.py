@@ -590,6 +590,7 @@ kept.kept_jit(lambda x: 2 * x)(1.0)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_kill_while_writing_leaves_no_entry(folder):
     environment, piped = {**os.environ, kept.VARIABLE: str(folder)}, subprocess.PIPE

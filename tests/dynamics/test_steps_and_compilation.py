@@ -157,6 +157,7 @@ def compiled_size(harmonics):
     return jax.jit(told).lower(tones).as_text().count("\n")
 
 
+@pytest.mark.slow
 def test_sums_of_harmonics_compile_to_the_same_size_whatever_their_number():
     assert compiled_size(3) == compiled_size(40)
 
@@ -197,7 +198,7 @@ def test_what_is_shared_may_print():
     assert seen == [0.0]
 
 
-@pytest.mark.slow_but_for("4096", "0", "1")
+@pytest.mark.slow_but_for("1")
 @pytest.mark.parametrize("number", [0, 1, 17, 4096, 4097, 150_000])
 def test_any_number_of_times_is_evaluated_in_parts_of_few_sizes(number):
     """Of the last part, what fills it up is not seen."""

@@ -51,7 +51,7 @@ def test_much_memory_is_told_before_it_is_taken(monkeypatch):
     assert ss.simulate_ensemble(SYSTEM, POISSON, **wanted | {"keep": "statistics"}).samples == 150
 
 
-@pytest.mark.slow_but_for("Constant", "PoissonSwitching")
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_each_sample_is_the_simulation_of_its_own_key(law):
     many = ss.simulate_ensemble(SYSTEM, law, samples=5, keep="sticks", **RUN)

@@ -81,6 +81,7 @@ def far(scores):
 
 
 class TestSpectra:
+    @pytest.mark.slow
     @pytest.mark.parametrize("case", LAWS)
     def test_density(self, case):
         law, density = LAWS[case]
@@ -93,6 +94,7 @@ class TestSpectra:
         law, density = LAWS[case]
         assert float(law.variance) == pytest.approx(integral(density, law.cutoff), rel=1e-9)
 
+    @pytest.mark.slow_for("table")
     @pytest.mark.parametrize("case", LAWS)
     def test_covariance(self, case):
         """The spectrum is taken as constant in parts of at most 0.009 rad/s.
@@ -113,6 +115,7 @@ class TestSpectra:
         tail = 4 * 0.3**2 * 3.0**2 * 0.8 / 400.0
         assert float(law.variance) + tail == pytest.approx(math.pi * 0.8 * 3 * (1 + 0.36) / 1.2, rel=1e-5)
 
+    @pytest.mark.slow
     def test_rms_scales_it(self):
         law = ss.GaussianProcess(bump, 5.0, rms=0.5)
         assert float(law.variance) == 0.25
@@ -127,6 +130,7 @@ class TestSpectra:
 class TestDistribution:
     TIMES = (0.0, 0.4, 1.1, 2.5, 2 * math.pi * 32 / 5.0, 1000.0, 1000.4)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("harmonics", [1, 32])
     def test_each_value_is_gaussian(self, harmonics):
         """With one harmonic too; at t = 0 as at any other time."""
@@ -134,6 +138,7 @@ class TestDistribution:
         for column in (0, 3, 5):
             assert stats.kstest(values(harmonics, self.TIMES)[:, column], expected.cdf).pvalue > CHANCE / 3
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("harmonics", [1, 32])
     def test_covariances(self, harmonics):
         """Of values at different times: those of the spectrum, by the lag alone, and no period of ``2 pi n / cutoff``.
@@ -159,6 +164,7 @@ class TestDistribution:
             error = stats.norm.isf(CHANCE / 6) * products.std() / math.sqrt(SAMPLES)
             assert abs(products.mean() - expected) < error + 2 * float(LAW.variance) ** 2 / 32
 
+    @pytest.mark.slow
     def test_spectrum_by_welch(self):
         """The mean of 300 estimates, against what Welch's method makes of the covariances of the spectrum.
 
@@ -202,6 +208,7 @@ class TestDistribution:
         for name in ("amplitudes", "angular_frequencies", "phases"):
             assert not np.isclose(getattr(one, name), getattr(other, name)).any()
 
+    @pytest.mark.slow
     def test_float32(self):
         with jax.enable_x64(False):
             one = LAW.sample(KEY)
@@ -242,6 +249,7 @@ class TestSimulation:
             assert many.flat_sticks.end[mine] == pytest.approx(np.asarray(one.sticks.end)[:count], abs=1e-11)
         assert first[4] > 4
 
+    @pytest.mark.slow
     def test_derivative(self):
         """Of a value by the parameters of the spectrum, the random numbers held fixed."""
 

@@ -67,6 +67,7 @@ class TestDistribution:
     def test_spectrum_holds_the_variance(self):
         assert covariance(0) == pytest.approx(4.0, rel=1e-8)
 
+    @pytest.mark.slow
     def test_covariances(self):
         """The mean of N independent products of jointly normal numbers: variance ``(R(0)^2 + R(lag)^2) / N``."""
         lags = np.array([0, 1, 2, 5, 10, 20, 63])
@@ -82,6 +83,7 @@ class TestDistribution:
         expected = 2 * np.fft.rfft(weighted).real - weighted[0]
         assert not far((seen / expected - 1) * math.sqrt(LANES / 2))
 
+    @pytest.mark.slow
     def test_standard_deviation_follows_the_envelope(self):
         """From the first sample to the last: the mean of N squares has the relative variance ``2 / N``."""
         points = 69
@@ -97,6 +99,7 @@ class TestDistribution:
     def test_samples_are_normal(self, number):
         assert stats.kstest(steady()[:, number], stats.norm(scale=2.0).cdf).pvalue > CHANCE
 
+    @pytest.mark.slow
     def test_float32_samples_are_normal(self):
         with jax.enable_x64(False):
             drawn = accelerations(STEADY, 20_000, 31, seed=6)[:, 30]
@@ -151,6 +154,7 @@ def pieces(law, count, dtype):
 
 
 class TestRealization:
+    @pytest.mark.slow
     def test_pieces_are_the_sample(self):
         sample = LAW.sample(KEY, 3.0)
         times, values = np.asarray(sample.times), np.asarray(sample.accelerations)
@@ -160,12 +164,14 @@ class TestRealization:
         assert value == pytest.approx(values[:-1], abs=1e-12)
         assert value + slope * (end - begin) == pytest.approx(values[1:], abs=1e-12)
 
+    @pytest.mark.slow
     def test_pieces_keep_time_in_float32(self):
         """Added up one by one, 10,000 pieces end on the sampling time, to its last digit or two."""
         _, end, value, slope = pieces(LAW, 10_000, jnp.float32)
         assert end[-1] == pytest.approx(200.0, abs=4e-5)
         assert {part.dtype for part in (end, value, slope)} == {np.dtype(np.float32)}
 
+    @pytest.mark.slow
     def test_covers_the_time_asked_for(self):
         for t1 in (2.97, 2.98, 3.0):
             sample = LAW.sample(KEY, t1)
@@ -176,6 +182,7 @@ class TestRealization:
             for t1 in (3.0, 77.7):
                 assert float(LAW.sample(KEY, t1).duration) >= t1
 
+    @pytest.mark.slow
     def test_longer_sample_begins_with_the_shorter(self):
         short, long = LAW.sample(KEY, 0.7), LAW.sample(KEY, 3.0)
         size = len(short.times)
@@ -202,6 +209,7 @@ class TestRealization:
 
 
 class TestTransformations:
+    @pytest.mark.slow
     def test_jit(self):
         plain = LAW.sample(KEY, 3.0)
         compiled = jax.jit(lambda key: LAW.sample(key, 3.0))(KEY)
@@ -210,6 +218,7 @@ class TestTransformations:
             assert np.asarray(other.times) == pytest.approx(np.asarray(plain.times), abs=1e-14)
             assert np.asarray(other.accelerations) == pytest.approx(np.asarray(plain.accelerations), abs=1e-12)
 
+    @pytest.mark.slow
     def test_vmap_gives_each_key_its_own(self):
         keys = jax.random.split(KEY, 3)
         many = jax.vmap(lambda key: LAW.sample(key, 3.0))(keys)
@@ -226,10 +235,12 @@ class TestTransformations:
         ):
             jax.jit(draw)(0.01)
 
+    @pytest.mark.slow
     def test_derivative_with_respect_to_rms(self):
         motion = lambda rms: KanaiTajimi(rms, **NUMBERS).sample(KEY, 3.0).accelerations  # noqa: E731
         assert np.asarray(jax.jacrev(motion)(2.0)) == pytest.approx(np.asarray(motion(2.0)) / 2.0, rel=1e-12, abs=1e-15)
 
+    @pytest.mark.slow
     def test_derivatives_agree_with_differences(self):
         """Central differences: their error is of the order ``(1e-4)^2``."""
         numbers = {"rms": 2.0, **NUMBERS}

@@ -132,6 +132,7 @@ class TestRandomSteps:
         for level, chance in zip((-2.0, 0.0, 3.0), self.odds, strict=True):
             assert self.geometric_pvalue(counts[velocities == level], chance) > CHANCE
 
+    @pytest.mark.slow
     def test_neighboring_velocities_differ(self):
         for law in (self.coin, self.three):
             _, velocities = samples(law, 20, 200)
@@ -236,11 +237,13 @@ def assert_same_base(one, other):
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: f"{type(law).__name__}")
 class TestEveryRandomLaw:
+    @pytest.mark.slow_but_for("PoissonSwitching")
     def test_larger_sample_begins_with_the_smaller(self, law):
         small, large = (sample(law, 3, capacity=capacity) for capacity in (17, 300))
         for little, much in zip(small, large, strict=True):
             assert little.tolist() == much[:17].tolist()
 
+    @pytest.mark.slow_but_for("PoissonSwitching")
     def test_intervals_come_one_after_the_other(self, law):
         """Drawn one by one, each from its own number, as an ensemble does: the same realisation."""
         key_data = law.key_data(jax.random.key(3))
@@ -283,6 +286,7 @@ class TestEveryRandomLaw:
         plain = law.sample(jax.random.key(4), 9.0)
         assert np.asarray(compiled.durations) == pytest.approx(np.asarray(plain.durations), rel=1e-15)
 
+    @pytest.mark.slow
     def test_vmap_gives_each_key_its_own(self, law):
         keys = jax.random.split(jax.random.key(11), 3)
         many = jax.vmap(lambda key: law.sample(key, 9.0))(keys)

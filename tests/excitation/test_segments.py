@@ -83,6 +83,7 @@ def many():
 
 
 class TestExample:
+    @pytest.mark.slow
     def test_it_runs(self, capsys):
         """As it is written, but for the number of samples."""
         names = NAMES | {"system": SYSTEM}
@@ -96,6 +97,7 @@ class TestExample:
         assert stats.kstest(values[1:], stats.uniform(-1, 2).cdf).pvalue > CHANCE
         assert stats.spearmanr(durations[:-1], values[1:]).pvalue > CHANCE
 
+    @pytest.mark.slow
     def test_velocity_is_continuous_and_linear(self):
         segments = LAW.sample(KEY, T1)
         times, values = np.asarray(segments.times), np.asarray(segments.values)
@@ -106,6 +108,7 @@ class TestExample:
 
 
 class TestSample:
+    @pytest.mark.slow
     def test_repeats_each_sample_of_an_ensemble(self, many):
         assert many.finished == 256
         assert sum(len(sticks_in(many, sample)[0]) for sample in range(12)) > 12
@@ -115,6 +118,7 @@ class TestSample:
             for mine, other in zip(sticks_of(one), sticks_in(many, sample), strict=True):
                 assert mine == pytest.approx(other, abs=1e-12)  # time steps are compiled differently
 
+    @pytest.mark.slow
     def test_moves_the_mass_as_a_record_of_the_same_motion(self):
         base = LAW.sample(jax.random.fold_in(KEY, 3), T1)
         record = ss.Recorded(np.asarray(base.times), np.asarray(base.values))
@@ -123,6 +127,7 @@ class TestSample:
         for mine, expected in zip(sticks_of(one), sticks_of(other), strict=True):
             assert mine == pytest.approx(expected, abs=1e-11)
 
+    @pytest.mark.slow
     def test_jumps_as_steps_in_closed_form(self):
         """A law of steps, by time steps, is the same motion as `VelocitySteps`, in whole intervals."""
         base = Jumping().sample(KEY, T1)
@@ -133,11 +138,13 @@ class TestSample:
         for mine, expected in zip(sticks_of(one), sticks_of(other), strict=True):
             assert mine == pytest.approx(expected, abs=1e-9)
 
+    @pytest.mark.slow
     def test_a_larger_capacity_continues_it(self):
         short, long = (LAW.sample(KEY, T1, capacity=size) for size in (20, 33))
         for name in ("durations", "values", "slopes"):
             assert getattr(short, name).tolist() == getattr(long, name)[:20].tolist()
 
+    @pytest.mark.slow
     def test_too_few_segments_are_reported(self):
         one = ss.simulate(SYSTEM, LAW.sample(KEY, T1, capacity=3), t1=T1)
         assert int(one.status) == ss.Status.BASE_TOO_SHORT

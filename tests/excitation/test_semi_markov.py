@@ -41,6 +41,7 @@ GAPS = {
 
 
 class TestGaps:
+    @pytest.mark.slow
     @pytest.mark.parametrize("case", GAPS)
     def test_distribution(self, case):
         gap, expected = GAPS[case]
@@ -150,6 +151,7 @@ class TestAgainstPoisson:
         seen = np.bincount(np.clip(counts, 2, 14), minlength=15)[2:]
         assert stats.chisquare(seen, DRAWS * odds).pvalue > CHANCE
 
+    @pytest.mark.slow
     def test_statistics_of_sticks(self):
         laws = ss.SemiMarkovSwitching(ss.Exponential(0.8), 1.0), ss.PoissonSwitching(1.0, 1.25)
         runs = [
@@ -202,6 +204,7 @@ class TestCapacity:
         assert chance(number) < 1e-9
         assert chance(number * 0.8 // 1 - 12) > 1e-12 or number < 45
 
+    @pytest.mark.slow_but_for("Weibull")
     @pytest.mark.parametrize("case", GAPS)
     def test_covers_every_realization_tried(self, case):
         law = ss.SemiMarkovSwitching(GAPS[case][0], 1.0)
@@ -209,6 +212,7 @@ class TestCapacity:
         reached = jax.jit(jax.vmap(lambda key: law.sample(key, 25.0).durations.sum()))(keys)
         assert float(reached.min()) >= 25.0
 
+    @pytest.mark.slow
     def test_numbers_in_a_compiled_function_are_known(self):
         def reached(key):
             law = ss.SemiMarkovSwitching(ss.Truncated(ss.Normal(1.0, 0.5), low=0.2), ss.Uniform(0.5, 1.0))

@@ -56,6 +56,7 @@ def test_derivatives():
         np.testing.assert_allclose(derivative(first)(DURATIONS), [1.0, 1.0, 1.0, 0.0], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("durations", "velocities"),
     [([1.0, -1.0, 9.0], [0.3, 0.2, 0.3]), ([1.0, 1.0, 9.0], [0.3, np.nan, 0.3]), ([1.0, np.nan, 9.0], [0.3, 0.2, 0.1])],

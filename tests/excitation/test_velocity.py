@@ -69,7 +69,7 @@ LAWS = {
 }
 
 
-@pytest.mark.slow_but_for("user's", "Recorded", "WithJumps", "WithJumps of a record")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MOTIONS)
 def test_closed_forms(name):
     motion, expected = MOTIONS[name]

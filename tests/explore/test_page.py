@@ -180,7 +180,7 @@ def test_moving_numbers_compiles_nothing():
     assert compiled == []
 
 
-@pytest.mark.slow_but_for("-1", "fast")
+@pytest.mark.slow_but_for("-1")
 @pytest.mark.parametrize("text", ["", "fast", "1;2", "nan", "-1", "0"])
 def test_bad_input_says_why_and_moves_nothing(text):
     explorer = shown()
@@ -218,6 +218,7 @@ def test_other_system_friction_and_base():
     assert explorer.tabs == ["Motion and statistics"]
 
 
+@pytest.mark.slow
 def test_study_file_and_figures():
     explorer = shown(samples=20)
     write(control(explorer, "law.speed"), "0.75")
@@ -234,6 +235,7 @@ def test_study_file_is_read_again(tmp_path):
         assert read_config(path).system.build().friction.mu == 0.8
 
 
+@pytest.mark.slow
 def test_no_sticks_at_all():
     explorer = shown(system=system(mu=0.0), samples=20)
     assert "mean number of sticks 0" in " ".join(said(explorer.statistics).split())

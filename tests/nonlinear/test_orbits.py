@@ -27,6 +27,7 @@ def leine():
     return nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.0, 0.2))
 
 
+@pytest.mark.slow
 def test_stick_slip_orbit_of_leine(leine):
     assert bool(leine.converged)
     assert float(leine.period) == pytest.approx(12.001031294829, abs=1e-11)
@@ -106,6 +107,7 @@ def test_unstable_orbit_is_found():
     assert np.prod(orbit.multipliers).real == pytest.approx(math.exp(divergence), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_multipliers_of_a_square_wave_against_differences():
     system, law = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.9)), ss.SquareWave(1.0, 5.6)
     section = nonlinear.stroboscopic_section(system, law, y0=(0.3, -0.2), transient=300, kept=2, progress=False)
@@ -148,6 +150,7 @@ def test_whole_turns_of_angles_do_not_count():
     np.testing.assert_array_equal(back, np.eye(3))
 
 
+@pytest.mark.slow
 def test_orbit_of_a_disc_that_turns():
     """It closes after one turn, and a change of its rate decays as the drag has it."""
     orbit = nonlinear.periodic_orbit(Disc(3.0), FAR, y0=(0.5, 1.4), period=4.0)
@@ -188,6 +191,7 @@ def test_derivatives_of_an_orbit():
     np.testing.assert_allclose(many, [trace(0.999), trace(1.001)], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_search_that_fails_is_told():
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.5), damping=0.1)
     orbit = nonlinear.periodic_orbit(system, ss.Harmonic(0.8, 1.3), y0=(40.0, 3.0), iterations=1)
@@ -196,6 +200,7 @@ def test_search_that_fails_is_told():
         nonlinear.periodic_orbit(system, ss.Constant(1.0), y0=(0.1, 0.2))  # it comes to rest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [*(pytest.param(period, marks=pytest.mark.slow) for period in (3.0, 25.0)), 0.02])
 def test_a_bad_guess_of_the_period_gives_the_orbit_or_none(period):
     found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.0, 0.2), period=period)
@@ -211,6 +216,7 @@ def test_a_step_to_a_negative_period_is_shortened():
     assert float(found.period) == pytest.approx(12.001031294829, abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [2.0, pytest.param(6.3, marks=pytest.mark.slow), None])
 def test_an_equilibrium_is_no_orbit(period):
     # It comes back after any time, the unstable steady slip of the belt too.
@@ -225,11 +231,13 @@ def test_an_equilibrium_is_no_orbit(period):
     assert not bool(found.converged)
 
 
+@pytest.mark.slow
 def test_an_orbit_that_takes_too_many_steps_is_not_taken_for_one():
     found = nonlinear.periodic_orbit(LEINE, ss.Constant(0.2), y0=(1.0, 0.2), period=12.0, method=ss.Exact(max_steps=20))
     assert not bool(found.converged)
 
 
+@pytest.mark.slow
 def test_a_part_of_the_period_of_the_drive_is_not_taken_for_all_of_it():
     """The motion until the steps run out has a fixed point too."""
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.2), damping=5.0, force=ss.Harmonic(1.0, 0.7))
@@ -297,6 +305,7 @@ def test_zero_multipliers_are_exact():
     np.testing.assert_array_equal(found[2:], 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
 def test_orthogonal_factors(dtype):
     rng = np.random.default_rng(1)

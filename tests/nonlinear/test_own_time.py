@@ -77,6 +77,7 @@ CALLS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", SYSTEMS, ids=NAMES)
 @pytest.mark.parametrize("call", CALLS)
 def test_its_period_is_asked_for(system, call):
@@ -132,6 +133,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 @pytest.mark.parametrize("call", CALLS)
 def test_a_wrong_period_of_a_signal_is_told(name, call):
@@ -140,6 +142,7 @@ def test_a_wrong_period_of_a_signal_is_told(name, call):
         CALLS[call](system, base, **given)
 
 
+@pytest.mark.slow
 def test_a_wrong_period_of_one_of_many_signals_is_told():
     with pytest.raises(ValueError, match="after which Wave repeats itself"):
         CALLS["section"](_pushed(Wave()), STILL, period=2 * math.pi / 1.9, over={"angular_frequency": [1.9, 2.0]})

@@ -35,6 +35,7 @@ CALLS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.* fewer events were found")
 @pytest.mark.parametrize(
     "name",
@@ -55,6 +56,7 @@ def test_what_is_stored_is_not_simulated_again(name, tmp_path, monkeypatch):
     xr.testing.assert_identical(CALLS[name](folder=tmp_path / "kept"), first)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["section", "diagram"])
 def test_goes_on_after_an_interrupt(name, tmp_path, monkeypatch):
     expected = CALLS[name](folder=tmp_path / "at once")
@@ -108,6 +110,7 @@ def test_another_call_is_refused(name, tmp_path):
         nonlinear.stroboscopic_section(other, BASE, over=OVER, folder=tmp_path, **COMMON)
 
 
+@pytest.mark.slow
 def test_other_code_of_a_class_is_noticed(tmp_path):
     def own(strength):
         class Own(ss.SwitchedSystem):

@@ -32,6 +32,7 @@ CASES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -81,6 +82,7 @@ def _assert_same_sticks(section, one, ends, transient):
             np.testing.assert_allclose(own.longest_stick[cycle], longest, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.* not settled within")
 def test_grid_of_parameters_and_starts():
     starts = np.array([[0.0, 0.0], [1.0, 0.5], [-0.5, 0.2]])
@@ -97,6 +99,7 @@ def test_grid_of_parameters_and_starts():
     np.testing.assert_allclose(section.stick_time[1, 0, 1], alone.stick_time, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_start_as_a_parameter_is_followed():
     settings = {"transient": 0, "kept": 2, "progress": False}
     section = nonlinear.stroboscopic_section(DAMPED, HARMONIC, y0=(0.1, 0.2), over={"y0[0]": [0.1, 0.4]}, **settings)
@@ -186,6 +189,7 @@ def test_round_off_of_a_small_number_does_not_hide_that_a_motion_recurs():
     np.testing.assert_array_equal(recurrence(states, np.zeros((1, 2)), 1e-6, (None, None)), [1])
 
 
+@pytest.mark.slow
 def test_subharmonic_motion_is_found():
     # Without friction and damping, released at rest with the force at a third of its frequency away from the mean.
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.0))
@@ -194,6 +198,7 @@ def test_subharmonic_motion_is_found():
     assert int(section.recurrence) == 3
 
 
+@pytest.mark.slow
 def test_sizes_within_the_periods():
     # Seen once a period the displacement is 0; between, it is the amplitude.
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.0))
@@ -204,6 +209,7 @@ def test_sizes_within_the_periods():
     np.testing.assert_allclose(seen.sizes, [expected], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_motion_that_has_come_to_rest_repeats_itself():
     # Its velocity falls for ever, until it is round-off: compared with itself, it would never come back.
     system = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.5), damping=0.3)
@@ -215,6 +221,7 @@ def test_motion_that_has_come_to_rest_repeats_itself():
         np.testing.assert_allclose(section.position, 0.5, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_parameter_named_as_a_variable_is():
     values = [5.0, 5.6]
     section = nonlinear.stroboscopic_section(
@@ -225,6 +232,7 @@ def test_parameter_named_as_a_variable_is():
     assert section.position.dims == ("period", "cycle")
 
 
+@pytest.mark.slow
 def test_cases_that_do_not_end_are_told():
     method = ss.Exact(max_steps=40)
     with pytest.warns(RuntimeWarning, match="status says which"):
@@ -235,6 +243,7 @@ def test_cases_that_do_not_end_are_told():
     assert np.all(np.isnan(section.position[1, 1:]))
 
 
+@pytest.mark.slow
 def test_long_periods_get_more_steps():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -254,6 +263,7 @@ def test_periods_together():
         np.testing.assert_allclose(cases.cycle.duration, [period], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_record_begins_anew():
     times = np.linspace(0, 2, 21)
     base = ss.Recorded(times, np.sin(np.pi * times))

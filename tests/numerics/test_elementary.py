@@ -35,6 +35,7 @@ def angles(dtype, largest):
     return np.concatenate([wide, small, corners, [0.0]]).astype(dtype)
 
 
+@pytest.mark.slow_but_for("5000.0-float64")
 @pytest.mark.parametrize("dtype", TYPES)
 @pytest.mark.parametrize("largest", [10.0, 5000.0])
 def test_sincos(dtype, largest):
@@ -78,6 +79,7 @@ def test_angle_of_the_origin_is_zero_and_its_derivative_finite():
     assert [float(value) for value in slopes] == [0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", TYPES)
 def test_log(dtype):
     """The uses are logs of (0, 1); next to 1, where the log vanishes, as well."""
@@ -98,6 +100,7 @@ def test_log(dtype):
     assert float(log(jnp.asarray(1.0))) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, np.pi / 2, 2.0, -7.5, 1000.0])
 def test_sincos_derivatives_are_exact(angle):
     """First and second, in both modes, are the functions themselves and not derivatives of the polynomials."""
@@ -171,6 +174,7 @@ def test_random_words_are_the_bits_of_jax(seed):
     assert np.array_equal((np.asarray(high, np.uint64) << np.uint64(32)) | np.asarray(low, np.uint64), expected)
 
 
+@pytest.mark.slow
 def test_uniform_and_exponential_at_the_ends():
     """Never 0, 1 or infinite, whatever the bits: half a cell away from the ends."""
     ends = jnp.asarray([0, 2**32 - 1], jnp.uint32)
@@ -183,6 +187,7 @@ def test_uniform_and_exponential_at_the_ends():
         assert 0 < shortest == pytest.approx(2.0 ** -(bits + 1), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", TYPES)
 def test_exponential_is_minus_log_of_the_midpoint(dtype):
     words = jax.random.bits(jax.random.key(5), (2, 500), "uint32")

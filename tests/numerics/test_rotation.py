@@ -39,6 +39,7 @@ def numbers(dtype) -> tuple[np.ndarray, ...]:
     return tuple(values.astype(dtype) for values in (beta, squared, h))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_responses_keep_their_digits(dtype):
     beta, squared, h = numbers(dtype)
@@ -59,6 +60,7 @@ def test_responses_keep_their_digits(dtype):
         assert np.max(np.abs(got - expected) / scales / ulps[:, None]) < 1
 
 
+@pytest.mark.slow
 def test_slopes_of_responses_by_damping_spring_and_time():
     """At no spring too, in both modes."""
     values = [

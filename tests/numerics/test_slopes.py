@@ -32,6 +32,7 @@ def loops_back(function, *args):
     return "reverse=True" in str(jax.make_jaxpr(function)(*args))
 
 
+@pytest.mark.slow_but_for("jacfwd-by3", "grad-by1", "jacfwd-by1")
 @pytest.mark.parametrize("by", [(0,), (2,), (0, 1), (0, 1, 2)])
 @pytest.mark.parametrize("mode", [jax.grad, jax.jacfwd])
 def test_derivatives_are_those_of_the_closed_form(by, mode):
@@ -42,6 +43,7 @@ def test_derivatives_are_those_of_the_closed_form(by, mode):
     np.testing.assert_allclose(many, each, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
 @pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
 def test_second_derivatives(inner, outer):
@@ -71,6 +73,7 @@ def test_other_results_stay_what_they_are():
     assert jax.linearize(lambda a: with_slopes(loop, a, *POINT[1:], most=2)["seen"], 0.7)[1](1.0).shape == (STEPS,)
 
 
+@pytest.mark.slow_but_for("time steps")
 @pytest.mark.parametrize(
     ("base", "method"),
     [

@@ -28,6 +28,7 @@ def positive_definite(size: int, *, symmetric: bool) -> np.ndarray:
     return root @ root.T + np.eye(size) + (0 if symmetric else skew - skew.T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", [(), (3,)], ids=str)
 @pytest.mark.parametrize("size", SIZES)
 def test_solutions(size, sides):
@@ -38,6 +39,7 @@ def test_solutions(size, sides):
     np.testing.assert_allclose(found, expected, rtol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [2, WRITTEN_OUT + 1])
 def test_derivatives_of_solutions(size):
     """Of both arguments, in both modes and of second order: d(A^-1 b) = A^-1 (db - dA A^-1 b)."""
@@ -59,6 +61,7 @@ def test_derivatives_of_solutions(size):
     np.testing.assert_allclose(by_target, inverse.T @ weight, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.0, 1e12])
 @pytest.mark.parametrize("size", SIZES)
 def test_largest_eigenvalue(size, ratio):
@@ -74,6 +77,7 @@ def test_no_eigenvalue():
     assert largest_eigenvalue(jnp.zeros((3, 3))) == 0
 
 
+@pytest.mark.slow_but_for("20", "1")
 @pytest.mark.parametrize("size", SIZES)
 def test_positive_definite(size):
     matrix = positive_definite(size, symmetric=True)
@@ -86,6 +90,7 @@ def test_positive_definite(size):
 OFFSETS = ((0,), (-1, 0, 1), (1,), (-2, 0))
 
 
+@pytest.mark.slow_but_for("(1,)-(12, 12)", "(-1, 0, 1)-(9, 12)", "(1,)-(11, 12)", "(1,)-(9, 12)")
 @pytest.mark.parametrize("shape", [(12, 12), (11, 12), (9, 12)], ids=str)
 @pytest.mark.parametrize("offsets", OFFSETS, ids=str)
 def test_products_by_bands(shape, offsets):
@@ -151,6 +156,7 @@ def test_a_library_would_be_seen(function):
     assert calls_a_library(lambda a: jax.vmap(function)(a, a), jnp.eye(9)[None])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method",
     [ss.Exact(max_steps=64), ss.Regularized(step=0.1, width=1e-3, threshold=1e-3, minimum_duration=0.01)],
@@ -166,6 +172,7 @@ def test_no_library_of_linear_algebra(build, method):
     assert not calls_a_library(final, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [pytest.param(2, marks=pytest.mark.slow), WRITTEN_OUT + 1])
 def test_what_has_a_loop_is_compiled_once(size, caplog):
     """Outside a program too, where an ensemble begins: a loop that is compiled anew took seconds of each call."""

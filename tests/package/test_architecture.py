@@ -143,6 +143,7 @@ def test_only_systems_ask_which_class_a_system_is():
     ] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", MODULES, ids=name_of)
 def test_imports_go_one_way(parts):
     row = ROWS.index(parts[0])
@@ -150,6 +151,7 @@ def test_imports_go_one_way(parts):
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_no_circle_of_imports():
     graph = {parts: uses(parts) - {parts} for parts in MODULES}
     while leaves := [parts for parts, others in graph.items() if not others & graph.keys()]:
@@ -176,6 +178,7 @@ def test_no_new_circle_of_files_and_subfolders():
     assert {circle for circle in circles if len(circle) > 1} == CIRCLES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", MODULES, ids=name_of)
 def test_imports_are_named_and_public(parts):
     """No star imports, nothing private of JAX, and matplotlib only where figures are drawn."""
@@ -190,6 +193,7 @@ def test_imports_are_named_and_public(parts):
     assert "jax._src" not in MODULES[parts].read_text()
 
 
+@pytest.mark.slow
 def test_whatever_is_imported_is_declared():
     """By the package or by the extras that its users may install."""
     project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text())["project"]
@@ -226,6 +230,7 @@ OTHERS = [path for name in ("tests", "benchmarks", "tools") for path in sorted((
 FILES = [*MODULES.values(), *OTHERS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(TESTS.parent)))
 def test_files_and_functions_are_no_halls(path):
     text = path.read_text()
@@ -262,6 +267,7 @@ def imported():
     return json.loads(subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout)
 
 
+@pytest.mark.slow
 def test_importing_changes_nothing(imported):
     """No flag of JAX, no environment variable, no warning filter; float64 stays the user's choice."""
     assert {name: value for name, value in imported.items() if name != "devices"} == {

@@ -166,6 +166,7 @@ def test_bounds_themselves_are_allowed():
     assert ss.Constant(-1.0).speed == -1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [1, np.float32(1.0), np.float64(1.0), np.int64(1), jnp.asarray(1.0), np.asarray(1.0)])
 def test_every_kind_of_number_is_allowed(value):
     simulation = run(system=system(mass=value), t1=value, y0=(value, value), base=ss.Constant(value))

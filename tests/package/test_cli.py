@@ -309,7 +309,7 @@ def test_interrupted_process_leaves_nothing(tmp_path, number, code, seconds):
     assert os.listdir() == ["case.toml"]
 
 
-@pytest.mark.slow_but_for("arguments1")
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["--help"], ["study", "--print-config"]])
 def test_output_that_nobody_reads_to_its_end_is_no_failure(arguments):
     """As in ``stickslip ... | head``: no message, and the exit code of a process that SIGPIPE ended."""

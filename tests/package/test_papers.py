@@ -63,6 +63,7 @@ def test_random_belt_has_both_starts():
     assert papers.random_belt(0.5, y0=(0.0, 1.0)).y0 == (0.0, 1.0)
 
 
+@pytest.mark.slow
 def test_set_ups_run():
     setup = papers.square_wave_belt(1.2)
     one = jax.jit(lambda base: ss.simulate(setup.system, base, t1=setup.t1, y0=setup.y0))(
@@ -131,7 +132,7 @@ def test_sweeps_are_of_the_papers_systems(annotations_unchecked):
         papers.stick_share_map("triangular")
 
 
-@pytest.mark.slow_for("0.3-1.1-False")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mu", "ratio", "holds"),
     [(1.0, 1.2, True), (0.5, 1.2, False), (0.3, 1.1, False), (0.4, 1.1, True), (2.9, 2.0, False)],

@@ -33,7 +33,7 @@ PROGRAMS = {
 }
 
 
-@pytest.mark.slow_for("0.4-C, events")
+@pytest.mark.slow_for("0.4-C, events", "0.4-C, intervals")
 @pytest.mark.parametrize("program", PROGRAMS)
 @pytest.mark.parametrize("w", [0.4, 2.0, 6.0])
 def test_compiled_programs_agree_with_the_engine(program, w):
@@ -153,7 +153,7 @@ def test_mass_on_a_harmonic_base_by_scipy(mu):
     np.testing.assert_allclose(section.velocity, states[:, 1], atol=1e-7)
 
 
-@pytest.mark.slow_but_for("Radau")
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["LSODA", "Radau"])
 def test_mass_on_bristles_by_scipy(method):
     friction = ss.LuGre(0.3, 0.4, stribeck_speed=0.01, stiffness=1e4, damping=100.0)

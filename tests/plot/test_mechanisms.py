@@ -44,7 +44,7 @@ TRIANGLES = np.interp(np.linspace(0, 12, 12_001), np.arange(13.0), [0.0, *([1.0,
 RAN = np.concatenate([[0.0], np.cumsum((TRIANGLES[1:] + TRIANGLES[:-1]) / 2 * 1e-3)])
 
 
-@pytest.mark.slow_for("recorded")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BASES)
 def test_mass_spring_and_belt(name):
     base, run = BASES[name]

@@ -256,6 +256,7 @@ def test_axes_name_quantity_and_unit(many):
     ]
 
 
+@pytest.mark.slow
 def test_legends_hide_no_data(many):
     """Each legend lies wholly above its axes and inside the figure."""
     holes = np.array([[1.0, 2.0], [3.0, np.nan]])

@@ -115,7 +115,7 @@ def needed_position(name, times):
     return -np.interp(times, GROUND.times, GROUND.accelerations) / 40
 
 
-@pytest.mark.slow_but_for("motor")
+@pytest.mark.slow
 @of(*MASSES, "motor")
 def test_history_is_the_trajectory(one):
     panels = history(one)

@@ -173,6 +173,7 @@ def test_portrait_marks_the_only_equilibrium_of_a_belt_that_runs_one_way(sign):
     assert crosses.get_xdata().tolist() == [0.25 * sign]
 
 
+@pytest.mark.slow
 def test_portrait_pieces_last_the_whole_window(one):
     ax = plot.phase_portrait(one, window=(5.0, 15.0))
     exact = np.column_stack([np.asarray(values) for values in evaluate(one, jnp.asarray([5.0, 15.0]))])
@@ -243,6 +244,7 @@ def test_samples_that_did_not_finish_are_left_out(one):
     assert ax.get_legend().get_texts()[0].get_text().startswith(f"{number} sticks")
 
 
+@pytest.mark.slow
 def test_no_sticks_is_a_labeled_empty_figure():
     slipping = simulate(ss.Constant(5.0).sample(None, 3.0), 3.0, (0.0, 0.0))
     ax = plot.histogram(slipping)

@@ -296,7 +296,7 @@ def test_sticks_of_the_motor_keep_their_bound(mu, highest):
         assert mu * abs(math.sin(stick.position)) > 0.176982
 
 
-@pytest.mark.slow_but_for("0.5-physical")
+@pytest.mark.slow
 @pytest.mark.parametrize(("mu", "equation"), [(0.3, "printed"), (0.5, "physical")])
 def test_motor_against_library_integrators(mu, equation):
     compared = 0

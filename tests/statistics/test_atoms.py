@@ -35,6 +35,7 @@ def test_few_pairs_have_no_atoms():
     assert len(atoms_of(np.zeros(0), np.zeros(0), (0.0, 0.0)).share) == 0
 
 
+@pytest.mark.slow
 def test_atoms_of_the_switching_belt():
     """They come from the fixed start: on a belt that begins the other way the mass meets it at x = 0 again.
 

@@ -64,6 +64,7 @@ def few_sticks(number, size, sticks):
     return np.stack([time, count, count, 0.0 * count, 0.0 * count], axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "sticks"), [(20, 0.4), (20, 3.0), (100, 0.4)])
 def test_mean_durations_of_few_sticks(many, size, sticks):
     """Eight sticks do not determine how many there are: Student's t misses one time in six, nearly always below."""

@@ -54,6 +54,7 @@ class TestFalseAlarms:
         check_uniform(p_values[:, [0, 2, 4]])
         assert false_alarms <= repeats * 0.05 + 4 * math.sqrt(repeats * 0.05 * 0.95)
 
+    @pytest.mark.slow
     def test_a_drift_is_no_dependence(self):
         p_values, _ = repeated(drift, lambda sticks: independent(sticks, starts_before=math.inf))
         check_rates(p_values[:, :3])
@@ -67,11 +68,13 @@ class TestFalseAlarms:
         check_uniform(p_values[:, [0]])
         check_rates(p_values[:, 1:], at_most=True)
 
+    @pytest.mark.slow
     def test_one_pair_of_orders(self):
         """With two orders the Kolmogorov-Smirnov test is one test, whose p-values are a little too large by steps."""
         p_values, _ = repeated(iid, lambda sticks: identically_distributed(sticks, orders=2))
         check_rates(p_values[:, [1]])
 
+    @pytest.mark.slow
     def test_errors_are_clustered(self):
         """A coin gives each sample r = 0.6 or r = -0.6: no correlation, but pairs of one sample hang together.
 
@@ -165,6 +168,7 @@ class TestPower:
         assert min(holm(others)) > CHANCE
         assert independent(rows(durations)).rejected is False
 
+    @pytest.mark.slow
     def test_seldom_missed(self):
         """300 samples suffice; what is 100 % in truth is never missed in 50 repeats."""
 

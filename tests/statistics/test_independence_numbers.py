@@ -140,6 +140,7 @@ class TestNumbers:
         for x, chance in ((1.9330, 0.10), (2.4924, 0.05), (3.8781, 0.01)):
             assert limit_tail(x, 1) == pytest.approx(chance, abs=1e-4)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("degrees", [1, 4, 40])
     def test_moments_of_the_limiting_law(self, degrees):
         """Mean: degrees; variance: 2 degrees (pi^2 / 3 - 3). Both are integrals over the tail."""

@@ -21,6 +21,7 @@ def many():
     return ss.simulate_ensemble(SYSTEM, ss.PoissonSwitching(1.0, 1.0), samples=200, keep="sticks", **run)
 
 
+@pytest.mark.slow
 def test_statistics_as_labeled_arrays(many, tmp_path):
     statistics, file = many.statistics, tmp_path / "statistics.nc"
     statistics.to_xarray(bins=20).to_netcdf(file, engine="h5netcdf")

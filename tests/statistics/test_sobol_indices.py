@@ -98,7 +98,7 @@ def test_ishigami():
         assert np.all((interval[0] < value) & (value < interval[1]))
 
 
-@pytest.mark.slow_but_for("0.9")
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.9, 0.95])
 def test_intervals_hold_the_exact_indices_as_often_as_they_say(level):
     """Of independent base rows, 300 times 9 indices. Percentile intervals of 256 rows are a little too narrow.

@@ -58,6 +58,7 @@ def test_moments_by_brute_force(statistics, sticks, quantity):
     assert of.skewness.value == pytest.approx(stats.skew(values), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_histogram_and_entropy_by_brute_force(statistics, sticks, quantity):
     values, of = np.array(values_by_hand(sticks)[quantity], float), getattr(statistics, quantity)

@@ -74,6 +74,7 @@ def without_numba(monkeypatch):
     monkeypatch.setattr(sums, "compiled", lambda: uncompiled)
 
 
+@pytest.mark.slow
 @TYPES
 @pytest.mark.parametrize("seed", range(4))
 @WAYS

@@ -108,6 +108,7 @@ def test_options_replace_the_file(tmp_path):
     assert read_config(config_file(tmp_path), dict.fromkeys(OPTIONS)) == read_config(config_file(tmp_path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [*BAD_CONFIGS, *BAD_SYSTEMS_AND_BASES])
 def test_bad_configuration_is_one_sentence_that_names_file_and_key(tmp_path, case):
     text, expected = (BAD_CONFIGS | BAD_SYSTEMS_AND_BASES)[case]

@@ -252,6 +252,7 @@ def test_samples_out_of_steps_are_reported(tmp_path):
         assert dataset.attrs["samples_out_of_steps"] == 40
 
 
+@pytest.mark.slow
 def test_what_to_know_of_the_samples_is_reported(tmp_path):
     study = run(tmp_path, CART)
     changed = dataclasses.replace(

@@ -91,6 +91,7 @@ def test_reading_changes_nothing(copied):
     assert files_in(folder) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoilt", ["manifest.json", "manifest-copy.json"])
 @pytest.mark.parametrize("how", ["half", "another digit", "gone"])
 def test_one_manifest_is_enough(copied, spoilt, how):

@@ -66,7 +66,7 @@ def test_batches_that_join_between_the_two_readings(begun, monkeypatch):
     assert read_samples(folder) == [500, 500]
 
 
-@pytest.mark.slow_but_for("status")
+@pytest.mark.slow
 @pytest.mark.parametrize("read_it", [status_of, stored_dataset], ids=["status", "show"])
 def test_batches_that_join_after_they_were_listed(begun, monkeypatch, read_it):
     folder, add_and_join = begun

@@ -140,6 +140,7 @@ def put_folder(path: Path) -> None:
     path.mkdir()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("put", "kind"), [(put_pipe, "a named pipe"), (put_folder, "a folder")])
 @pytest.mark.parametrize("call", [lambda folder: run(sweep_of(), folder), lambda folder: ss.Sweep.load(folder).results])
 def test_batch_that_is_no_file(copied, put, kind, call):

@@ -72,6 +72,7 @@ def test_refused(make, message):
         make()
 
 
+@pytest.mark.slow
 def test_a_law_of_two_directions():
     """It rides up to what friction holds against a slip backward, 0.5 / 4 m, at 0.3 m/s."""
     one = ss.simulate(system(Sided(0.2, 0.5)), ss.Constant(0.3), t1=1.0, y0=(0.0, 0.3), method=ss.Exact(step=0.05))

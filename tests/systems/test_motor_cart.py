@@ -52,6 +52,7 @@ def assert_first_sticks_agree(mu, samples, numbers):
     assert np.all(worst < 1e-7), worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mu", [0.2, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_first_sticks_against_the_reference(mu):
     many = ensemble(mu, SAMPLES[mu])
@@ -68,6 +69,7 @@ def test_two_thousand_first_sticks_against_the_reference(mu):
     assert_first_sticks_agree(mu, 2000, np.arange(2000))
 
 
+@pytest.mark.slow
 def test_all_sticks_of_a_long_run_against_the_reference():
     voltage = ss.SourceVoltage(phase=jnp.array(2.0, float))
     one = ss.simulate(ss.MotorCart(mu=0.5), voltage, t1=10.0, y0=(0.7, 0.0, 0.0), method=ROOM)
@@ -126,6 +128,7 @@ def test_bound_at_a_right_angle(mu, seconds):
     assert bound == pytest.approx(seconds, abs=5e-5 if mu in (0.3, 0.4) else 5e-6)
 
 
+@pytest.mark.slow
 def test_bound_as_an_array_and_its_support():
     angles = np.linspace(0, 2 * np.pi, 100_001)
     bound = np.asarray(ss.stick_duration_bound(ss.MotorCart(mu=0.2), VOLTAGE, angles))
@@ -163,6 +166,7 @@ def bound_with_transient(system, angles):
     return longest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mu", SAMPLES)
 def test_every_stick_is_under_the_bound(mu):
     many = ensemble(mu, SAMPLES[mu])

@@ -91,6 +91,7 @@ def test_its_numbers_are_checked():
         DuffingBelt(cubic=math.nan)
 
 
+@pytest.mark.slow
 def test_sticks_of_the_limit_cycle(one):
     """A stick ends where the spring pulls with mu_static n; it began where the slip's energy has the same value:
     ``stiffness x^2 / 2 + cubic x^4 / 4 - mu n x`` (the mass is behind the belt).
@@ -116,6 +117,7 @@ def test_regularized_agrees():
     np.testing.assert_allclose(smooth.evaluate(TIMES)[0], exact.evaluate(TIMES)[0], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_ensemble_is_the_simulations(many):
     _, base, y0 = many.realization(7)
     alone = ss.simulate(SYSTEM, base, t1=20.0, y0=y0)
@@ -140,6 +142,7 @@ def test_samples_with_numbers_of_their_own():
         ss.simulate_ensemble(system, law, t1=20.0, samples=9, key=jax.random.key(0))
 
 
+@pytest.mark.slow
 def test_derivative_of_an_event():
     """The first stick begins at x = 0 and ends at the edge: d edge / d mu_static = n / (stiffness + 3 cubic edge^2)."""
 
@@ -165,6 +168,7 @@ def test_derivative_of_a_mean():
     assert abs(z) < 4
 
 
+@pytest.mark.slow
 def test_figures(one, many):
     """Drawn and labelled like the package's own."""
     upper, lower = plot.time_history(one)

@@ -40,6 +40,7 @@ def mean(value: ss.Estimate) -> float:
     return float(value.value)
 
 
+@pytest.mark.slow
 def test_ensembles_of_both_exact_engines_agree():
     one = ss.simulate_ensemble(BLOCK, LAW, samples=64, keep="sticks", **RUN)
     other = ss.simulate_ensemble(BLOCK, LAW, samples=64, keep="sticks", method=ss.Exact(step=0.5), **RUN)
@@ -56,6 +57,7 @@ def test_smoothed_friction_comes_near(step):
     assert mean(ss.stick_fraction(smooth)) == pytest.approx(mean(ss.stick_fraction(exact)), rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [ss.Exact(), pytest.param(ss.Exact(step=0.2), marks=pytest.mark.slow)])
 def test_some_samples_without_a_spring(method):
     """An array with zeros, and each sample as alone."""
@@ -70,6 +72,7 @@ def test_some_samples_without_a_spring(method):
     assert mean(ss.stick_fraction(many)) == pytest.approx(np.mean(times) / 20.0, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_start_on_the_base_is_a_stick_from_the_first_instant():
     """For every stiffness, to the last bit: it is the initial rest, which is not counted."""
     system = ss.MassSpring(1.0, ss.LogNormal(median=4.0, log_std=0.1), 1.0, ss.Coulomb(1.0))
@@ -79,6 +82,7 @@ def test_a_start_on_the_base_is_a_stick_from_the_first_instant():
     assert np.min(starts[starts > 0]) > 1e-9
 
 
+@pytest.mark.slow
 def test_steps_of_a_traced_stiffness_that_is_zero():
     def final(stiffness):
         system = ss.MassSpring(1.0, stiffness, 1.0, ss.Coulomb(0.5), damping=0.1)
@@ -103,6 +107,7 @@ def test_the_derivative_of_a_mean_by_friction():
     assert float(found.derivative) == pytest.approx((ends[1] - ends[0]) / 0.02, rel=0.02)
 
 
+@pytest.mark.slow
 def test_harmonic_forces_push_a_free_mass():
     """Without friction: ``x'' = F cos(w t + phase)``."""
     force = ss.Harmonic(2.0, 3.0, 0.4, offset=0.1)
@@ -113,6 +118,7 @@ def test_harmonic_forces_push_a_free_mass():
     assert float(one.final_state[0]) == pytest.approx(exact, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "base", ["steps", *(pytest.param(base, marks=pytest.mark.slow) for base in ("tone", "ground"))]
 )
@@ -135,6 +141,7 @@ def test_figures(base):
     assert jnp.all(jnp.isfinite(one.evaluate(jnp.linspace(0.0, 20.0, 50))[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [ss.Exact(), ss.Exact(step=0.3), ss.Exact(step=0.77)])
 @pytest.mark.parametrize("stiffness", [0.0, 1e-20, 1e-12])
 @pytest.mark.parametrize("way", [1.0, -1.0])

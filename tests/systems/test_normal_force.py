@@ -12,6 +12,7 @@ SMOOTHED = ss.Regularized(1e-3, step=0.01, threshold=1e-3, minimum_duration=0.01
 BASE = ss.SquareWave(0.5, 6.0)
 
 
+@pytest.mark.slow
 def test_a_block_under_a_growing_and_falling_load():
     """Without a spring, on a base at rest: ``m v' = F - mu N(t)`` with N linear in time; integrals by hand.
 
@@ -37,6 +38,7 @@ def test_a_block_under_a_growing_and_falling_load():
     assert float(one.final_state[1]) == pytest.approx((gained(10.0) - gained(7.5)) / 2, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_lifted_mass_swings_freely():
     """No normal force from 2 s on: from there the motion is that of the spring alone."""
     system = ss.MassSpring(1.0, 4.0, ss.ForceSteps([0.0, 2.0], [1.0, -3.0]), FRICTION)
@@ -88,6 +90,7 @@ def touching(system: str, omega: float):
     return ss.MassSpring(1.0, 0.0, load, ss.Dahl(0.5, 50.0), 0.1), (0.3, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 @pytest.mark.parametrize("x64", [True, False])
 @pytest.mark.parametrize("omega", [1.0, 0.9, np.pi])
@@ -102,6 +105,7 @@ def test_one_that_only_touches_zero_does_not_end_a_stick(system, omega, x64):
     assert np.asarray(one.sticks.end)[np.asarray(one.sticks.mask)] == pytest.approx(20.0, abs=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("knots", [[np.pi, 3 * np.pi], [1.0, 9.0]])
 @pytest.mark.parametrize("load", [ss.Harmonic(1.0, 1.0, offset=1.0), Touching()])
 def test_one_that_touches_zero_where_a_force_has_a_knot(load, knots):
@@ -116,6 +120,7 @@ def test_one_that_touches_zero_where_a_force_has_a_knot(load, knots):
     assert float(one.of_contact(0).sticks.end[0]) == 20.0
 
 
+@pytest.mark.slow
 def test_contacts_of_a_users_system_touch():
     """``1 - sin(t)`` and ``1 + cos(t)`` are zero at other instants; neither ends its stick."""
     one = ss.simulate(TwoBlocks(), ss.Constant(0.0), t1=20.0, y0=(0.0,) * 4)
@@ -124,6 +129,7 @@ def test_contacts_of_a_users_system_touch():
         assert float(one.of_contact(contact).sticks.duration[0]) == 20.0
 
 
+@pytest.mark.slow
 def test_one_that_reaches_zero_from_below_begins_no_stick():
     """The contact is closed at single instants, in which friction does nothing; with 1e-9 more it is for a while."""
     one, more = (
@@ -211,6 +217,7 @@ def moved_by_a_step(times, begin):
     return 0.375 * (1 - np.cos(2 * since))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("force", "begin"), [(2.5, 0.0), (STEPS, 1.0)], ids=["constant", "in steps"])
 def test_a_constant_force_moves_the_mass_as_a_step(force, begin):
     times = np.linspace(0.0, 3.0, 9)
@@ -231,6 +238,7 @@ def test_steps_of_force_on_a_structure_and_forces_that_differ_from_sample_to_sam
     np.testing.assert_allclose(many.totals.stick_time, [3.0, 3.0 - np.pi / 2], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_function_of_time_is_a_signal(annotations_unchecked):
     harmonic = ss.Harmonic(3.0, 1.0, -np.pi / 2)
     signal = ss.Signal.of(lambda t: 3.0 * jnp.sin(t), shortest_period=2 * np.pi)
@@ -249,6 +257,7 @@ def test_a_function_of_time_is_a_signal(annotations_unchecked):
         ss.Signal.of(lambda t: np.asarray(t) * 2)
 
 
+@pytest.mark.slow
 def test_a_number_is_a_constant_base_velocity_and_a_force_a_number_to_differentiate_by():
     system = ss.MassSpring(**BLOCK)
     one, other = (ss.simulate(system, base, t1=10.0) for base in (0.2, ss.Constant(0.2)))

@@ -76,6 +76,7 @@ def structure(friction):
     return ss.LinearStructure(mass=[MASS, 1.0], stiffness=[STIFFNESS, 1.0], contacts=contacts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize(("forward", "backward"), [(MU, 0.0), (0.0, MU)])
 @pytest.mark.parametrize("ratio", [1.0, 1.4])
@@ -93,6 +94,7 @@ def test_events_and_end(forward, backward, direction, ratio):
     np.testing.assert_allclose([float(value) for value in one.evaluate(T1)], state, **tolerance)
 
 
+@pytest.mark.slow
 def test_in_a_structure_as_alone():
     """Beside another contact, which it does not feel."""
     friction, times = law(0.0, MU), jnp.linspace(0.0, T1, 41)
@@ -103,6 +105,7 @@ def test_in_a_structure_as_alone():
     np.testing.assert_allclose(both.evaluate(times)[0], alone.evaluate(times)[0], atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [1, -1])
 def test_derivative_by_the_friction_of_the_other_direction(direction):
     def end(mu, simulated=True):

@@ -65,11 +65,13 @@ def sliding(most, least, stiffness, play):
     return after
 
 
+@pytest.mark.slow
 def test_a_record_between_the_times():
     force = ss.Coulomb(0.3).force([0.0, 1, 2, 3, 4], TO_AND_FRO, 10.0, series_stiffness=40.0)
     np.testing.assert_allclose(force, [0, -3, -3, -3, -3], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [ss.Coulomb(0.3), ss.Directional(ss.Coulomb(0.3), ss.Coulomb(0.5))])
 @pytest.mark.parametrize("backlash", [0.0, 4e-3])
 @pytest.mark.parametrize("seed", range(3))
@@ -85,6 +87,7 @@ def test_a_signal_that_turns_between_the_times(law, backlash, seed):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_turns_that_nearly_coincide():
     """A velocity that dips below zero for a hundredth of its period, between two pieces of it that are looked at."""
     w, dip = 2.0, math.cos(0.01 * math.pi)
@@ -136,6 +139,7 @@ def dahl(mu, stiffness, normal):
     return after
 
 
+@pytest.mark.slow
 def test_short_moves_of_bristles():
     """One move of a record, and one of a signal: closed forms."""
     times, moves = np.linspace(0.0, 100.0, 11), {"record": 0.01, "signal": 0.01 * math.sqrt(math.pi)}

@@ -43,6 +43,7 @@ def forces_by_scipy(form, times, velocity, stiffness, backlash):
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backlash", [0.0, 4e-6])
 @pytest.mark.parametrize("form", ["ageing", "slip"])
 def test_steps_and_turns_against_scipy(form, backlash):
@@ -66,6 +67,7 @@ def settled(velocities, stiffness, times_after):
     return law().force(times, velocity, NORMAL, series_stiffness=stiffness, rtol=1e-11, max_steps=10**6)[2:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [*(pytest.param(share, marks=pytest.mark.slow) for share in (0.9, 4.0)), 1.1])
 def test_small_step_goes_as_linear_theory_says(share):
     """The force after the speed grows by 1e-5 of itself: eigenvalues of spring and state (Ruina 1983)."""
@@ -85,6 +87,7 @@ def test_small_step_goes_as_linear_theory_says(share):
     assert np.max(np.abs(expected)) > 3e-8
 
 
+@pytest.mark.slow
 def test_critical_stiffness():
     """Where small disturbances neither grow nor decay, from the growth just below it and the decay just above."""
     after, growth = np.linspace(5.0, 400.0, 80), []
@@ -132,6 +135,7 @@ def slopes_by_scipy(form, numbers, times, velocity, weights):
     return [end(*(numbers * (1 + 1e-30j * row))).imag / 1e-30 for row in np.eye(4)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["ageing", pytest.param("slip", marks=pytest.mark.slow)])
 def test_derivatives(form):
     """Of forces about the peak by a, b, length and stiffness: both modes, against scipy's.
@@ -168,6 +172,7 @@ def test_slip_velocity_is_the_inverse_of_the_coefficient():
     assert float(slope) == pytest.approx(2 * SPEED / A * np.exp(-MU / A), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_under_jit_and_vmap():
     times = jnp.array([0.0, 5.0, 9.0, 9.5, 12.0])
     velocity = jnp.array([1.0, 1.0, 1.0, 10.0, 10.0]) * 1e-6
@@ -181,6 +186,7 @@ def test_under_jit_and_vmap():
         np.testing.assert_allclose(found, force(stiffness), rtol=0, atol=1e-6 * NORMAL)
 
 
+@pytest.mark.slow
 def test_slip_that_accelerates_without_bound_is_told():
     times, velocity = [0.0, 0.1, 1e3], [SPEED, 3 * SPEED, 3 * SPEED]
     with pytest.raises(ValueError, match=r"may accelerate without bound .* give the slider a mass"):
@@ -196,11 +202,13 @@ class Faster(ss.DieterichRuina):
         return super().coefficient(z, velocity) + 0.1 * velocity
 
 
+@pytest.mark.slow
 def test_a_subclass_of_other_friction_is_refused():
     with pytest.raises(ValueError, match="series_stiffness must be None for Faster"):
         Faster(MU, A, B, LENGTH, SPEED).force([0.0, 1.0], [SPEED] * 2, NORMAL, series_stiffness=1e9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [*(pytest.param(share, marks=pytest.mark.slow) for share in (2.0, 10.0)), 200.0])
 def test_single_precision(share):
     """To a thousandth of the normal force, at the default tolerance, from machines that are soft to stiff ones."""

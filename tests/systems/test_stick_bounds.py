@@ -34,6 +34,7 @@ def longest_hold(system, voltage, angle):
     return max(changes[1::2] - changes[::2], default=0) * 2 * math.pi / number / voltage.angular_frequency
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VOLTAGES)
 def test_by_its_definition(name):
     """The paper's own case is the first: one window about the lowest current."""

@@ -60,6 +60,7 @@ def test_what_a_structure_refuses(changed, message):
         pair(**changed)
 
 
+@pytest.mark.slow
 def test_redundant_contacts_are_told_under_transformations():
     """Of given directions at once, whatever the masses are; of traced ones by a status."""
 
@@ -173,6 +174,7 @@ def test_the_fastest_motion():
     assert float(pair(damping=[100.0, 1.0]).fastest) == pytest.approx(100.0, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stiffness", "damping", "rates"),
     [
@@ -206,6 +208,7 @@ def held(system):
     return ss.LinearStructure(system.mass, system.stiffness, contacts=(one,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -229,6 +232,7 @@ def test_of_contact_needs_several_contacts():
         one.of_contact(0)
 
 
+@pytest.mark.slow
 def test_numbers_that_jax_traces():
     """Masses, directions and normal forces may be arguments of a function under jax.jit and jax.vmap."""
 

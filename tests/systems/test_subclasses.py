@@ -121,6 +121,7 @@ class Ratchet(ss.FrictionLaw):
         return ss.Coulomb(jnp.where(velocity < 0, self.backward, self.forward))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "error"),
     [(ss.Exact(), 1e-7), pytest.param(ss.Regularized(1e-4, step=1e-3), 1e-2, marks=pytest.mark.slow)],
@@ -137,6 +138,7 @@ def test_friction_that_depends_on_the_direction(method, error):
     np.testing.assert_allclose(one.friction_force(np.array([1.0, 2.0, 11.0])), [1.0, -0.3, 0.2], rtol=0, atol=4 * error)
 
 
+@pytest.mark.slow
 def test_statements_made_anew_hold():
     halved, plain = (ss.MassSpring(1.0, 4.0, 1.0, friction) for friction in (Halved(0.8), ss.Coulomb(0.4)))
     base = POISSON.sample(jax.random.key(0), 20.0)
@@ -157,6 +159,7 @@ class Written(ss.Signal):
         return jnp.exp(-0.1 * t) * 1.4 * jnp.cos(1.3 * t + 0.4)
 
 
+@pytest.mark.slow
 def test_signals():
     """Rates and integrals are those of the value, and the shortest period is not known."""
     fading, written = Fading(1.4, 1.3, 0.4), Written()
@@ -197,6 +200,7 @@ class DeadTime(ss.PoissonSwitching):
         return 0.5 + drawn * (1 / self.rate), memory * self.speed, -memory
 
 
+@pytest.mark.slow
 def test_realisations_of_a_law():
     """Those of `sample` are those that an ensemble draws."""
     law = DeadTime(1.3, 2.0)

@@ -58,6 +58,7 @@ class Pressed(Blocks):
         return (*y[3:], *(-COUPLING @ jnp.stack(y[:3]) - self.mu * friction))
 
 
+@pytest.mark.slow_for("<lambda>0")
 @pytest.mark.parametrize(
     "law",
     [
@@ -82,6 +83,7 @@ def test_normal_forces_with_kinks_are_not_refused(law):
     check_motion(Pressed(law=law), START)
 
 
+@pytest.mark.slow
 def test_normal_forces_that_jump_where_a_contact_between_blocks_stops_are_refused():
     """At a velocity that is no number of the state: that of the other block, times the ratio of a gear."""
 

@@ -43,6 +43,7 @@ def test_every_number_stays_uniform(drawn):
     assert np.all((drawn[1] > 0) & (drawn[1] < 1))
 
 
+@pytest.mark.slow
 def test_rank_correlations_are_those_asked_for():
     """Spearman's correlation of a sample, its standard error from 20 batches."""
     ranks = np.array([[1.0, 0.7, -0.4], [0.7, 1.0, 0.0], [-0.4, 0.0, 1.0]])
@@ -57,12 +58,14 @@ def test_rank_correlations_are_those_asked_for():
     assert np.all(np.abs(z) < stats.t.ppf(1 - 1e-4, 19))
 
 
+@pytest.mark.slow
 def test_no_correlation_changes_nothing():
     u = np.random.default_rng(7).uniform(size=(50, 2))
     found = ss.GaussianCopula(("a", "b"), np.eye(2)).correlated(jnp.asarray(u))
     np.testing.assert_allclose(found, u, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_by_numbers_and_by_a_correlation():
     """Against the closed form: with normal scores x and y = r x + sqrt(1 - r^2) e, dy/dr = x - r e / sqrt(1 - r^2)."""
     u, r = np.array([0.2, 0.7]), 0.4
@@ -79,6 +82,7 @@ def test_derivatives_by_numbers_and_by_a_correlation():
     np.testing.assert_allclose(by_r, stats.norm.pdf(y) * (x - r * e / np.sqrt(1 - r**2)), rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_one_sample_is_the_same_alone_and_among_others(drawn):
     """To the last bit: ensembles are cut into chunks anywhere."""
     u, v = drawn
@@ -88,6 +92,7 @@ def test_one_sample_is_the_same_alone_and_among_others(drawn):
     np.testing.assert_array_equal(jax.vmap(correlated)(jnp.asarray(u[:7])), v[:7])
 
 
+@pytest.mark.slow
 def test_float32_stays_within_zero_and_one():
     """The largest and smallest numbers of float32 draws, correlated with each other."""
     near = np.float32([2.0**-24, 1 - 2.0**-24])

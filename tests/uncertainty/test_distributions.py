@@ -73,6 +73,7 @@ def spread(frozen) -> float:
     return float(frozen.ppf(0.9) - frozen.ppf(0.1))
 
 
+@pytest.mark.slow
 @CASE
 def test_quantiles_and_probabilities_are_those_of_scipy(name):
     make, reference, numbers = CASES[name]
@@ -101,6 +102,7 @@ def slope_of_scipy(reference, numbers, index, u):
     return (4 * difference(step / 2) - difference(step)) / 3
 
 
+@pytest.mark.slow
 @CASE
 def test_derivatives_of_quantiles_by_every_parameter(name):
     """Under jit, forward and backward."""
@@ -116,6 +118,7 @@ def test_derivatives_of_quantiles_by_every_parameter(name):
         np.testing.assert_allclose(backward[index], forward[index], rtol=1e-12, atol=1e-12 * size)
 
 
+@pytest.mark.slow
 @CASE
 def test_derivatives_of_quantiles_by_u_are_one_over_the_density(name):
     """The density by scipy's cdf on both sides of the quantile."""
@@ -132,6 +135,7 @@ def test_derivatives_of_quantiles_by_u_are_one_over_the_density(name):
     np.testing.assert_allclose(jax.vmap(jax.grad(ours.cdf))(jnp.asarray(x)) * slope, 1.0, rtol=1e-9)
 
 
+@pytest.mark.slow
 @CASE
 def test_vmap_over_parameters_that_are_as_many_as_the_numbers(name):
     """Each row belongs to its own parameters, also where a row is as long as the batch."""
@@ -143,6 +147,7 @@ def test_vmap_over_parameters_that_are_as_many_as_the_numbers(name):
     np.testing.assert_allclose(found[:, :-1], expected[:, :-1], rtol=1e-12, atol=1e-13 * spread(reference(*numbers)))
 
 
+@pytest.mark.slow
 @CASE
 def test_float32_stays_float32_and_is_as_exact_as_it_can_be(name):
     """Even in a process with float64. The error is that of u times the slope of the quantile, and a few last digits."""
@@ -164,6 +169,7 @@ def test_float32_stays_float32_and_is_as_exact_as_it_can_be(name):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ours", "frozen"),
     [
@@ -190,6 +196,7 @@ def test_log_normal_from_moments():
 VALUES, PROBABILITIES = (0.2, 0.5, 0.6, 1.5), (0.1, 0.2, 0.0, 0.7)
 
 
+@pytest.mark.slow_but_for("given")
 @pytest.mark.parametrize("probabilities", [None, PROBABILITIES], ids=["equal", "given"])
 def test_discrete(probabilities):
     """Also on the steps themselves: a draw lies at or below the value with probability u."""
@@ -210,6 +217,7 @@ def test_discrete(probabilities):
     np.testing.assert_array_equal(narrow, np.float32(frozen.ppf(between)))
 
 
+@pytest.mark.slow
 def test_discrete_never_draws_what_has_no_probability():
     """Ten times 0.1 is below 1 in float64, and above 1 in float32: neither is refused, nor draws the last value."""
     tenths = np.append(np.full(10, 0.1), 0.0)
@@ -219,6 +227,7 @@ def test_discrete_never_draws_what_has_no_probability():
         assert float(ours.icdf(jnp.asarray([last]))[0]) == 9.0
 
 
+@pytest.mark.slow
 def test_derivative_by_the_values_of_a_discrete_number():
     slope = jax.jacfwd(lambda values: ss.Discrete(values).icdf(jnp.asarray([0.1, 0.6])))(jnp.asarray(VALUES))
     np.testing.assert_array_equal(slope, [[1, 0, 0, 0], [0, 0, 1, 0]])
@@ -272,6 +281,7 @@ MADE = some.one_of(
 GRID = np.linspace(0.01, 0.99, 15)
 
 
+@pytest.mark.slow
 @given(MADE, some.floats(0.05, 0.45), some.floats(0.55, 0.95), some.booleans())
 @hypothesis_settings(max_examples=20)
 def test_probability_of_the_quantile_is_u(distribution, lowest, highest, restrict):
@@ -299,6 +309,7 @@ def test_uniform_draws_never_leave_the_interval(low, width, word):
             assert low_in <= x <= high_in
 
 
+@pytest.mark.slow
 def test_beta_with_most_of_its_weight_at_an_end():
     """In single precision: 1 less the nearest number below it is 6e-8, and 5 % of the draws lie beyond that."""
     scipys = stats.beta(30.0, 0.2, -1.0, 2.0)

@@ -56,6 +56,7 @@ def test_samples_are_those_of_the_ensemble_with_that_number(law, method, samples
             np.testing.assert_allclose(mine, theirs, rtol=0, atol=ULPS)
 
 
+@pytest.mark.slow
 def test_samples_are_the_simulations_of_what_was_drawn(uncertain):
     for number in (0, 1, 17, SAMPLES - 1):
         system, base, y0 = uncertain.realization(number)
@@ -69,6 +70,7 @@ def test_samples_are_the_simulations_of_what_was_drawn(uncertain):
         np.testing.assert_allclose(sticks_of(uncertain, number)[0], start, rtol=0, atol=ULPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"threads": 1}, {"chunk": 64}, {"chunk": 37, "threads": 2}], ids=str)
 def test_chunks_and_threads_change_nothing(uncertain, options):
     other = run(uncertain.system, y0=uncertain.y0, **options)
@@ -76,6 +78,7 @@ def test_chunks_and_threads_change_nothing(uncertain, options):
         np.testing.assert_array_equal(getattr(other.sticks, name), getattr(uncertain.sticks, name))
 
 
+@pytest.mark.slow
 def test_an_input_changes_no_other_one(uncertain):
     alone = run(oscillator(ss.Uniform(0.2, 1.0)))
     np.testing.assert_array_equal(alone.input_values["mu"], uncertain.input_values["mu"])
@@ -103,6 +106,7 @@ DISTRIBUTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DISTRIBUTIONS)
 def test_draws_have_their_distribution(name):
     distribution, known = DISTRIBUTIONS[name]
@@ -146,6 +150,7 @@ def test_other_values_and_distributions_compile_nothing(caplog):
         assert not compiled(oscillator(mu, ss.Weibull(100.0, 3.0)), 1.0)
 
 
+@pytest.mark.slow
 def test_a_design_gives_numbers_and_realizations():
     values = ss.design.grid({"mu": [0.2, 0.5, 0.8], "rate": [1.0, 2.0]}, realization="common")
     many = run(samples=values)
@@ -195,6 +200,7 @@ def test_inputs_of_joined_parts_are_stored():
     np.testing.assert_array_equal(joined.to_xarray().input_mu, both)
 
 
+@pytest.mark.slow
 def test_single_precision():
     with jax.enable_x64(False):
         with pytest.warns(UserWarning, match="float32"):

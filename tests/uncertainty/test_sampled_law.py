@@ -43,6 +43,7 @@ def starts(sticks):
     return np.asarray(sticks.start)[np.asarray(sticks.mask)]
 
 
+@pytest.mark.slow
 def test_a_known_law_by_this_way_is_the_same():
     mine, theirs = run(Switching()), run(ss.PoissonSwitching(1.0, 2.0))
     np.testing.assert_array_equal(mine.flat_sticks.count, theirs.flat_sticks.count)

@@ -218,6 +218,7 @@ def assert_same(one: ss.Simulation, other: ss.Simulation, time=1.0, length=1.0):
     assert float(one.stick_time) == float(other.stick_time) / time
 
 
+@pytest.mark.slow
 @given(set_ups(levels=[level for level in LEVELS if level != 0]))
 def test_mirror_symmetry(setup):
     """To the last bit; on a base at rest both directions are computed alike, but rounded apart."""

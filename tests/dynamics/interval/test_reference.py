@@ -132,6 +132,7 @@ def test_thousandfold_amplitude_in_one_interval(w):
     assert run.crossings > 450
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.02, 0.2, 1.0])
 @pytest.mark.parametrize("w", [0.3, 5.0])
 def test_thousandfold_amplitude_in_random_gaps(w, rate):

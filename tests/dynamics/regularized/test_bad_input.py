@@ -167,6 +167,7 @@ def test_an_ensemble_is_not_traced():
         jax.jit(lambda width: many(ss.Regularized(width)).moments.mean)(0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"step": 0.01}])
 @pytest.mark.parametrize("simulate", [run, many])
 @pytest.mark.parametrize(

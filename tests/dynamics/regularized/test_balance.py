@@ -44,7 +44,7 @@ def random_setups(contacts: int) -> tuple[jax.Array, ...]:
     return tuple(map(jnp.asarray, (speed, stiffness, largest, fall, width, guess)))
 
 
-@pytest.mark.slow_but_for("1-linear")
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("contacts", [1, 2, 5, 10])
 def test_the_forces_balance_from_any_guess(shape, contacts):

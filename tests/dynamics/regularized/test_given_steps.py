@@ -70,7 +70,7 @@ def spring_rates(k, cubic, push, tone):
     return rates
 
 
-@pytest.mark.slow_but_for("numbers2-0.2", "numbers5-0.005")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("numbers", "step"),
     [((4.0, 0.0, 0.0, 1.0), 0.2), ((400.0, 0.0, 0.0, 1.0), 0.02), ((400.0, 0.0, 0.0, 1.0), 0.2),
@@ -110,7 +110,7 @@ def cart_rates(cart, voltage):
     return rates
 
 
-@pytest.mark.slow_for("1000.0-0.0", "300.0-0.0")
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "current"), [(300.0, 0.0), (1000.0, 0.0), (-300.0, 0.0), (0.0, 300.0), (0.0, 0.0)])
 def test_a_motor_that_starts_fast(speed, current):
     """The voltage does not tell the speed of the start. At 1000 rad/s a step of 1 ms was off by 33 rad."""

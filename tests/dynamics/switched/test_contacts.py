@@ -299,7 +299,7 @@ SLOW = {
 }
 
 
-@pytest.mark.slow_for("mass-float32", "structure-float64", "user's system-float64")
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 @pytest.mark.parametrize(
     ("name", "dtype"),
