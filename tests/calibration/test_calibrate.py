@@ -89,6 +89,7 @@ def test_result_knows_its_system_and_correlations(found):
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_by_blocks)), sizes, rtol=0.6)
 
 
+@pytest.mark.slow
 def test_windows_and_one_motion_agree(found):
     found, noise = found
     seen, _ = record(oscillator(), BASE)

@@ -106,6 +106,7 @@ def test_noise_of_the_call_takes_precedence(record, likelihood):
     assert jax.grad(by_noise)(-0.05) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("point", [(-0.1, 0.3, 4.0), (0.7, 0.3, -4.0), (np.nan, 0.3, 4.0), (0.7, np.inf, 4.0)])
 def test_impossible_numbers(compiled, point):
     value, slope = compiled(jnp.asarray(point))

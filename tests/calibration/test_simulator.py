@@ -43,6 +43,7 @@ def longest_stick(many):
     return np.max(np.where(many.sticks.duration > 0, many.sticks.duration, 0), axis=1)[:, None]
 
 
+@pytest.mark.slow
 def test_summaries_of_ones_own():
     assert_array_equal(simulator(summaries=longest_stick)(ROWS, KEY), longest_stick(directly(ROWS)))
 
@@ -56,6 +57,7 @@ def test_starts_and_single_names():
     assert_array_equal(found, np.column_stack([totals.sticks, totals.stick_time]))
 
 
+@pytest.mark.slow
 def test_what_numpy_makes_an_array_of():
     class Tensor:  # as one of PyTorch
         def __array__(self, dtype=None, copy=None):

@@ -90,6 +90,7 @@ def test_observed_moments_are_those_of_the_ensemble(found):
     assert first.value == pytest.approx(starts.mean())
 
 
+@pytest.mark.slow
 def test_estimates_know_their_correlation(found):
     both = found["mu"] * found["rate"]
     mu, rate = (found[name].value for name in TRUE)

@@ -161,6 +161,7 @@ def test_the_arrest_of_a_chain_has_its_derivative(way):
     assert float(jax.jit(way(arrest))(0.3)) == pytest.approx(float(slope), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_contact_is_a_system_like_others(many, tmp_path):
     """Files and joining."""
     part = many.of_contact(1)

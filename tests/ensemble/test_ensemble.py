@@ -83,6 +83,7 @@ def test_a_sample_depends_on_its_key_and_number_only(kept, changed):
         np.testing.assert_array_equal(getattr(other.flat_sticks, name), getattr(kept.flat_sticks, name)[:total])
 
 
+@pytest.mark.slow
 def test_totals_of_each_sample(kept):
     totals = ss.simulate_ensemble(SYSTEM, POISSON, samples=150, keep="totals", **RUN)
     for name in totals.totals._fields:
@@ -221,6 +222,7 @@ def test_standard_errors_are_honest():
         assert abs(z.var(ddof=1) - 1) < 4.5 * math.sqrt(2 / 199), statistic.__name__
 
 
+@pytest.mark.slow
 def test_no_stick_at_all_is_a_defined_result():
     many = ss.simulate_ensemble(
         ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.0)), POISSON, t1=5.0, samples=8, key=KEY, keep="sticks"

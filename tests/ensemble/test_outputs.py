@@ -55,7 +55,7 @@ def test_distributions(many):
     assert "mean of peak" in many._repr_html_()
 
 
-@pytest.mark.slow_for("changed3", "changed0", "changed1", "changed2")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changed", [{"chunk": 37}, {"threads": 3}, {"samples": 70}, {"keep": "totals"}, {"keep": "statistics"}]
 )

@@ -81,7 +81,7 @@ def test_closed_forms(name):
     assert float(ss.base_velocity(motion, 0)) == pytest.approx(expected(np.zeros(1))[0], abs=1e-12)
 
 
-@pytest.mark.slow_but_for("WithJumps", "RandomPhase")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_realisations(name):
     """What simulations follow; of those that jump, by the arrays of the realisation."""

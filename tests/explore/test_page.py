@@ -126,6 +126,7 @@ def test_pictures_are_those_of_the_sticks():
     assert (base["t"][0], base["t"][-1]) == (0.0, T1)
 
 
+@pytest.mark.slow
 def test_axes_hold_what_is_drawn():
     explorer = shown()
     for mu in ("0.3", "3"):
@@ -180,7 +181,7 @@ def test_moving_numbers_compiles_nothing():
     assert compiled == []
 
 
-@pytest.mark.slow_but_for("-1")
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["", "fast", "1;2", "nan", "-1", "0"])
 def test_bad_input_says_why_and_moves_nothing(text):
     explorer = shown()
@@ -194,6 +195,7 @@ def test_bad_input_says_why_and_moves_nothing(text):
     assert explorer.scene.system.mass == 1.5
 
 
+@pytest.mark.slow
 def test_number_beyond_the_slider():
     explorer = shown()
     write(control(explorer, "law.speed"), "12.5")

@@ -41,6 +41,7 @@ def test_stick_slip_orbit_of_leine(leine):
     np.testing.assert_allclose(leine.simulation.final_state, leine.state, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_motion_without_stops_of_den_hartog():
     b, ratio = 0.8, 0.5
     system = ss.MassSpring(1.0, 1.0, ratio, ss.Coulomb(1.0), force=ss.Harmonic(1.0, b))

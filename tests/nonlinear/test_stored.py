@@ -79,6 +79,7 @@ def test_goes_on_after_an_interrupt(name, tmp_path, monkeypatch):
     assert len(done) == len(list(tmp_path.glob("*.block")))  # none twice
 
 
+@pytest.mark.slow
 def test_damaged_blocks_are_done_again(tmp_path):
     expected = CALLS["section"](folder=tmp_path)
     path = tmp_path / "block-000001.block"

@@ -32,7 +32,7 @@ def loops_back(function, *args):
     return "reverse=True" in str(jax.make_jaxpr(function)(*args))
 
 
-@pytest.mark.slow_but_for("jacfwd-by3", "grad-by1", "jacfwd-by1")
+@pytest.mark.slow_but_for("grad-by1")
 @pytest.mark.parametrize("by", [(0,), (2,), (0, 1), (0, 1, 2)])
 @pytest.mark.parametrize("mode", [jax.grad, jax.jacfwd])
 def test_derivatives_are_those_of_the_closed_form(by, mode):

@@ -281,6 +281,7 @@ def test_importing_changes_nothing(imported):
     }
 
 
+@pytest.mark.slow
 def test_importing_does_not_start_jax(imported):
     """What must be set before JAX starts, such as the number of devices, can still be set after the import."""
     assert imported["devices"] == 2

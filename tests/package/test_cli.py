@@ -210,7 +210,7 @@ def of_a_finalizer(call):
     Dying(call)
 
 
-@pytest.mark.slow_for("2-130-of_the_collector")
+@pytest.mark.slow
 @pytest.mark.parametrize("callback", [of_the_collector, of_a_weak_reference, of_a_finalizer])
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_stop_whose_exception_python_drops_is_not_lost(capsys, tmp_path, monkeypatch, number, code, callback):

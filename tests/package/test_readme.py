@@ -52,10 +52,8 @@ def test_every_document_with_code_is_tested():
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(
-    "document",
-    [name if name == "README.md" else pytest.param(name, marks=pytest.mark.documents) for name in DOCUMENTS],
-)
+@pytest.mark.documents
+@pytest.mark.parametrize("document", DOCUMENTS)
 def test_documents_print_what_they_say(document, tmp_path, monkeypatch):
     text = (ROOT / document).read_text(encoding="utf-8")
     parts = re.findall(r"```python\n(.*?)```\s+(?:[^`]*?```\n(.*?)```)?", text, flags=re.DOTALL)

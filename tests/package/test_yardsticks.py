@@ -33,7 +33,7 @@ PROGRAMS = {
 }
 
 
-@pytest.mark.slow_for("0.4-C, events", "0.4-C, intervals")
+@pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 @pytest.mark.parametrize("w", [0.4, 2.0, 6.0])
 def test_compiled_programs_agree_with_the_engine(program, w):

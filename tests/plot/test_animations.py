@@ -82,6 +82,7 @@ def test_a_film_lasts_ten_seconds_unless_told_otherwise(one):
     assert (film.times[0], film.times[-1]) == (0, T1)
 
 
+@pytest.mark.slow
 def test_the_picture_tells_time_and_speed(one):
     film = plot.animate(one, window=(2.0, 8.0), speed=1.5, fps=10)
     for number, told in ((0, "t = 2.00 s"), (7, "t = 3.05 s"), (-1, "t = 8.00 s")):
@@ -116,6 +117,7 @@ def test_history_grows_to_the_time_of_the_frame(one, coordinate):
     assert low < np.min(mass.get_ydata()) < np.max(mass.get_ydata()) < high
 
 
+@pytest.mark.slow
 def test_history_of_a_velocity_has_the_base(one):
     film = plot.animate(one, speed=2.0, fps=2, coordinate="velocity")
     (base,) = [line for line in film.frame(-1).axes[1].lines if line.get_linestyle() == "--"]
@@ -123,6 +125,7 @@ def test_history_of_a_velocity_has_the_base(one):
     assert base.get_ydata() == pytest.approx(np.asarray(one.base_velocity(base.get_xdata())))
 
 
+@pytest.mark.slow
 def test_a_mass_is_coloured_in_exactly_the_frames_in_which_it_sticks(one):
     film = plot.animate(one)
     expected = [sticks_at(one.sticks, time, T1) for time in film.times]

@@ -14,6 +14,7 @@ from stickslip_jax.plot import _style
 VOLTAGE = ss.SourceVoltage()
 
 
+@pytest.mark.slow
 def test_curves_are_the_bounds_and_break_where_they_are_infinite():
     ax = plot.stick_bounds(ss.MotorCart(), VOLTAGE, mu=(0.2, 0.6))
     low, high = ax.lines

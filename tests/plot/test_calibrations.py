@@ -43,6 +43,7 @@ def test_a_part_of_the_record(found):
     assert upper.get_xlim() == (3.0, 5.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "message"),
     [

@@ -46,6 +46,7 @@ def test_figures_do_not_hide_modules(draw):
     assert inspect.isfunction(getattr(plot, draw.__name__))
 
 
+@pytest.mark.slow
 def test_histogram_of_an_ensemble_leaves_out_cut_sticks(many):
     """The distribution has all sticks, with errors and mean; the ensemble the complete ones."""
     every = plot.histogram(many.statistics.duration, bins=20)

@@ -330,6 +330,7 @@ def test_one_sample_is_drawn_without_errors(single):
     one.figure.draw_without_rendering()
 
 
+@pytest.mark.slow
 def test_bad_arguments(many, annotations_unchecked):
     statistics = many.statistics
     joint = statistics.joint("duration", "position")

@@ -76,6 +76,7 @@ def test_map_shows_every_complete_first_stick_below_the_bound(many):
     assert (angles[0], angles[-1]) == ax.get_xlim() == (0, FULL_CIRCLE)
 
 
+@pytest.mark.slow
 def test_map_of_all_sticks_in_half_a_circle(many):
     ax = plot.stick_map(many, period=np.pi)
     flat = many.numbered_sticks()
@@ -98,6 +99,7 @@ def test_map_shades_where_the_cart_can_stick_for_ever(many):
     assert "sticks of any duration" in [text.get_text() for text in ax.get_legend().get_texts()]
 
 
+@pytest.mark.slow
 def test_map_and_joint_histogram_of_a_mass(one):
     complete = filled(one, "ending") != ss.Ending.HORIZON
     ax = plot.stick_map(one)

@@ -153,6 +153,7 @@ def test_each_stick_is_drawn_where_it_happens(one):
                 assert piece[0, 1] == pytest.approx(position, abs=1e-12)
 
 
+@pytest.mark.slow
 @of(*MASSES)
 def test_velocities_in_sticks_are_those_of_the_base(one):
     _, lower = history(one)
@@ -210,6 +211,7 @@ def test_band_of_a_steady_base_stays(one):
     assert not upper.collections
 
 
+@pytest.mark.slow
 @of("motor")
 def test_band_of_a_motor_holds_the_currents_of_its_sticks(one):
     *_, panel = history(one)

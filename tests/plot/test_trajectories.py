@@ -89,6 +89,7 @@ def test_history_of_the_mass_is_the_trajectory(one):
     assert np.max(np.diff(times)[~np.isin(times[:-1], filled(one, "start"))]) <= np.pi / 180 + 1e-12
 
 
+@pytest.mark.slow
 def test_history_draws_the_jumps_of_the_base(one):
     _, lower = plot.time_history(one)
     times, velocity = line(lower, "base").get_data()

@@ -354,6 +354,7 @@ def test_exact_grazing_is_told():
     assert math.isfinite(result.pathwise)
 
 
+@pytest.mark.slow
 def test_few_sticks_are_told():
     case = poisson(1.4, 1.0, 2.0)
     system, law = case.pop("system"), case.pop("law")

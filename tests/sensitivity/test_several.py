@@ -140,6 +140,7 @@ def test_parameters_that_act_through_their_product_are_told(estimator):
     assert products(SYSTEM, POISSON, wrt=("mu", "speed"), estimator=estimator) == []
 
 
+@pytest.mark.slow
 def test_parameters_that_act_through_their_ratio_are_told():
     """From rest at the origin lengths have no scale of their own. (Differences only nearly show it.)"""
     (told,) = products(SYSTEM, POISSON, wrt=("mu", "speed"), y0=(0.0, 0.0))

@@ -179,6 +179,7 @@ def test_what_did_not_finish_is_told(call, tmp_path):
         CALLS[call](one, tmp_path / "sticks.csv")
 
 
+@pytest.mark.slow
 def test_no_sticks_at_all(tmp_path):
     one = ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.0)), WAVE, t1=T1, y0=START)
     assert len(one.to_pandas()) == 0

@@ -222,6 +222,7 @@ def test_unfinished_samples_enter_no_statistic():
     assert "NOT FINISHED" in repr(kept.summary())
 
 
+@pytest.mark.slow
 def test_statistics_in_float32_are_those_of_float64():
     sticks = made_up_sticks(np.random.default_rng(2), 50)
     single = sticks._replace(numbers=sticks.numbers.astype(np.float32))

@@ -276,6 +276,7 @@ def test_statistics_in_the_file_are_the_librarys(study, dataset):
     np.testing.assert_array_equal(dataset["stick_count"], same.require_sticks().count)
 
 
+@pytest.mark.slow
 def test_file_says_where_it_comes_from(study, dataset):
     attributes = dataset.attrs
     for name, version in {"stickslip_jax": ss.__version__, "jax": jax.__version__, "numpy": np.__version__}.items():
@@ -345,6 +346,7 @@ def test_statistics_alone_can_be_kept(tmp_path):
         assert float(dataset["stick_fraction"]) == study.statistics["stick_fraction"].value
 
 
+@pytest.mark.slow
 def test_numbers_that_do_not_exist_are_null_and_said_to_be_undefined(tmp_path):
     # The mass starts on the circle of radius 0.5 m/s around its equilibrium: it never reaches the base's 5 m/s.
     text = '[base]\nlaw = "Constant"\nspeed = 5.0\n[run]\ninitial_velocity = 0.0\n' + SMALL.replace("[run]", "")

@@ -68,6 +68,7 @@ def test_damaged_batch_is_found_and_done_again(copied, how, kind):
     assert f"damaged, to be done again: {path.name}" in log_of(folder)
 
 
+@pytest.mark.slow
 def test_batch_that_is_gone_is_done_again(copied):
     folder, dataset = copied
     for kind in (".zip", ".json"):

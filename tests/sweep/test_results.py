@@ -73,6 +73,7 @@ def test_histograms_in_common_bins(dataset):
         np.testing.assert_allclose(at.duration_density, counts / counts.sum() / np.diff(edges), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_bins_hold_all_points_and_no_more(dataset):
     """At most 50 of equal width; the first and the last are used by some point."""
     for name in ("duration", "start", "position", "stick_count", "slip_duration"):

@@ -104,6 +104,7 @@ def test_jumps_of_the_speed_give_the_numbers_of_the_law_back():
         assert float(force[2] - force[3]) == pytest.approx(b, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_time_at_rest_strengthens():
     """Ageing form: the state variable grows with the time at rest, and the friction with its logarithm."""
     for rest in (1.0, 1000.0):

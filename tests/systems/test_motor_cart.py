@@ -290,6 +290,7 @@ def test_float32():
 # --- ensembles --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_each_sample_can_be_followed_again():
     many = ensemble(0.5, SAMPLES[0.5])
     found = ss.first_stick(many)

@@ -191,6 +191,7 @@ def test_figures(one, many):
         plot.stick_map(many, period=math.pi)
 
 
+@pytest.mark.slow
 def test_stored(many, tmp_path):
     stored = many.to_xarray()
     assert stored["stick_position"].attrs == {"long_name": "position when the stick starts", "units": "m"}

@@ -49,6 +49,7 @@ def test_ensembles_of_both_exact_engines_agree():
     assert mean(ss.mean_stick_count(one)) > 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [pytest.param(None, marks=pytest.mark.slow), 1e-3])
 def test_smoothed_friction_comes_near(step):
     exact = ss.simulate_ensemble(BLOCK, LAW, samples=64, **RUN)

@@ -58,7 +58,7 @@ class Pressed(Blocks):
         return (*y[3:], *(-COUPLING @ jnp.stack(y[:3]) - self.mu * friction))
 
 
-@pytest.mark.slow_for("<lambda>0")
+@pytest.mark.slow_for("<lambda>0", "<lambda>1")
 @pytest.mark.parametrize(
     "law",
     [
@@ -116,6 +116,7 @@ def one():
     return ss.simulate(Blocks(), ss.Constant(0.0), t1=12.0, y0=START)
 
 
+@pytest.mark.slow
 def test_three_blocks_on_the_floor(one):
     """Against an event-by-event integration at a relative tolerance of 1e-12."""
     contact, start, end = listed(one)
@@ -129,6 +130,7 @@ def test_three_blocks_on_the_floor(one):
     assert one.of_contact(1).totals.sticks == 1
 
 
+@pytest.mark.slow
 def test_a_static_ratio_of_fields_under_smoothed_friction(one):
     """It is a number that JAX traces there. What sticks creeps by at most a width, 1e-3 m/s, for 12 s."""
     method = ss.Regularized(1e-3, step=0.02, threshold=2e-3, minimum_duration=0.05)
@@ -239,6 +241,7 @@ def pad_by_events(load, slope, mu, static, belt, start, t1):
     return np.array(sticks), y
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [(-4.0, 0.0), pytest.param((3.0, -1.5), marks=pytest.mark.slow)])
 def test_a_pad_that_lifts_off(start):
     one = ss.simulate(Pad(), ss.Constant(0.3), t1=20.0, y0=start)

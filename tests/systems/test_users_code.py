@@ -90,6 +90,7 @@ def run(system, **options):
     return ss.simulate(system, ss.Harmonic(0.4, 0.8), t1=2.0, y0=(0.0, 0.1, 0.2, 0.0), **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [Indexed, Unpacked, Signed, BetweenThem, Pair, Stacked])
 def test_two_contacts(kind):
     with pytest.raises(

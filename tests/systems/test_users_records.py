@@ -92,6 +92,7 @@ def assert_same_motion(one: ss.Simulation, other: ss.Simulation, least: int = 2)
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("base", "force"), [(GROUND, LOAD), pytest.param(GROUND, None, marks=SLOW), pytest.param(BASE, LOAD, marks=SLOW)]
 )

@@ -180,6 +180,7 @@ def test_arrays_of_starts():
         np.testing.assert_allclose(sticks_of(many, number)[0], np.asarray(one.sticks.start)[mask], rtol=0, atol=ULPS)
 
 
+@pytest.mark.slow
 def test_inputs_are_stored(uncertain, tmp_path):
     again = ss.load(uncertain.save(tmp_path / "many.nc"))
     for name, values in uncertain.input_values.items():

@@ -85,6 +85,7 @@ def test_spare_slots_are_marked(setup):
     assert np.array_equal(np.asarray(sticks.ending) == -1, spare)
 
 
+@pytest.mark.slow
 @given(set_ups())
 def test_spring_stays_within_the_friction_limit_during_a_stick(setup):
     """At both ends of a stick |k x| <= mu n, with equality where the mass is released, on the side it is moved to."""
@@ -163,6 +164,7 @@ def test_mass_moves_with_the_base_during_a_stick(setup):
         assert np.all(np.abs(x - sticks.position - velocity * part * sticks.duration) <= slack)
 
 
+@pytest.mark.slow
 @given(set_ups(longest=6))
 def test_radius_is_conserved_along_slip_arcs(setup):
     """`evaluate` between the reference's events: each arc is a circle about +a (below the base velocity) or -a."""

@@ -41,6 +41,7 @@ def test_share_of_the_last_period(table):
     assert shares == pytest.approx(SQUARE_WAVE_SHARES, abs=0.02)
 
 
+@pytest.mark.slow
 def test_share_from_the_recorded_sticks(table):
     """The same share, from start and end of the sticks that fall into the last period."""
     period, (_, before, total), sticks, _ = table

@@ -95,6 +95,7 @@ def test_a_switch_at_the_instant_of_a_release(dtype):
     assert np.all(near[~held] == 0)
 
 
+@pytest.mark.slow
 @BOTH
 def test_a_switch_at_the_instant_of_an_arrival(dtype):
     """On a base at rest half a turn about the centre leads from a + d to a - d, where it sticks."""

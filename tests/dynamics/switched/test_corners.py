@@ -24,6 +24,7 @@ SHORT_SLIPS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SHORT_SLIPS.values(), ids=SHORT_SLIPS)
 def test_a_short_slip_after_a_release_ends(case):
     """It begins with no relative velocity and no relative acceleration: at first its guard is below round-off."""
