@@ -80,7 +80,7 @@ GUARDS = (
     ),
     Guard(
         "events of a slow motion are not taken for tangents",
-        ENGINE, "(trial.d1**2 * h < 2 * few * trial.scale * bend) & ", "",
+        ENGINE, "(trial.d1 * (trial.d1 / trial.scale) * h < 2 * few * bend) & ", "",
         "tests/dynamics/switched/test_corners.py::test_an_overdamped_valve_is_not_near_grazing",
     ),
     Guard(

@@ -23,7 +23,7 @@ from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
 from .common.method import Exact, Regularized
-from .common.path import MotionPath, padded_length
+from .common.path import CHECK_EVERY, MotionPath, padded_length
 from .regularized.field import Switch
 from .sticks import (
     NUMBERS,
@@ -40,7 +40,7 @@ from .sticks import (
     table_of,
     write_table,
 )
-from .switched.engine import StepBeginnings, StepPath, follow_steps, state_in_step
+from .switched.engine import MOST_STEPS, StepBeginnings, StepPath, follow_steps, state_in_step
 
 if TYPE_CHECKING:
     import pandas
@@ -265,7 +265,7 @@ class Simulation(WithMethods):
         status: A `Status` code; 0 is FINISHED. With any other code do not use the numbers.
         near_grazing_count: Number of instants at which round-off decided whether there was an event: the relative
             velocity had an extremum near zero, or the force that a stick needs one near the friction limit; the mass
-            came to rest where friction could just hold it; or a jump of the base or the end came just before or
+            came to rest where friction could just hold it; or a jump of the base or `t1` came just before or
             after an event. Near means within about 1e-9 of the scale (float32: 1e-3). Where the motion is known in
             closed form: the number of intervals of the base in which an error of up to 256 units in the last place
             (float32: 64) would have decided; a slip tangent to the base velocity from which it was released is none.
@@ -657,8 +657,11 @@ class Simulation(WithMethods):
             reached, t1 = float(self.time_reached), float(self.t1)
             why = f"stopped at {reached:g} of {t1:g} s, because {status.meaning}"
             if status == Status.OUT_OF_STEPS and self.method.max_steps and reached > 0:
-                enough = padded_length(math.ceil(1.5 * self.method.max_steps * t1 / reached))
-                why += f"; at this pace method=ss.{type(self.method).__name__}(max_steps={enough}) is enough"
+                # Steps are taken in blocks of `CHECK_EVERY`.
+                enough = padded_length(math.ceil(1.5 * max(self.method.max_steps, CHECK_EVERY) * t1 / reached))
+                if enough <= MOST_STEPS:
+                    method = f"ss.{type(self.method).__name__}(..., max_steps={enough})"
+                    why += f"; at this pace method={method} is enough"
             return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {why}"
         near = f", {int(self.near_grazing_count)} near-grazing" if self.near_grazing_count else ""
         if self.sticks.contact is not None:

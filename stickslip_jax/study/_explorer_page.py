@@ -126,8 +126,9 @@ def watched(widget: Any, chosen: Callable[[Any], None]) -> Any:
 
 def choice(name: str, options: Iterable[str], chosen: Callable[[str], None]) -> pn.widgets.Select:
     """A list to choose from, beside what was given."""
-    kept = {"options": [GIVEN, *options], "value": GIVEN, "stylesheets": [_OWN_ARROW]}
-    return watched(pn.widgets.Select(label=name, sizing_mode="stretch_width", **kept), chosen)
+    box = pn.widgets.Select(label=name, options=[GIVEN, *options], value=GIVEN, sizing_mode="stretch_width")
+    box.stylesheets = [_OWN_ARROW]
+    return watched(box, chosen)
 
 
 # Computations beside the page, in processes of their own: nothing else ends a compilation, or a loop of XLA.

@@ -3,6 +3,7 @@ trajectory.
 """
 
 import math
+from contextlib import suppress
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -531,7 +532,7 @@ def _close_calls(
     h = jnp.maximum(trial.h, jnp.finfo(step.dtype).tiny)
     bend = jnp.abs(2 * trial.d0 + 4 * trial.d1 - 6 * (trial.s1 - trial.s0) / h)
     bend = jnp.maximum(bend, jnp.abs(trial.d1 - trial.d0)) + 6 * trial.noise / h
-    flat = flat & (trial.d1**2 * h < 2 * few * trial.scale * bend) & ((lane.sign == 0) | (age > step))
+    flat = flat & (trial.d1 * (trial.d1 / trial.scale) * h < 2 * few * bend) & ((lane.sign == 0) | (age > step))
     inside = trial.lowest < few * trial.scale
     inside = inside & (trial.lowest > -trial.noise) & (trial.s0 > trial.noise)
     tie = (trial.taken & (inside | (flat & (trial.s1 < few * trial.scale)))) | (at_event & flat)
@@ -597,14 +598,15 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, 
     segments = sum(law.segments(horizon) for law in laws)
     steps = 1.5 * (horizon / shortest) + 2 * segments + _ROOM
     if steps > MOST_STEPS:
-        scales = system.time_scales(excitation, None).scales.items()
-        times = {which: smallest(of.time) for which, of in scales if of.time is not None}
-        which = min(times, key=times.__getitem__, default="")
-        fast = f"; the {which} is {times[which]:.3g} s" if which else ""
+        known = {math.inf: ""}
+        for which, of in system.time_scales(excitation, None).scales.items():
+            with suppress(NotKnown):
+                time = smallest(math.inf if of.time is None else of.time)
+                known.setdefault(time, f"; the {which} is {time:.3g} s")
         raise ValueError(
             f"Argument {name} must be shorter: {horizon:g} s hold more than {MOST_STEPS} steps of {shortest:.3g} s or "
-            f"segments of the motion{fast}. Where a fast decay is what is short, method=ss.Regularized(width) follows "
-            "the slow motion after it in long steps."
+            f"segments of the motion{known[min(known)]}. Where a fast decay is what is short, "
+            "method=ss.Regularized(width) follows the slow motion after it in long steps."
         )
     return padded_length(math.ceil(steps))
 

@@ -116,13 +116,22 @@ def test_refused(call, message):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [ss.Exact(max_steps=ROOM), ss.Regularized(1e-3, step=0.02, max_steps=ROOM)])
+@pytest.mark.parametrize(
+    "method", [ss.Exact(max_steps=1), ss.Exact(max_steps=ROOM), ss.Regularized(1e-3, step=0.02, max_steps=ROOM)],
+)
 def test_out_of_steps_is_reported_with_a_number_that_is_enough(method):
     """The room of 10 s with `Exact`, for which another test compiles the same function."""
     one = run(t1=100.0, method=method)
     assert int(one.status) == ss.Status.OUT_OF_STEPS
-    (enough,) = re.findall(rf"NOT FINISHED: .* method=ss.{type(method).__name__}\(max_steps=(\d+)\)", repr(one))
+    (enough,) = re.findall(rf"NOT FINISHED: .* method=ss.{type(method).__name__}\(..., max_steps=(\d+)\)", repr(one))
     assert run(t1=100.0, method=dataclasses.replace(method, max_steps=int(enough))).status == ss.Status.FINISHED
+
+
+@pytest.mark.slow
+def test_no_number_of_steps_is_proposed_that_cannot_be():
+    one = run(t1=1e9, method=ss.Exact(max_steps=ROOM))
+    assert "NOT FINISHED" in repr(one)
+    assert "max_steps=" not in repr(one)
 
 
 @pytest.mark.slow
