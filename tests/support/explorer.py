@@ -61,11 +61,11 @@ class Page:
         # In one script: a table is replaced whenever its numbers change.
         return self.browser.execute_script(_TABLES)
 
-    def wait_for(self, text: str, seconds: float = 300.0) -> None:
+    def wait_for(self, text: str, seconds: float = 60.0) -> None:
         """Wait until the page says this. Raises AssertionError if it does not."""
         self._wait(lambda: text in self.text(), f"{text!r} is not there", seconds)
 
-    def _wait(self, holds: Callable[[], bool], problem: str, seconds: float = 300.0) -> None:
+    def _wait(self, holds: Callable[[], bool], problem: str, seconds: float = 60.0) -> None:
         end = time.monotonic() + seconds
         while not holds():
             assert time.monotonic() < end, f"{problem}: {self.text()}"
