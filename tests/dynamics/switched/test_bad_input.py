@@ -117,7 +117,8 @@ def test_refused(call, message):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "method", [ss.Exact(max_steps=1), ss.Exact(max_steps=ROOM), ss.Regularized(1e-3, step=0.02, max_steps=ROOM)],
+    "method",
+    [ss.Exact(max_steps=1), ss.Exact(max_steps=ROOM), ss.Regularized(1e-3, step=0.02, max_steps=ROOM)],
 )
 def test_out_of_steps_is_reported_with_a_number_that_is_enough(method):
     """The room of 10 s with `Exact`, for which another test compiles the same function."""
