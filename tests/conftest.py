@@ -3,11 +3,8 @@
 import gc
 import itertools
 import os
-import pkgutil
 import signal
-import sys
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
 import jax
@@ -26,20 +23,14 @@ jax.config.update("jax_enable_x64", True)
 # Arrays of different ranks combine only where the code says how: broadcasting that nobody meant is an error.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# Shapes and types in annotations are checked while the tests run, never for users. The hook must be in place before
-# the package is first imported.
-if "stickslip_jax" in sys.modules:
-    raise RuntimeError("stickslip_jax was imported before tests/conftest.py could switch its annotation checks on")
-# `_compiler` goes through every operation of every program in small functions: checking them took a fifth of the time.
-_folders = find_spec("stickslip_jax").submodule_search_locations
-_parts = [part.name for part in pkgutil.iter_modules(_folders) if part.name != "_compiler"]
-jaxtyping.install_import_hook([f"stickslip_jax.{part}" for part in _parts], "beartype.beartype")
+# Comparisons in the shared helpers explain themselves as those in the test files do.
+pytest.register_assert_rewrite("support")
+
+# The hook must be in place before the package is first imported.
+import_module("support.annotations").check_annotations("stickslip_jax")
 
 # The package's first import, annotations checked.
 _programs = import_module("stickslip_jax._compiler.programs")
-
-# Comparisons in the shared helpers explain themselves as those in the test files do.
-pytest.register_assert_rewrite("support")
 
 # Processes of pytest-xdist, and runs one after another, share what one of them has compiled: what the package keeps,
 # and what tests compile themselves.

@@ -220,6 +220,7 @@ BAD = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("annotations_unchecked")
 @pytest.mark.parametrize(("change", "message"), BAD)
 def test_bad_arguments(record, change, message):

@@ -113,6 +113,7 @@ def test_bad_rows(rows, message):
         simulator()(rows, KEY)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_summaries_of_another_shape():
     with pytest.raises(ValueError, match=r"Argument summaries must return an array \(40, summaries\)"):

@@ -101,6 +101,7 @@ def test_estimates_know_their_correlation(found):
     assert found.overidentification.p_value == pytest.approx(stats.chi2.sf(found.overidentification.statistic, 2))
 
 
+@pytest.mark.slow
 def test_result_tells_itself(found):
     said = repr(found)
     assert said.startswith(f"{found['mu']}\n{found['rate']}\nHansen's test: ")

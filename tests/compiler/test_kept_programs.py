@@ -522,6 +522,7 @@ def test_results_that_hold_functions_without_a_name_are_kept(folder, compiled):
     assert len(compiled) == len(set(compiled)) == len(entries(folder))
 
 
+@pytest.mark.slow
 def test_laws_with_the_same_numbers_have_programs_of_their_own(folder):
     """A random one first, then one of the same speed and rate whose samples are all the same."""
     for _ in range(2):

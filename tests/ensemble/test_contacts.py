@@ -221,6 +221,7 @@ def test_matrices_follow_what_is_varied():
     assert abs(fraction(2.2) - fraction(4.4)) > 0.01
 
 
+@pytest.mark.slow
 def test_bad_arguments(many):
     with pytest.raises(ValueError, match=r"must say whose sticks are counted, but a system with 2 contacts"):
         ss.simulate_ensemble(BLOCKS, LAW, **RUN)

@@ -47,6 +47,7 @@ def compare(one, other, rtol):
         np.testing.assert_allclose(ours[name], its, rtol=rtol, atol=rtol * np.max(size, initial=0), err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keep", KEEPS)
 def test_an_extended_ensemble_is_one_longer_run(keep):
     """To the last bit where both are cut at the same samples."""

@@ -79,7 +79,7 @@ def test_joined_and_extended(many):
         )
 
 
-@pytest.mark.slow_but_for("totals")
+@pytest.mark.slow
 @pytest.mark.parametrize("keep", ["sticks", "statistics", "totals"])
 def test_stored(keep, tmp_path):
     stored = ss.simulate_ensemble(SYSTEM, POISSON, samples=20, keep=keep, outputs=OUTPUTS, **RUN)

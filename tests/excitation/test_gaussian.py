@@ -155,6 +155,7 @@ class TestDistribution:
         assert not far((seen - expected) / np.sqrt((largest * (1 + 2 / harmonics) + expected**2) / SAMPLES))
         assert seen[0] == pytest.approx(float(LAW.variance), rel=0.05)
 
+    @pytest.mark.slow
     def test_fourth_moments(self):
         """``<v(0)^2 v(t)^2> = R(0)^2 + 2 R(t)^2``, but for less than ``2 R(0)^2 / harmonics``."""
         found = values(32, self.TIMES)

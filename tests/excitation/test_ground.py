@@ -75,6 +75,7 @@ class TestDistribution:
         expected = np.array([covariance(lag) for lag in lags.tolist()])
         assert not far((seen - expected) / np.sqrt((4.0**2 + expected**2) / LANES))
 
+    @pytest.mark.slow
     def test_power_spectrum(self):
         """The mean periodogram of N realisations; one term's variance is at most twice its mean squared."""
         seen = (np.abs(np.fft.rfft(steady())) ** 2).mean(axis=0)

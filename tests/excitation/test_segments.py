@@ -149,6 +149,7 @@ class TestSample:
         one = ss.simulate(SYSTEM, LAW.sample(KEY, T1, capacity=3), t1=T1)
         assert int(one.status) == ss.Status.BASE_TOO_SHORT
 
+    @pytest.mark.slow
     def test_under_vmap_it_has_the_segments_of_the_law(self):
         batch = jax.vmap(lambda key: Jumping().sample(key, T1))(jax.random.split(KEY, 4))
         assert batch.durations.shape == (4, 1)

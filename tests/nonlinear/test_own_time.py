@@ -86,7 +86,7 @@ def test_its_period_is_asked_for(system, call):
             CALLS[call](system, base)
 
 
-@pytest.mark.slow_but_for("Pressed", "MovingContact")
+@pytest.mark.slow
 @pytest.mark.parametrize("system", SYSTEMS, ids=NAMES)
 def test_a_wrong_period_is_told(system):
     with pytest.raises(ValueError, match=f"after which the rates of {type(system).__name__} begin anew"):

@@ -99,6 +99,7 @@ CHANGED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGED)
 def test_another_call_is_refused(name, tmp_path):
     CALLS["section"](folder=tmp_path)

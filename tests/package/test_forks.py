@@ -80,6 +80,7 @@ def lines_of(program: str) -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_a_fork_after_jax_has_started_is_told():
     program = PROGRAM.replace("EARLY", STARTED).replace("def key():\n    return jax.random.key(0)\n", "")
     *forked, first = lines_of(program)

@@ -82,6 +82,7 @@ def test_general_solvers_agree_with_the_engine(program):
     np.testing.assert_allclose(found.end, np.asarray(one.sticks.end)[:count], atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", ["events", "intervals"])
 @pytest.mark.parametrize("chain", [0, 1])
 def test_c_statistics_agree_with_the_engine(program, chain):

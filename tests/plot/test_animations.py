@@ -244,7 +244,7 @@ def test_what_cannot_be_animated(one, several, annotations_unchecked):
 # Files.
 
 
-@pytest.mark.slow_for("30")
+@pytest.mark.slow
 @pytest.mark.parametrize("fps", [10, 30, 12.5])
 def test_gif_has_all_frames_and_the_speed_of_the_film(one, fps, tmp_path):
     film = plot.animate(one, speed=6.0, fps=fps, figsize=(3.2, 2.4))
@@ -257,6 +257,7 @@ def test_gif_has_all_frames_and_the_speed_of_the_film(one, fps, tmp_path):
     assert image.info["loop"] == 0
 
 
+@pytest.mark.slow
 def test_a_gif_shows_the_frames(one, tmp_path):
     """As `frame` shows them: only the axes are drawn once."""
     film = plot.animate(one, fps=1, figsize=(4.0, 3.0))

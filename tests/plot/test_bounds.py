@@ -29,6 +29,7 @@ def test_curves_are_the_bounds_and_break_where_they_are_infinite():
     assert texts == [r"$\mu$ = 0.2", rf"$\mu$ = 0.6, no limit at {100 * np.mean(held > 0.530931):.0f} % of the angles"]
 
 
+@pytest.mark.slow
 def test_one_curve_of_the_system_itself_into_given_axes():
     ax = plt.figure().subplots()
     assert plot.stick_bounds(ss.MotorCart(mu=0.3), ss.RandomPhase(VOLTAGE), ax=ax) is ax

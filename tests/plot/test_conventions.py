@@ -62,6 +62,7 @@ def test_histogram_of_an_ensemble_leaves_out_cut_sticks(many):
     assert complete.get_ylabel() == every.get_ylabel() == "probability density (1/s)"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bins", [12, (12, [0.0, 0.2, 0.5])])
 def test_joint_histogram_of_sticks_has_sides(many, bins):
     main, above, right = plot.joint_histogram(many, bins=bins)

@@ -89,6 +89,7 @@ def test_map_of_all_sticks_in_half_a_circle(many):
     assert text.get_text() == f"{complete.sum():,} sticks ({np.sum(~complete):,} more, cut by the end, left out)"
 
 
+@pytest.mark.slow
 def test_map_shades_where_the_cart_can_stick_for_ever(many):
     voltage = ss.SourceVoltage(amplitude=0.3)
     ax = plot.stick_map(many, bound=voltage)
@@ -185,6 +186,7 @@ def test_axes_name_quantity_and_unit_and_legends_hide_nothing(many, draw):
     assert figure.x0 - 1 <= legend.x0 < legend.x1 <= figure.x1 + 1
 
 
+@pytest.mark.slow
 def test_given_axes_are_used(one):
     ax, *axes = mpl.figure.Figure().subplots(1, 5)
     assert plot.stick_map(one, ax=ax) is ax

@@ -162,6 +162,7 @@ def test_velocities_in_sticks_are_those_of_the_base(one):
         assert inside[:, 1] == pytest.approx(exact(one, inside[:, 0])[1], abs=1e-9)
 
 
+@pytest.mark.slow
 @of(*MASSES)
 def test_base_line_is_the_base_velocity(one):
     _, lower = history(one)
@@ -247,6 +248,7 @@ def test_long_runs_are_drawn_with_fewer_points(one, monkeypatch):
         assert [piece[-1, 0] for piece in pieces] == filled(one, "end").tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("one", "labels"),
     [

@@ -102,6 +102,7 @@ def test_history_draws_the_jumps_of_the_base(one):
     assert velocity.tolist() == np.repeat(flat, 2).tolist()
 
 
+@pytest.mark.slow
 def test_history_marks_the_band_where_sticks_are_possible(one):
     upper, _ = plot.time_history(one)
     (band,) = upper.patches
@@ -260,6 +261,7 @@ def test_only_a_censored_stick_is_noted():
     assert [text.get_text() for text in ax.texts] == ["no sticks (1 more, cut by the end, left out)"]
 
 
+@pytest.mark.slow
 def test_durations_need_kept_sticks():
     few = ss.simulate_ensemble(SYSTEM, LAW, t1=2.0, samples=2, key=jax.random.key(0), threads=1, keep="totals")
     with pytest.raises(ValueError, match='keep="sticks"'):

@@ -343,6 +343,7 @@ def test_kernels_on_a_uniform_number(kernel):
         assert slope == pytest.approx(c, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_exact_grazing_is_told():
     """From rest at the spring's zero at w = 1 the first arc has R = w: mu up, a stick; mu down, none."""
     with pytest.warns(RuntimeWarning, match="with respect to mu does not exist: 100%"):

@@ -57,6 +57,7 @@ def test_default_estimator(statistic, system, law, estimator):
     assert math.isfinite(found.derivative)
 
 
+@pytest.mark.slow
 @FEW
 def test_an_option_chooses_its_estimator():
     options = {"wrt": "mu", "t1": 5.0, "samples": 512, "key": jax.random.key(0), "y0": anywhere()}

@@ -189,6 +189,7 @@ def test_no_sticks_at_all(tmp_path):
         assert len(read(one.write_sticks(tmp_path / f"sticks{ending}"))) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", READERS)
 def test_files_are_replaced_only_when_asked(ending, tmp_path):
     one, path = ss.simulate(MASS, WAVE, t1=T1, y0=START), tmp_path / f"sticks{ending}"

@@ -76,6 +76,7 @@ def test_batch_that_is_gone_is_done_again(copied):
     assert_same(run(sweep_of(sensitivities=SENSITIVITIES), folder), dataset)
 
 
+@pytest.mark.slow
 def test_reading_changes_nothing(copied):
     """Also where a batch is damaged: only the run that holds the lock may remove it."""
     folder, _ = copied

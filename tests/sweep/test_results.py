@@ -88,6 +88,7 @@ def test_bins_hold_all_points_and_no_more(dataset):
     assert units == {"duration": "s", "position": "m", "stick_count": "1"}
 
 
+@pytest.mark.slow
 def test_sticks_of_the_first_realizations(dataset, many):
     at = dataset.sel(mu=1.2, rate=2.5)
     for sample in range(3):

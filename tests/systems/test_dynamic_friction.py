@@ -143,7 +143,7 @@ def slider(times, positions, most, least, stiffness, play):
     return np.interp(times, fine, values)
 
 
-@pytest.mark.slow_but_for("arrays")
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["signal", "arrays"])
 def test_spring_and_backlash_in_front(kind):
     law, w = ss.Directional(ss.Coulomb(0.3), ss.Coulomb(0.5)), 2.0

@@ -325,6 +325,7 @@ def test_the_rest_at_the_start_is_an_explicit_choice():
 # --- special starts and bad input -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_nothing_sticks_at_dead_center():
     one = ss.simulate(ss.MotorCart(mu=0.5), VOLTAGE, t1=0.05, y0=(0.0, 0.0, 0.0), method=ROOM)
     assert int(one.sticks.count) == 0

@@ -58,7 +58,7 @@ class Pressed(Blocks):
         return (*y[3:], *(-COUPLING @ jnp.stack(y[:3]) - self.mu * friction))
 
 
-@pytest.mark.slow_for("<lambda>0", "<lambda>1")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law",
     [
@@ -403,6 +403,7 @@ def test_motion_that_ceases_to_be_unique_is_told():
     assert 1 <= float(one.time_reached) < 1 + Blocks().shortest_time / 48  # a step
 
 
+@pytest.mark.slow
 def test_what_is_not_there_for_several_contacts_is_told(one):
     with pytest.raises(ValueError, match="must have one contact"):
         one.energies(0.5)

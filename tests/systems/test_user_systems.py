@@ -270,6 +270,7 @@ def bent(self, t, y, base, friction):
     return y[1], -y[0] - friction * jnp.abs(friction)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("annotations_unchecked")
 @pytest.mark.parametrize(
     ("system", "options", "message"),

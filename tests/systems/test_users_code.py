@@ -103,6 +103,7 @@ def test_two_contacts(kind):
             ss.simulate(kind(), ss.Constant(0.3), t1=2.0, y0=start)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [Blocks, Smoothed, Bent])
 def test_one_contact(kind):
     check_motion(kind(), (0.0, 0.1, 0.2, 0.0))

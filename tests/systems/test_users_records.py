@@ -210,6 +210,7 @@ def test_a_belt():
     assert_same_motion(run(Belt(*NUMBERS, speed), ss.Constant(0.0)), run(built_in(), speed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", [pytest.param("record", marks=SLOW), pytest.param("system", marks=SLOW), "duration"])
 def test_the_number_of_steps_follows_from_the_length_of_a_record(by):
     """Under jit too, where its times, the spring or the duration are not known."""

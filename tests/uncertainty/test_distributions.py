@@ -196,7 +196,7 @@ def test_log_normal_from_moments():
 VALUES, PROBABILITIES = (0.2, 0.5, 0.6, 1.5), (0.1, 0.2, 0.0, 0.7)
 
 
-@pytest.mark.slow_but_for("given")
+@pytest.mark.slow
 @pytest.mark.parametrize("probabilities", [None, PROBABILITIES], ids=["equal", "given"])
 def test_discrete(probabilities):
     """Also on the steps themselves: a draw lies at or below the value with probability u."""
@@ -257,6 +257,7 @@ def test_one_side_may_be_open():
     np.testing.assert_allclose(ss.Truncated(ss.Normal(0.0, 1.0)).icdf(jnp.asarray(U)), stats.norm.ppf(U), rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("annotations_unchecked")
 def test_whole_numbers_serve_as_parameters():
     """Also under derivatives, which JAX has none of for integers."""
@@ -299,6 +300,7 @@ def test_probability_of_the_quantile_is_u(distribution, lowest, highest, restric
     np.testing.assert_allclose(distribution.cdf(x), GRID, atol=max(1e-11, lost), rtol=0)
 
 
+@pytest.mark.slow
 @given(FINITE, WIDTH, some.integers(0, 2**32 - 1))
 def test_uniform_draws_never_leave_the_interval(low, width, word):
     """At the ends too, where round-off could lead outside, in float64 and float32."""

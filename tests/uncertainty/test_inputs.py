@@ -193,6 +193,7 @@ def test_inputs_are_stored(uncertain, tmp_path):
     assert "mu" in table[0].split(",")
 
 
+@pytest.mark.slow
 def test_inputs_of_joined_parts_are_stored():
     parts = [run(oscillator(ss.Uniform(0.3, 0.7)), samples=20, t1=1.0, key=jax.random.key(seed)) for seed in (1, 2)]
     joined = ss.concatenate(parts)
@@ -280,6 +281,7 @@ def test_bad_input(what):
         make()
 
 
+@pytest.mark.slow
 def test_what_is_drawn_is_an_ensemble_of_arrays(uncertain):
     """Drawn numbers, given as arrays, are the same ensemble."""
     drawn = uncertain.input_values

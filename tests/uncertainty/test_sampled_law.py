@@ -50,6 +50,7 @@ def test_a_known_law_by_this_way_is_the_same():
     np.testing.assert_allclose(starts(mine.sticks), starts(theirs.sticks), rtol=0, atol=1e-14 * T1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [Gusts(), FromNumpy()], ids=lambda law: type(law).__name__)
 def test_samples_are_the_simulations_of_their_realizations(law):
     many = run(law, samples=12)
@@ -64,6 +65,7 @@ def test_samples_are_the_simulations_of_their_realizations(law):
         np.testing.assert_array_equal(base.times, realization.times)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mu",
     [pytest.param(0.6, marks=pytest.mark.slow, id="one system"), pytest.param(ss.Uniform(0.3, 0.7), id="many systems")],
@@ -82,6 +84,7 @@ def test_differences_of_a_known_law_by_this_way_are_the_same(mu):
         ss.sensitivity(ss.stick_fraction, system, Switching(), estimator="corrected", **options)
 
 
+@pytest.mark.slow
 def test_given_steps_may_be_the_base_of_an_ensemble():
     steps = ss.PoissonSwitching(1.0, 2.0).sample(KEY, T1)
     many = run(steps, samples=3, y0=(np.array([0.0, 0.05, 0.1]), 0.0))

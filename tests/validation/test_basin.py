@@ -101,6 +101,7 @@ def test_starts_nearest_to_the_boundary_are_labelled_as_in_bstab(run):
     np.testing.assert_array_equal(run["bstab"][1], [at_rest for *_, at_rest in BSTAB])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["pybasin", "bstab", "first"])
 def test_those_inside_the_unstable_cycle_come_to_rest(basin, run, group):
     y0, at_rest = run[group]

@@ -70,6 +70,7 @@ def test_the_trapezoidal_rule_comes_to_the_same_in_short_steps(blocks, slid):
     assert errors[2] < errors[1] / 8 < errors[0] / 64
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", SHARES)
 def test_a_mass_without_a_spring_slides_on_a_base_as_newmark_says(share):
     """The pulse as a base that is accelerated to a velocity, with exact edges: how far the block lags behind."""
@@ -121,6 +122,7 @@ def on_harmonic_ground(block, base, t1, step):
     return -one.final_state[0], (one.sticks.mask & (one.sticks.start > t1 / 2)).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "published"), [(0.6, 0.19590274524997664), (0.1, 1.182179210060007), (0.8, 0.0466650990262433)]
 )

@@ -102,6 +102,7 @@ def test_spring_stays_within_the_friction_limit_during_a_stick(setup):
     assert np.all(velocity[released] != 0)
 
 
+@pytest.mark.slow
 @given(set_ups())
 def test_one_stick_in_each_base_interval_at_most(setup):
     sticks = filled(run(setup))
@@ -194,6 +195,7 @@ def differentiate_in_time(simulation, times):
     return jax.jvp(simulation.evaluate, (times,), (jax.numpy.ones_like(times),))
 
 
+@pytest.mark.slow
 @given(set_ups())
 def test_evaluate_at_both_ends(setup):
     simulation = run(setup)

@@ -86,6 +86,7 @@ def test_release_arc_stays_free_through_thousands_of_intervals(w):
     assert math.hypot(x - 1, speed) == pytest.approx(w, rel=1e-12 * (1 + 1 / w))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", [3.9, 4.1, 4.5, 6.0, 10.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_tangent_return(before, sign):

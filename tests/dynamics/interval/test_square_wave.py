@@ -51,6 +51,7 @@ def test_share_from_the_recorded_sticks(table):
     assert inside == pytest.approx(total - before, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_the_last_periods_are_alike(table):
     """What is measured is a steady state: the last two periods hold the same stick share."""
     period, (two_before, before, total), *_ = table

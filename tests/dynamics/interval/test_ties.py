@@ -107,6 +107,7 @@ def test_a_switch_at_the_instant_of_an_arrival(dtype):
     assert near.tolist() == [1, 0, 0, 0, 0]
 
 
+@pytest.mark.slow
 def test_starts_one_ulp_off_the_edge_of_the_band():
     """One ulp from where friction gives way, on either side, is no stick; one ulp from the other edge there is one."""
     a = 0.25
