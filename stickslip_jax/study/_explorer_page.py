@@ -39,8 +39,9 @@ from ._reading import MOST_SAMPLES
 _BOX = 96  # px
 _RED = "light-dark(#b00020, #ff8a80)"
 _UNSEEN = "label { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }"
-# Bokeh's own is black on dark pages too.
+# Bokeh's own are black on dark pages too.
 _OWN_ARROW = "select.bk-input:not([multiple]):not([size]) { appearance: auto; background-image: none; }"
+_SPIN_ARROWS = ".bk-spin-btn { --color: CanvasText; }"
 
 
 _COLLECTED = 20  # ms: of the moves of a slider in between only the last is taken (Panel collects those of 50 ms)
@@ -424,8 +425,9 @@ class Explorer(pn.viewable.Viewer):
             "Base": choice("Base", scenes.bases_for(scene), self._choose_base),
         }
         self._lists["Friction"].visible = scenes.has_friction_to_choose(scene.system)
-        size = pn.widgets.IntInput(label="Realisations", value=scene.samples, start=2, end=MOST_SAMPLES, width=130)
-        seed = pn.widgets.IntInput(label="Seed", value=scene.seed, start=0, end=2**32 - 1, width=130)
+        look: dict[str, Any] = {"width": 130, "stylesheets": [_SPIN_ARROWS]}
+        size = pn.widgets.IntInput(label="Realisations", value=scene.samples, start=2, end=MOST_SAMPLES, **look)
+        seed = pn.widgets.IntInput(label="Seed", value=scene.seed, start=0, end=2**32 - 1, **look)
         self._counts = watched(size, partial(self._count, "samples")), watched(seed, partial(self._count, "seed"))
         reset = pn.widgets.Button(label="Reset", align="end")
         reset.on_click(lambda _: self._begin_with(self._given, GIVEN))

@@ -123,6 +123,7 @@ def test_figure_of_something_else():
         plot.calibration_moments(3)
 
 
+@pytest.mark.slow
 def test_both_derivatives_lead_to_the_same():
     """The corrected derivative and central differences, from the same recordings and random numbers."""
     moments = [ss.mean_total_stick_time, ss.mean_stick_count]

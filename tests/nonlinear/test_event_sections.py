@@ -57,7 +57,7 @@ def test_goes_on_from_any_state_and_time(time):
     np.testing.assert_allclose(section.time + time, ends[ends > time][:4], rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow_but_for("1")
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [1, -1, 0])
 def test_coordinate_through_a_value(direction):
     crossing = nonlinear.Crossing("position", 0.25, direction)

@@ -152,6 +152,7 @@ def test_folders_that_hold_something_else_are_refused(tmp_path):
         CALLS["section"](folder="")
 
 
+@pytest.mark.slow
 def test_a_block_of_another_call_is_not_taken(tmp_path):
     """It may have been copied into the folder, and has the name and the sizes of the one that it replaced."""
     CALLS["section"](folder=tmp_path / "mine")
@@ -162,6 +163,7 @@ def test_a_block_of_another_call_is_not_taken(tmp_path):
         CALLS["section"](folder=tmp_path / "mine")
 
 
+@pytest.mark.slow
 def test_a_folder_in_use_is_refused(tmp_path):
     from stickslip_jax._ensemble.encoding import locked  # noqa: PLC0415
 

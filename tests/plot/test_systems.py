@@ -70,7 +70,9 @@ def one(request):
 
 
 def of(*names):
-    return pytest.mark.parametrize("one", names, indirect=True)
+    """Cases of the runs with these names, of which one base motion and the motor are quick."""
+    quick = ("jumps", "motor")
+    return [pytest.param(name, marks=() if name in quick else pytest.mark.slow) for name in names]
 
 
 def line(ax, label):
@@ -115,8 +117,7 @@ def needed_position(name, times):
     return -np.interp(times, GROUND.times, GROUND.accelerations) / 40
 
 
-@pytest.mark.slow
-@of(*MASSES, "motor")
+@pytest.mark.parametrize("one", of(*MASSES, "motor"), indirect=True)
 def test_history_is_the_trajectory(one):
     panels = history(one)
     states, _ = exact(one, line(panels[0], names_of(one)).get_xdata())
@@ -137,8 +138,7 @@ def ends_of(simulation):
     return filled(simulation, "start"), filled(simulation, "end")
 
 
-@pytest.mark.slow
-@of(*MASSES, "motor")
+@pytest.mark.parametrize("one", of(*MASSES, "motor"), indirect=True)
 def test_each_stick_is_drawn_where_it_happens(one):
     assert int(one.sticks.count) >= 2
     for number, panel in enumerate(history(one)):
@@ -153,8 +153,7 @@ def test_each_stick_is_drawn_where_it_happens(one):
                 assert piece[0, 1] == pytest.approx(position, abs=1e-12)
 
 
-@pytest.mark.slow
-@of(*MASSES)
+@pytest.mark.parametrize("one", of(*MASSES), indirect=True)
 def test_velocities_in_sticks_are_those_of_the_base(one):
     _, lower = history(one)
     for piece in segments(line(lower, "mass, stick")):
@@ -162,8 +161,7 @@ def test_velocities_in_sticks_are_those_of_the_base(one):
         assert inside[:, 1] == pytest.approx(exact(one, inside[:, 0])[1], abs=1e-9)
 
 
-@pytest.mark.slow
-@of(*MASSES)
+@pytest.mark.parametrize("one", of(*MASSES), indirect=True)
 def test_base_line_is_the_base_velocity(one):
     _, lower = history(one)
     label = "ground" if isinstance(one.base, ss.GroundAcceleration) else "base"
@@ -180,8 +178,9 @@ def test_base_line_is_the_base_velocity(one):
         assert np.all(velocity == 0)
 
 
-@pytest.mark.parametrize(("one", "name"), [(name,) * 2 for name in MASSES if name != "weakening"], indirect=["one"])
-def test_band_holds_where_the_mass_can_stick(one, name):
+@pytest.mark.parametrize("one", of(*(name for name in MASSES if name != "weakening")), indirect=True)
+def test_band_holds_where_the_mass_can_stick(one, request):
+    name = request.node.callspec.id
     upper, _ = history(one)
     assert not upper.patches
     (band,) = upper.collections
@@ -203,7 +202,7 @@ def test_band_holds_where_the_mass_can_stick(one, name):
         assert np.all(path.contains_points(between[1:-1]))
 
 
-@of("weakening")
+@pytest.mark.parametrize("one", of("weakening"), indirect=True)
 def test_band_of_a_steady_base_stays(one):
     upper, _ = history(one)
     (band,) = upper.patches
@@ -213,7 +212,7 @@ def test_band_of_a_steady_base_stays(one):
 
 
 @pytest.mark.slow
-@of("motor")
+@pytest.mark.parametrize("one", of("motor"), indirect=True)
 def test_band_of_a_motor_holds_the_currents_of_its_sticks(one):
     *_, panel = history(one)
     (path,) = panel.collections[0].get_paths()
@@ -226,7 +225,7 @@ def test_band_of_a_motor_holds_the_currents_of_its_sticks(one):
         assert np.all(path.contains_points(piece[1:-1]))
 
 
-@of("jumps")
+@pytest.mark.parametrize("one", of("jumps"), indirect=True)
 def test_window_on_a_jump_shows_one_side_of_it(one):
     jump = next(float(time) for time in np.asarray(one.base.jumps.times) if time > 0.5)
     for window in ((jump * (1 - 1e-15), jump + 0.3), (jump - 0.3, jump * (1 + 1e-15))):
@@ -237,7 +236,7 @@ def test_window_on_a_jump_shows_one_side_of_it(one):
 
 
 @pytest.mark.slow
-@of("harmonic", "motor")
+@pytest.mark.parametrize("one", of("harmonic", "motor"), indirect=True)
 def test_long_runs_are_drawn_with_fewer_points(one, monkeypatch):
     monkeypatch.setattr(_trajectory, "_MOST_POINTS", 50)
     for panel in history(one):
@@ -265,7 +264,7 @@ def test_portrait_distinguishes_what_differs(one, labels):
     assert {text.get_text() for text in ax.get_legend().get_texts()} == labels
 
 
-@of(*MASSES)
+@pytest.mark.parametrize("one", of(*MASSES), indirect=True)
 def test_portrait_is_the_trajectory(one):
     ax = plot.phase_portrait(one)
     sticks = segments(line(ax, "stick"))
@@ -278,7 +277,7 @@ def test_portrait_is_the_trajectory(one):
     assert np.all(nearest < 1e-12)
 
 
-@of("recorded", "motor")
+@pytest.mark.parametrize("one", of("recorded", "motor"), indirect=True)
 def test_portrait_centers_and_abscissae(one, annotations_unchecked):
     if isinstance(one.system, ss.MotorCart):
         with pytest.raises(ValueError, match="Argument abscissa must be 'position' for a MotorCart, but"):
@@ -290,7 +289,7 @@ def test_portrait_centers_and_abscissae(one, annotations_unchecked):
     assert ax.get_xlabel() == r"position times frequency $\omega x$ (m/s)"
 
 
-@of("motor")
+@pytest.mark.parametrize("one", of("motor"), indirect=True)
 def test_portrait_of_a_motor_breaks_where_a_revolution_ends(one):
     (angle, speed, _), _ = exact(one, np.unique(np.asarray(one.step_starts)))
     assert angle[-1] > FULL_CIRCLE
@@ -308,7 +307,7 @@ def test_portrait_of_a_motor_breaks_where_a_revolution_ends(one):
     assert ax.get_xlim() == (0, FULL_CIRCLE)
 
 
-@of("motor")
+@pytest.mark.parametrize("one", of("motor"), indirect=True)
 def test_portrait_marks_the_sticks_of_a_motor(one):
     drawn = line(plot.phase_portrait(one), "stick")
     assert drawn.get_xdata() == pytest.approx(np.mod(filled(one, "position"), FULL_CIRCLE))
@@ -316,7 +315,7 @@ def test_portrait_marks_the_sticks_of_a_motor(one):
     assert (drawn.get_marker(), drawn.get_linestyle(), drawn.get_color()) == ("o", "None", _style.STICK)
 
 
-@of("motor", "ground")
+@pytest.mark.parametrize("one", of("motor", "ground"), indirect=True)
 def test_axes_name_quantity_and_unit_and_legends_hide_nothing(one):
     panels, portrait = plot.time_history(one), plot.phase_portrait(one)
     motor = names_of(one) == "motor"
@@ -340,7 +339,7 @@ def test_axes_name_quantity_and_unit_and_legends_hide_nothing(one):
         assert figure.x0 - 1 <= legend.x0 < legend.x1 <= figure.x1 + 1
 
 
-@of("motor")
+@pytest.mark.parametrize("one", of("motor"), indirect=True)
 def test_drawing_simulates_nothing(one, monkeypatch):
     def refuse(*args, **kwargs):
         raise AssertionError("a figure called the simulator")
@@ -350,7 +349,7 @@ def test_drawing_simulates_nothing(one, monkeypatch):
     plot.phase_portrait(one)
 
 
-@of("motor")
+@pytest.mark.parametrize("one", of("motor"), indirect=True)
 def test_a_motor_needs_three_axes(one):
     with pytest.raises(
         ValueError, match=r"Argument axes must hold three matplotlib Axes \(angle, angular velocity, cur"
@@ -405,7 +404,7 @@ def test_portrait_of_chosen_coordinates(two, x, y, pair):
     assert np.all(np.min(np.linalg.norm(points[None] - states[:, None], axis=2), axis=1) < 1e-9)
 
 
-@of("motor")
+@pytest.mark.parametrize("one", of("motor"), indirect=True)
 def test_portrait_of_a_current(one):
     ax = plot.phase_portrait(one, x="angular velocity", y="current")
     assert [ax.get_xlabel(), ax.get_ylabel()] == [r"angular velocity $\dot\alpha$ (rad/s)", "current $c$ (A)"]

@@ -16,6 +16,8 @@ import jaxtyping
 
 # `_compiler` goes through every operation of every program in small functions: checking them took a fifth of the time.
 UNCHECKED = {"_compiler"}
+# A warning names the first line that is not of this package, jaxtyping or beartype.
+__name__ = "jaxtyping.when_first_called"
 _jaxtyped: Callable[..., Any] = jaxtyping.jaxtyped
 
 

@@ -90,12 +90,14 @@ def run(basin, last_speed):
     return {name: (y0, part) for (name, y0), part in zip(groups.items(), parts, strict=True)}
 
 
+@pytest.mark.slow
 def test_starts_nearest_to_the_boundary_are_labelled_as_in_pybasin(basin, run):
     """All but the nearest, 9e-5 outside, which pyBasin's tolerances bring to rest (the slow test below)."""
     others = [start for start, ours in zip(PYBASIN, run["pybasin"][1], strict=True) if ours != PYBASIN[start]]
     assert tuple(others) == basin.OTHERS
 
 
+@pytest.mark.slow
 def test_starts_nearest_to_the_boundary_are_labelled_as_in_bstab(run):
     """The nearest lies 2e-5 inside."""
     np.testing.assert_array_equal(run["bstab"][1], [at_rest for *_, at_rest in BSTAB])
@@ -109,10 +111,12 @@ def test_those_inside_the_unstable_cycle_come_to_rest(basin, run, group):
     np.testing.assert_array_equal(at_rest, basin.boundary(basin.BELT_SPEED).inside(y0))
 
 
+@pytest.mark.slow
 def test_stick_slip_ends_at_the_belt_speed_at_which_a_released_mass_just_comes_back(run):
     np.testing.assert_array_equal(run["near last"][1], [False, False, False, True, True, True])
 
 
+@pytest.mark.slow
 def test_the_cycle_grows_from_where_the_equilibrium_becomes_stable(basin):
     """The slope of friction outweighs the damping below the belt speed ln(10)/2 (Hopf): no start comes to rest there.
 
@@ -124,6 +128,7 @@ def test_the_cycle_grows_from_where_the_equilibrium_becomes_stable(basin):
     assert double / small == pytest.approx(2, abs=0.02)
 
 
+@pytest.mark.slow
 def test_published_shares_are_those_of_the_area_inside(basin):
     """As often as chance has it: each share within 3 of its standard errors."""
     share = basin.boundary(basin.BELT_SPEED).share
@@ -131,6 +136,7 @@ def test_published_shares_are_those_of_the_area_inside(basin):
         assert abs(published - share) < 3 * math.sqrt(share * (1 - share) / starts)
 
 
+@pytest.mark.slow
 def test_published_labels_are_known_state_by_state(basin):
     """Their digest is that of the starts inside the cycle, but for one; and of no other set."""
     inside = basin.boundary(basin.BELT_SPEED).inside(basin.starts(4000))

@@ -118,6 +118,7 @@ def test_starts_one_ulp_off_the_edge_of_the_band():
     assert sticks.tolist() == [0, 0, 0, 1, 1, 1, 1, 1]
 
 
+@pytest.mark.slow
 @BOTH
 def test_tangent_returns_after_a_release_are_no_ties(dtype):
     """Released at speed w, the mass stays on the circle of radius w while the base goes faster and returns to w."""
