@@ -116,6 +116,7 @@ print(identity(kept.kept_jit(function, static_argnames=("one", "another", "third
 """
 
 
+@pytest.mark.slow
 def test_identities_are_the_same_in_each_process(tmp_path):
     """Those of classes and functions too that a program has of itself: none is known by where it lies in memory."""
     first, second = (in_processes(1, BEGIN + IDENTITIES, tmp_path, PYTHONHASHSEED=seed)[0] for seed in "12")

@@ -230,6 +230,7 @@ def test_study_file_and_figures():
     assert explorer.figures_file().getvalue().startswith(b"%PDF")
 
 
+@pytest.mark.slow
 def test_study_file_is_read_again(tmp_path):
     explorer = shown(samples=20)
     (tmp_path / "study.toml").write_bytes(explorer.study_file().getvalue())

@@ -6,7 +6,6 @@ import sys
 import jax.numpy as jnp
 import jaxtyping
 import pytest
-
 from support.annotations import check_annotations
 
 _CODE = '''

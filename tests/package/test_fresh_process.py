@@ -105,9 +105,8 @@ ss.sensitivity(ss.stick_fraction, system, law, wrt="mu", **options)
 """
 
 
-@pytest.mark.parametrize(
-    "more", ["", pytest.param(STATISTICS, marks=pytest.mark.slow)], ids=["simulations", "statistics"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("more", ["", STATISTICS], ids=["simulations", "statistics"])
 def test_closed_forms_need_no_solver_and_set_no_option_of_the_process(more):
     """Nor anything else that is heavy, but for Numba, which counts the sticks of full statistics.
 

@@ -276,6 +276,7 @@ def test_a_gif_shows_the_frames(one, tmp_path):
     assert film.figure.dpi == mpl.rcParams["figure.dpi"]
 
 
+@pytest.mark.slow
 def test_files_are_whole_or_not_there(one, tmp_path, monkeypatch):
     film = plot.animate(one, fps=1, figsize=(2.0, 2.0))
     path = tmp_path / "film.gif"
@@ -306,6 +307,7 @@ def test_files_are_whole_or_not_there(one, tmp_path, monkeypatch):
     assert [found.name for found in tmp_path.iterdir()] == ["film.gif"]
 
 
+@pytest.mark.slow
 def test_progress_counts_frames(one, tmp_path, capsys):
     plot.animate(one, fps=1, figsize=(2.0, 2.0)).save(tmp_path / "film.gif", progress=True)
     shown = capsys.readouterr().err
@@ -313,6 +315,7 @@ def test_progress_counts_frames(one, tmp_path, capsys):
     assert "frame/s" in shown or "s/frame" in shown
 
 
+@pytest.mark.slow
 def test_mp4_needs_ffmpeg(one, tmp_path):
     film = plot.animate(one, fps=2, figsize=(2.0, 2.0))
     with (
@@ -354,6 +357,7 @@ def test_mp4_by_ffmpeg(one, tmp_path, fails):
     assert size == len(film.times) * 4 * 100 * 100
 
 
+@pytest.mark.slow
 def test_notebooks_play_it_without_the_net(one):
     film = plot.animate(one, fps=1, figsize=(2.0, 2.0))
     shown = film._repr_html_()

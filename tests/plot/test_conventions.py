@@ -83,6 +83,7 @@ def test_joint_histogram_of_sticks_has_sides(many, bins):
     assert axes.y1 <= legend.y0 < legend.y1 <= figure.y1 + 1
 
 
+@pytest.mark.slow
 def test_joint_histogram_alone(many):
     """In one axes the joint histogram is the same, and has the legend itself."""
     joint = many.statistics.joint("duration", "position")

@@ -115,6 +115,7 @@ def test_map_and_joint_histogram_of_a_mass(one):
     assert ax.figure.axes[-1].get_ylabel() == "probability density (1/(m s))"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", [False, True])
 def test_joint_histogram_has_total_probability_one(many, log):
     first = ss.first_stick(many)
@@ -131,6 +132,7 @@ def test_joint_histogram_has_total_probability_one(many, log):
     assert line(ax, "longest possible, closed form").get_color() == _style.MASS
 
 
+@pytest.mark.slow
 def test_joint_histogram_with_given_edges_stays_a_density(many):
     first = ss.first_stick(many)
     edges = [0.1, 0.2, 0.4]
@@ -142,6 +144,7 @@ def test_joint_histogram_with_given_edges_stays_a_density(many):
     assert f"{np.sum(~inside):,} of them outside the bins" in above.get_legend().get_texts()[0].get_text()
 
 
+@pytest.mark.slow
 def test_durations_of_first_sticks_and_of_a_motor(many):
     first = ss.first_stick(many)
     texts = plot.histogram(first).get_legend().get_texts()
@@ -150,6 +153,7 @@ def test_durations_of_first_sticks_and_of_a_motor(many):
     assert plot.histogram(many).get_legend().get_texts()[0].get_text().startswith(f"{complete:,} sticks")
 
 
+@pytest.mark.slow
 def test_no_sticks_are_noted(many):
     none = np.full(3, np.nan)
     first = ss.FirstSticks(none, none, none, np.full(3, -1), np.zeros(3, bool))
@@ -174,6 +178,7 @@ def panels_of(drawn):
     return drawn if isinstance(drawn, tuple) else (drawn,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [plot.stick_map, plot.joint_histogram])
 def test_axes_name_quantity_and_unit_and_legends_hide_nothing(many, draw):
     ax, *sides = panels_of(draw(many, bound=many.law))
@@ -197,6 +202,7 @@ def test_given_axes_are_used(one):
     assert plt.get_fignums() == []
 
 
+@pytest.mark.slow
 def test_bad_arguments(one, many, annotations_unchecked):
     first = ss.first_stick(many)
     few = dataclasses.replace(many, flat_sticks=None, retained=None)

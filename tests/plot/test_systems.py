@@ -70,8 +70,8 @@ def one(request):
 
 
 def of(*names):
-    """Cases of the runs with these names, of which one base motion and the motor are quick."""
-    quick = ("jumps", "motor")
+    """Cases of the runs with these names, of which one is quick."""
+    quick = ("jumps",)
     return [pytest.param(name, marks=() if name in quick else pytest.mark.slow) for name in names]
 
 

@@ -89,6 +89,7 @@ def test_random_bases(w, seed):
     assert assert_derivatives_agree(setup) >= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("w", [0.2, 2.0])
 def test_large_amplitude_with_crossings(w):
     """A hundred pass-throughs: derivatives of the sum over all arcs."""

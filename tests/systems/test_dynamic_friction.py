@@ -49,6 +49,7 @@ def test_steady_slip(law, velocity):
     assert float(law.steady(jnp.asarray(velocity))) == pytest.approx(steady(law, velocity), rel=1e-12)
 
 
+@pytest.mark.slow_for("ageing")
 @pytest.mark.parametrize("name", ["LuGre", "ageing"])
 def test_harmonic_motion_against_scipy(name):
     law = LAWS[name]

@@ -44,6 +44,7 @@ def slid(blocks):
     return times, ground, yields, pulls, blocks.slide(times, ground, yields, pulls)
 
 
+@pytest.mark.slow
 def test_a_rectangular_pulse_moves_the_block_as_far_as_newmark_says(slid):
     """``V^2 / (2 a_y) (1 - a_y / A)``, the pulse of the acceleration A and the velocity V (Newmark 1965)."""
     shares = np.array(SHARES)
@@ -51,6 +52,7 @@ def test_a_rectangular_pulse_moves_the_block_as_far_as_newmark_says(slid):
     np.testing.assert_allclose(slid[-1][:3, -1], expected, rtol=2e-11)
 
 
+@pytest.mark.slow
 def test_the_package_and_the_events_agree(blocks, slid):
     """At all times of the records; one-way on a slope, both ways on level ground."""
     for time, ground, above, pull, positions in zip([slid[0]] * 11, *slid[1:], strict=True):
@@ -61,6 +63,7 @@ def test_the_package_and_the_events_agree(blocks, slid):
         assert np.max(np.abs(expected)) > 1e-3
 
 
+@pytest.mark.slow
 def test_the_trapezoidal_rule_comes_to_the_same_in_short_steps(blocks, slid):
     regular, shaking = earthquakes()
     one_way = [3, 4, 7, 8]
@@ -142,6 +145,7 @@ def test_one_cycle_of_a_sine_as_the_closed_form_of_pyslammer(share, published):
     assert float(displacement) == pytest.approx(expected, rel=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "sticks"), [(LIMIT - 1e-5, 0), (LIMIT + 1e-5, 20)])
 def test_a_block_on_a_harmonic_ground_never_rests_below_the_known_friction(share, sticks):
     """``mu g / A = 1 / sqrt(1 + pi^2 / 4)``: Den Hartog's limit of motion without stops, where there is no spring.

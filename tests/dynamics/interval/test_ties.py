@@ -136,6 +136,7 @@ def test_tangent_returns_after_a_release_are_no_ties(dtype):
     assert near.sum() <= (0 if dtype == np.float64 else 8)  # by chance: 64 of 1e7 units, 4,800 intervals
 
 
+@pytest.mark.slow
 def test_random_and_periodic_motions_have_none():
     """From (0, 1) in the units of the papers, whose start is a stick, or not: mu 1/4 and speed 1/2 here."""
     source = np.random.default_rng(3)

@@ -238,6 +238,7 @@ def test_round_off_does_not_shorten_steps():
     np.testing.assert_allclose(one.final_state, [0.3, 0.0], atol=1e-12)
 
 
+@pytest.mark.slow_for("0.001")
 @pytest.mark.parametrize("mass", [0.01, 1e-3])
 def test_an_overdamped_valve_is_not_near_grazing(mass):
     """It slides at (F - mu N) / c as the force F lets it, slowly, and so comes to rest with a small deceleration.
