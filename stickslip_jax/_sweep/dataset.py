@@ -10,7 +10,7 @@ from collections.abc import Hashable, Iterator
 from datetime import datetime
 from pathlib import Path
 from tempfile import SpooledTemporaryFile, gettempdir
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from .._ensemble.points import POINT, label_and_unit
 from .._foundation.extras import NO_BAR, Entries, Progress, labeled_dataset, require, variable
 from .._foundation.files import write_whole
 from .._foundation.types import Status
-from .._numerics.sums import CommonBins
+from .._numerics.sums import CommonBins, DyadicCounts
 from .._statistics.distribution import DEFAULT_BINS, LEVELS, Distribution, default_bins
 from .._statistics.estimate import Estimate
 from .._statistics.quantities import BY_NAME as STICK_BY_NAME
@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 # The tasks of a sweep that are left, and the batches that are there.
 
 
-_IN_MEMORY = 2**26  # bytes of what has been read; what is more goes to a temporary file
+_IN_MEMORY = 2**26  # bytes of distributions; what is more goes to a temporary file
+_Value = TypeVar("_Value")
 _LISTINGS = 5  # of the folder at most, where a run that is under way has joined batches since the last
 
 
@@ -59,8 +60,6 @@ class Work:
         self.identities = [plan.points.identity(point) for point in range(plan.points.number)]
         self._batches = store.batches()
         self._left: dict[int, int] = {}  # tasks of a point that are not done
-        # A run may join batches while they are read here: what was read once is kept, so that it stays the same.
-        self._cache = None if self.store.can_write else ReadCache()
 
     def _batches_at(self, point: int) -> list[Batch]:
         """The batches of a point that are there."""
@@ -84,6 +83,10 @@ class Work:
                 self.complete += 1
                 self._join(point)  # an earlier run may have been stopped before
             yield from tasks
+
+    def is_complete(self, point: int) -> bool:
+        """Whether nothing is left to do at a point."""
+        return self._left[point] == 0
 
     def _missing(self, point: int) -> list[Task]:
         """The tasks for samples of a point that are not there, which end at multiples of the size of a batch; with
@@ -133,7 +136,7 @@ class Work:
             self.done[task.point] += task.samples
             more = self._missing(task.point) if self.plan.standard_errors else []
             self._left[task.point] += len(more)
-        if not self._left[task.point]:
+        if self.is_complete(task.point):
             self.complete += 1
             self._join(task.point)
         return more
@@ -141,16 +144,10 @@ class Work:
     def ensemble(self, point: int) -> Ensemble | None:
         """The samples of a point from the first on that are there without a gap; None if there is none.
 
-        Samples after a damaged batch are left out; the batch is removed, unless the store is only read. A program that
-        only reads gets the same samples every time, also while a run adds batches.
+        Samples after a damaged batch are left out; the batch is removed, unless the store is only read.
         """
-        read = None if self._cache is None else self._cache.get(point)
-        if read is None:
-            read = self._read(point, is_gap_allowed=False)
-            if self._cache is not None:
-                self._cache.put(point, read)
         found, fields = [], self.plan.fields_at(point)
-        for batch, data in read:
+        for batch, data in self._read(point, is_gap_allowed=False):
             with self._damage_removed(point, batch):
                 found.append(unpacked(data, fields, batch.first, batch.end))
                 continue
@@ -229,28 +226,29 @@ class Work:
             self.store.remove(batch, reason)
 
 
-class ReadCache:
-    """The batches of points, with their bytes, as they were when they were read first."""
+class Spool(Generic[_Value]):
+    """One object for each point, in memory or, where they are many, in a temporary file."""
 
     def __init__(self) -> None:
         self._file = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115 - closed with this object
         weakref.finalize(self, self._file.close)
         self._starts: dict[int, int] = {}
 
-    def put(self, point: int, batches: list[tuple[Batch, bytes]]) -> None:
-        """Keep what was read of a point. Raises SweepError where there is no room for it."""
+    def put(self, point: int, value: _Value) -> None:
+        """Keep the object of a point. Raises SweepError where there is no room for it."""
         try:
             start = self._file.seek(0, 2)
-            pickle.dump(batches, self._file)
+            pickle.dump(value, self._file)
         except OSError as error:
             raise SweepError(
-                f"{gettempdir()} cannot be written ({error.strerror}), where the batches of a large sweep are kept "
-                "while it is read; make room there, or name another folder in the environment variable TMPDIR."
+                f"{gettempdir()} cannot be written ({error.strerror}), where the distributions of a large sweep are "
+                "kept until its histograms are made; make room there, or name another folder in the environment "
+                "variable TMPDIR."
             ) from error
         self._starts[point] = start
 
-    def get(self, point: int) -> list[tuple[Batch, bytes]] | None:
-        """What was read of a point; None if nothing was."""
+    def get(self, point: int) -> _Value | None:
+        """That of a point; None if there is none."""
         if point not in self._starts:
             return None
         self._file.seek(self._starts[point])
@@ -311,16 +309,31 @@ def require_packages() -> None:
     require("Sweeps need", "study", "xarray", "h5netcdf", "h5py", "filelock")
 
 
-def dataset_of(work: Work, bar: Progress = NO_BAR) -> "xarray.Dataset":
-    """All stored results. Points are read twice, one at a time: first for the bins, which all points share.
+class Results:
+    """The data set of a sweep, put together point by point, each read once: as soon as it is done, where a run does it.
 
-    `bar` advances by one for each reading.
+    Histograms come last: their bins hold the values of all points.
     """
-    plan, variables = work.plan, Variables(work.plan)
-    bins = _common_bins(work, bar)
-    for point in range(plan.points.number):
-        ensemble = work.ensemble(point)
-        bar.advance(1)
+
+    def __init__(self, work: Work):
+        self._work, self._variables, self._there = work, Variables(work.plan), set[int]()
+        self._distributions = Spool[dict[str, Distribution]]()
+        self._ends: dict[str, list[DyadicCounts]] = {}
+
+    @property
+    def steps(self) -> int:
+        """How often `dataset` advances its bar: once for each point that is not put yet, and once for all of them."""
+        return 2 * self._work.plan.points.number - len(self._there)
+
+    def put_if_complete(self, point: int) -> None:
+        """Put a point if nothing is left to do there."""
+        if self._work.is_complete(point):
+            self.put(point)
+
+    def put(self, point: int) -> None:
+        """Put all of a point but histograms and derivatives. Raises SweepError where there is no room for it."""
+        plan, variables, ensemble = self._work.plan, self._variables, self._work.ensemble(point)
+        self._there.add(point)
         samples, near, spent, counts = 0, 0, np.nan, dict.fromkeys(Status, 0)
         if ensemble is not None:
             samples, near, spent = ensemble.samples, ensemble.near_grazing_samples, ensemble.run_seconds
@@ -331,9 +344,61 @@ def dataset_of(work: Work, bar: Progress = NO_BAR) -> "xarray.Dataset":
             variables.put(point, f"samples_{one.name.lower()}", counts[one], label)
         variables.put(point, "samples_near_grazing", near, "number of samples with an event decided by round-off")
         variables.put(point, "run_seconds", spent, "time spent simulating, summed over threads", "s")
-        if ensemble is not None:
-            _put_statistics(variables, point, ensemble, plan, bins)
-        derivatives = work.derivatives(point)
+        if ensemble is None:
+            return
+        for name in plan.statistics:
+            if name in STATISTICS:
+                variables.estimate(point, name, STATISTICS[name](ensemble))
+        for name, of in ensemble.outputs.items():
+            variables.distribution(point, name, of, has_skewness=False)
+            variables.put(point, f"{name}_values", of.number, f"number of samples with a value of {name}")
+        if plan.keep == "totals":
+            return
+        held = {name: getattr(ensemble.statistics, name) for name in plan.statistics if name in _BY_NAME}
+        for name, of in held.items():
+            variables.distribution(point, name, of, has_skewness=True)
+            ends = of.bins._replace(counts=of.bins.counts[..., :0])  # the ends of the histogram without its numbers
+            self._ends.setdefault(name, []).append(ends)
+        self._distributions.put(point, held)
+        by_order = [ensemble.statistics.order(number) for number in range(1, ensemble.numbering.orders + 1)]
+        shares = [float(one.share.value) for one in by_order]
+        variables.put(point, "share_with_order", shares, "share of samples that have the stick", dimensions=("order",))
+        for name in by_order[0].distributions:
+            means = [one.distributions[name].mean for one in by_order]
+            label, unit = f"mean {STICK_BY_NAME[name].label} by order", means[0].unit
+            for part, ending, text in (
+                ("value", "", label),
+                ("standard_error", "_error", f"standard error of {label}"),
+            ):
+                values = [float(getattr(mean, part)) for mean in means]
+                variables.put(point, f"{name}_of_order{ending}", values, text, unit, dimensions=("order",))
+        # Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held.
+        for name in ("start", "end") if plan.realizations else ():
+            held_sticks = 256
+            times = np.full((plan.realizations, held_sticks), np.nan)
+            own = getattr(ensemble.finished_sticks().head(plan.realizations).padded(), name)[:, :held_sticks]
+            times[: len(own), : own.shape[1]] = own
+            label = f"{name} of the first {held_sticks} sticks of some samples"
+            variables.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
+
+    def dataset(self, bar: Progress = NO_BAR) -> "xarray.Dataset":
+        """All of it; what is not put yet is put."""
+        plan, variables = self._work.plan, self._variables
+        for point in sorted(set(range(plan.points.number)) - self._there):
+            self.put(point)
+            bar.advance(1)
+        found = {name: CommonBins.of(ends, default_bins(_BY_NAME[name].is_whole)) for name, ends in self._ends.items()}
+        bins = {name: common for name, common in found.items() if common is not None}
+        for point in range(plan.points.number):
+            held = self._distributions.get(point) or {}
+            for name in (name for name in held if name in bins):
+                _put_histogram(variables, point, name, held[name], bins[name])
+            self._put_derivatives(point)
+            bar.advance(1)
+        return labeled_dataset(variables.entries(), self._coordinates(bins), self._about())
+
+    def _put_derivatives(self, point: int) -> None:
+        plan, variables, derivatives = self._work.plan, self._variables, self._work.derivatives(point)
         for number, (statistic, _) in enumerate(plan.derivatives):
             result = derivatives.get(derivative_name(plan, number))
             of = next(one.unit for one in DIFFERENTIABLE if one.name == statistic)
@@ -344,100 +409,56 @@ def dataset_of(work: Work, bar: Progress = NO_BAR) -> "xarray.Dataset":
                 variables.put(point, f"{name}_error", numbers["standard_error"], f"standard error of {name}", unit)
                 corrected = int(numbers["estimator"] == "corrected")
                 variables.put(point, f"{name}_is_corrected", corrected, "corrected estimator (1), or differences (0)")
-    coordinates: Entries = {}
-    for one in plan.points.dimensions:
-        for name, values in zip(one.parameters, one.values.T, strict=True):
-            coordinates[name] = variable(one.name, values, *label_and_unit(plan.setting, name))
-        if one.name not in coordinates:
-            entry = "point" if one.name == POINT else f"entry of {', '.join(one.parameters)}"
-            coordinates[one.name] = (one.name, np.arange(len(one)), {"long_name": f"number of the {entry}"})
-    position = require_system(plan.setting.system).stick_position.unit
-    if bins or plan.outputs:
-        coordinates["quantile"] = variable("quantile", list(LEVELS), "share of values")
-    for name, common in bins.items():
-        low, high, bin_of = common.edges[:-1], common.edges[1:], f"{name}_bin"
-        about = (_BY_NAME[name].label, _BY_NAME[name].unit or position)
-        coordinates[bin_of] = variable(bin_of, (high + low) / 2, *about, comment="middle of the bin")
-        coordinates[f"{bin_of}_low"] = variable(bin_of, low, *about, comment="lower edge of the bin")
-        coordinates[f"{bin_of}_high"] = variable(bin_of, high, *about, comment="upper edge of the bin")
-    if plan.keep != "totals":
-        orders = np.arange(1, plan.numbering.orders + 1)
-        coordinates["order"] = ("order", orders, {"long_name": "number of the stick"})
-    body = work.store.body  # the manifest in the folder, in which 1 may stand for the 1.0 of the plan
-    about_all = {
-        "source": source()["source"],
-        "format": body["format"],
-        "format_version": body["format_version"],
-        "manifest_sha256": sum_of(body),
-        **{name: json.dumps(value) for name, value in body["objects"].items()},
-        "t1": plan.t1,
-        "keep": plan.keep,
-        "dtype": plan.dtype,
-        "batch": plan.batch,
-        "common_random_numbers": int(not plan.independent),
-        "histograms": f"at most {DEFAULT_BINS} bins, of whole numbers one for each number, the same for all points; "
-        "entropies are of these histograms",
-    }
-    return labeled_dataset(variables.entries(), coordinates, about_all)
+
+    def _coordinates(self, bins: dict[str, CommonBins]) -> Entries:
+        plan = self._work.plan
+        coordinates: Entries = {}
+        for one in plan.points.dimensions:
+            for name, values in zip(one.parameters, one.values.T, strict=True):
+                coordinates[name] = variable(one.name, values, *label_and_unit(plan.setting, name))
+            if one.name not in coordinates:
+                entry = "point" if one.name == POINT else f"entry of {', '.join(one.parameters)}"
+                coordinates[one.name] = (one.name, np.arange(len(one)), {"long_name": f"number of the {entry}"})
+        position = require_system(plan.setting.system).stick_position.unit
+        if self._ends or plan.outputs:
+            coordinates["quantile"] = variable("quantile", list(LEVELS), "share of values")
+        for name, common in bins.items():
+            low, high, bin_of = common.edges[:-1], common.edges[1:], f"{name}_bin"
+            about = (_BY_NAME[name].label, _BY_NAME[name].unit or position)
+            coordinates[bin_of] = variable(bin_of, (high + low) / 2, *about, comment="middle of the bin")
+            coordinates[f"{bin_of}_low"] = variable(bin_of, low, *about, comment="lower edge of the bin")
+            coordinates[f"{bin_of}_high"] = variable(bin_of, high, *about, comment="upper edge of the bin")
+        if plan.keep != "totals":
+            orders = np.arange(1, plan.numbering.orders + 1)
+            coordinates["order"] = ("order", orders, {"long_name": "number of the stick"})
+        return coordinates
+
+    def _about(self) -> dict[str, Any]:
+        plan = self._work.plan
+        body = self._work.store.body  # the manifest in the folder, in which 1 may stand for the 1.0 of the plan
+        return {
+            "source": source()["source"],
+            "format": body["format"],
+            "format_version": body["format_version"],
+            "manifest_sha256": sum_of(body),
+            **{name: json.dumps(value) for name, value in body["objects"].items()},
+            "t1": plan.t1,
+            "keep": plan.keep,
+            "dtype": plan.dtype,
+            "batch": plan.batch,
+            "common_random_numbers": int(not plan.independent),
+            "histograms": f"at most {DEFAULT_BINS} bins, of whole numbers one for each number, the same for all "
+            "points; entropies are of these histograms",
+        }
 
 
-def _common_bins(work: Work, bar: Progress) -> dict[str, CommonBins]:
-    """The bins that the histograms of each quantity share over all points."""
-    plan, held = work.plan, {}
-    names = [name for name in plan.statistics if name in _BY_NAME]
-    for point in range(plan.points.number) if names and plan.keep != "totals" else ():
-        ensemble = work.ensemble(point)
-        bar.advance(1)
-        if ensemble is None:
-            continue
-        for name in names:
-            counts = getattr(ensemble.statistics, name).bins
-            ends = counts._replace(counts=counts.counts[..., :0])  # the ends of the histogram without its numbers
-            held.setdefault(name, []).append(ends)
-    found = {name: CommonBins.of(ends, default_bins(_BY_NAME[name].is_whole)) for name, ends in held.items()}
-    return {name: bins for name, bins in found.items() if bins is not None}
-
-
-def _put_statistics(
-    variables: Variables, point: int, ensemble: Ensemble, plan: Plan, bins: dict[str, CommonBins]
-) -> None:  # fmt: skip
-    for name in plan.statistics:
-        if name in STATISTICS:
-            variables.estimate(point, name, STATISTICS[name](ensemble))
-        if name in bins:
-            of: Distribution = getattr(ensemble.statistics, name)
-            variables.distribution(point, name, of, has_skewness=True)
-            entropy, histogram = of.entropy(bins[name]), of.histogram(bins[name])
-            text = f"entropy of the histogram of {of.name} in common bins"
-            variables.estimate(point, f"{name}_entropy", entropy, text)
-            counts, density, own = histogram.counts, histogram.density, (f"{name}_bin",)
-            variables.put(
-                point, f"{name}_count_in_bin", counts, f"number of values of {of.name}", dimensions=own
-            )  # fmt: skip
-            per = "1" if of.unit == "1" else f"{of.unit}-1"
-            variables.put(point, f"{name}_density", density, f"density of {of.name}", per, dimensions=own)
-    for name, of in ensemble.outputs.items():
-        variables.distribution(point, name, of, has_skewness=False)
-        variables.put(point, f"{name}_values", of.number, f"number of samples with a value of {name}")
-    if plan.keep == "totals":
-        return
-    by_order = [ensemble.statistics.order(number) for number in range(1, ensemble.numbering.orders + 1)]
-    shares = [float(one.share.value) for one in by_order]
-    variables.put(point, "share_with_order", shares, "share of samples that have the stick", dimensions=("order",))
-    for name in by_order[0].distributions:
-        means = [one.distributions[name].mean for one in by_order]
-        label, unit = f"mean {STICK_BY_NAME[name].label} by order", means[0].unit
-        for part, ending, text in (("value", "", label), ("standard_error", "_error", f"standard error of {label}")):
-            values = [float(getattr(mean, part)) for mean in means]
-            variables.put(point, f"{name}_of_order{ending}", values, text, unit, dimensions=("order",))
-    # Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held.
-    for name in ("start", "end") if plan.realizations else ():
-        held = 256
-        times = np.full((plan.realizations, held), np.nan)
-        own = getattr(ensemble.finished_sticks().head(plan.realizations).padded(), name)[:, :held]
-        times[: len(own), : own.shape[1]] = own
-        label = f"{name} of the first {held} sticks of some samples"
-        variables.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
+def _put_histogram(variables: Variables, point: int, name: str, of: Distribution, common: CommonBins) -> None:
+    own, unit = (f"{name}_bin",), "1" if of.unit == "1" else f"{of.unit}-1"
+    entropy, counts = of.entropy(common), of.bins.in_bins(common)
+    variables.estimate(point, f"{name}_entropy", entropy, f"entropy of the histogram of {of.name} in common bins")
+    variables.put(point, f"{name}_count_in_bin", counts, f"number of values of {of.name}", dimensions=own)
+    density = counts / max(of.number, 1) / np.diff(common.edges)
+    variables.put(point, f"{name}_density", density, f"density of {of.name}", unit, dimensions=own)
 
 
 def point_dimensions(dataset: "xarray.Dataset") -> tuple[Hashable, ...]:
@@ -548,7 +569,7 @@ def stored_dataset(folder: Path) -> "xarray.Dataset":
     require_packages()
     store = Store.reading(folder)
     finished = _finished(store)
-    return dataset_of(Work(store.plan(), store)) if finished is None else finished
+    return Results(Work(store.plan(), store)).dataset() if finished is None else finished
 
 
 def _finished(store: Store) -> "xarray.Dataset | None":

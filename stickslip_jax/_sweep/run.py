@@ -34,7 +34,7 @@ from .._foundation.files import write_whole
 from .._foundation.processes import cores
 from . import batches
 from .batches import SETTINGS, Failed, NoMemory, Outcome, Performer, Plan, Sent, Task, outcome_of, perform_sent, sent
-from .dataset import Work, dataset_of, require_packages, write_dataset
+from .dataset import Results, Work, require_packages, write_dataset
 from .store import LOG, Store, opened
 
 if TYPE_CHECKING:
@@ -394,8 +394,8 @@ def stoppable() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, before)
 
 
-def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Progress) -> None:
-    """Do all tasks of `work`, a few at a time, and store each result when it comes.
+def run_tasks(work: Work, results: Results, executor: Executor, stopping: threading.Event, bar: Progress) -> None:
+    """Do all tasks of `work`, a few at a time, store each when it comes, and put each point that is complete.
 
     If there was no memory for a task it is done again, with fewer tasks at a time: a smaller batch would change the
     last digits. Stops after the tasks under way when `stopping` asks for it. Raises SweepError if the folder cannot be
@@ -440,6 +440,7 @@ def run_tasks(work: Work, executor: Executor, stopping: threading.Event, bar: Pr
             work.store.log(f"FAILED {described(work.plan, task)}: {found.reason}")
         else:
             waiting.extendleft(work.finish(task, found if isinstance(found, bytes) else None))
+            results.put_if_complete(task.point)
             work.store.log(f"done {described(work.plan, task)} in {time.monotonic() - began:.2f} s")
             bar.advance(task.samples if task.derivative is None else 0)
             bar.note(f"{work.complete} of {work.plan.points.number} points")
@@ -528,9 +529,10 @@ def run_sweep(
         store.log(f"begun: {number} points, {plan.samples} samples each")
         for _ in range(_ROUNDS):
             work = Work(plan, store)
+            results = Results(work)
             tasks_by = _executor_for(plan, store, threads, workers, executor, shared_folder)
             with tasks_by, progress_bar(progress, number * plan.samples) as bar:
-                run_tasks(work, tasks_by, stopping, bar)
+                run_tasks(work, results, tasks_by, stopping, bar)
             if stopping.is_set():
                 store.log("stopped")
                 resume = f"`stickslip resume {there}`, or the same call again, goes on from here."
@@ -553,8 +555,8 @@ def run_sweep(
                         "keeps what is done."
                     )
                 )
-            with progress_bar(progress, number * (1 if plan.keep == "totals" else 2), "point put together") as bar:
-                dataset = dataset_of(work, bar)
+            with progress_bar(progress, results.steps, "point put together") as bar:
+                dataset = results.dataset(bar)
             if work.damaged:
                 continue
             path = write_dataset(store, dataset)

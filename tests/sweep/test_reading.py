@@ -17,7 +17,7 @@ from support.faults import TESTS, log_of, run, sweep_of
 import stickslip_jax as ss
 from stickslip_jax import _cli as cli
 from stickslip_jax._sweep import dataset, store
-from stickslip_jax._sweep.dataset import ReadCache, status_of, stored_dataset
+from stickslip_jax._sweep.dataset import Spool, status_of, stored_dataset
 
 
 @pytest.fixture
@@ -50,17 +50,18 @@ def test_all_ways_to_read_see_the_same(begun):
 
 
 @pytest.mark.slow
-def test_batches_that_join_between_the_two_readings(begun, monkeypatch):
+def test_batches_that_join_before_the_histograms(begun, monkeypatch):
     """The histograms are in bins for what was read first: values that came later need not fit into them."""
     folder, add_and_join = begun
-    before, common_bins = stored_dataset(folder), dataset._common_bins
+    before, of, once = stored_dataset(folder), dataset.CommonBins.of, [add_and_join]
 
-    def joined_after(*arguments):
-        found = common_bins(*arguments)
-        add_and_join()
-        return found
+    def joined_before(*arguments):
+        for join_them in once:
+            join_them()
+        once.clear()
+        return of(*arguments)
 
-    monkeypatch.setattr(dataset, "_common_bins", joined_after)
+    monkeypatch.setattr(dataset.CommonBins, "of", joined_before)
     assert stored_dataset(folder).identical(before)
     assert np.array_equal(before["duration_count_in_bin"].sum("duration_bin") > 0, [True, True])
     assert read_samples(folder) == [500, 500]
@@ -104,7 +105,7 @@ def test_listing_that_misses_the_parts_and_the_whole(begun, monkeypatch):
 @pytest.mark.slow
 def test_what_was_read_goes_to_the_disk_where_it_is_much(monkeypatch):
     monkeypatch.setattr("stickslip_jax._sweep.dataset._IN_MEMORY", 10)
-    cache = ReadCache()
+    cache = Spool()
     batches = [(store.Batch(Path("a"), 0, 5), b"12345"), (store.Batch(Path("b"), 5, 9), b"6789" * 10)]
     cache.put(3, batches)
     cache.put(1, [])

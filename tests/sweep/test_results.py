@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import stickslip_jax as ss
+from stickslip_jax._sweep.dataset import Results
 
 KEY = jax.random.key(7)
 MU, RATE = [0.5, 1.2], [0.5, 1.0, 2.5]
@@ -159,6 +160,17 @@ def test_statistics_may_be_chosen():
     few = sweep(over={"mu": MU}, statistics=["mean_stick_duration", "position"]).run()
     assert {"mean_stick_duration", "position_entropy"} < set(few)
     assert not {"stick_fraction", "duration_mean"} & set(few)
+
+
+def test_points_are_put_together_while_others_are_simulated(monkeypatch, tmp_path):
+    """Only histograms are left for the end; of an earlier run, each point is read then."""
+    steps, dataset = [], Results.dataset
+    monkeypatch.setattr(Results, "dataset", lambda self, *bar: (steps.append(self.steps), dataset(self, *bar))[1])
+    arguments = {"over": {"mu": MU}, "samples": 300, "statistics": ["mean_stick_duration", "duration"]}
+    first = sweep(**arguments).run(tmp_path / "sweep", progress=False)
+    again = sweep(**arguments).run(tmp_path / "sweep", progress=False)
+    assert steps == [len(MU), 2 * len(MU)]
+    assert again.identical(first)
 
 
 @pytest.mark.slow

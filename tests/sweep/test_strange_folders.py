@@ -114,15 +114,15 @@ def test_batches_taken_away_while_one_is_written(tmp_path, monkeypatch):
 def test_folder_taken_away_at_the_end(tmp_path, monkeypatch):
     """After the last batch, while the data set is made."""
     folder = tmp_path / "sweep"
-    dataset_of = run_module.dataset_of
+    dataset = run_module.Results.dataset
 
     def taken(*arguments):
-        found = dataset_of(*arguments)
+        found = dataset(*arguments)
         for name in (".lock", *MANIFESTS):
             (folder / name).unlink()
         return found
 
-    monkeypatch.setattr(run_module, "dataset_of", taken)
+    monkeypatch.setattr(run_module.Results, "dataset", taken)
     with pytest.raises(ss.SweepError, match="was removed, or changed, while the sweep ran"):
         run(sweep_of(), folder)
 
