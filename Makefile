@@ -20,7 +20,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast test-plain test-wheel test-browser coverage check-slow docs site check-site notebooks mutations lint format bench bench-smoke versions clean
+.PHONY: study test test-fast test-plain test-wheel test-browser coverage check-slow docs docs-smoke site check-site notebooks mutations lint format bench bench-smoke versions clean
 
 study: $(STUDY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -59,7 +59,7 @@ versions:
 # Folder by folder, each in processes of its own: what JAX has compiled stays in memory, more than 10 GB of it in the end.
 check-slow: $(READY)
 	failed=; for folder in $$(grep -rl --include='test_*.py' 'mark\.slow' tests | cut -d/ -f1-2 | sort -u); do \
-		$(BIN)/python -m pytest -m slow -n auto --dist worksteal $$folder || failed="$$failed $$folder"; \
+		$(BIN)/python -m pytest -m 'slow and not documents' -n auto --dist worksteal $$folder || failed="$$failed $$folder"; \
 	done; test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
 
 # Each guard of the package is switched off in turn, and a test must fail. WHICH="programs LAPACK" is some of them.
@@ -79,6 +79,12 @@ site: $(READY)
 docs: export STICKSLIP_KEEP_NOTEBOOKS = $(CURDIR)/results/notebooks-small
 docs: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m documents
+	$(MAKE) site
+
+# The same in small: the first pages, docstrings and one notebook, and the site, which says what was not run.
+docs-smoke: export STICKSLIP_KEEP_NOTEBOOKS = $(CURDIR)/results/notebooks-small
+docs-smoke: $(READY)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m 'documents and not slow'
 	$(MAKE) site
 
 # No block of code in the site is wider than its column, nothing is loaded from the net, and the search finds what it

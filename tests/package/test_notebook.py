@@ -193,7 +193,10 @@ def tool():
     return loaded("tools/notebooks.py")
 
 
-@pytest.fixture(scope="module", params=FIGURES)
+_CASES = [pytest.param(name, marks=() if name == "quickstart" else pytest.mark.slow) for name in FIGURES]
+
+
+@pytest.fixture(scope="module", params=_CASES)
 def executed(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("notebook")
     around = {

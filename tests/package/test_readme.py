@@ -53,6 +53,7 @@ def test_every_document_with_code_is_tested():
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.documents
+@pytest.mark.slow_but_for("README.md", "docs/howto/first_hour.md", "docs/tutorial.md", "docs/statistics.md")
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_documents_print_what_they_say(document, tmp_path, monkeypatch):
     text = (ROOT / document).read_text(encoding="utf-8")
