@@ -7,6 +7,7 @@ minute, in each process. Here they are written when a function is first called.
 import functools
 import pkgutil
 import sys
+import threading
 import types
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -18,6 +19,8 @@ import jaxtyping
 UNCHECKED = {"_compiler"}
 # A warning names the first line that is not of this package, jaxtyping or beartype.
 __name__ = "jaxtyping.when_first_called"
+# beartype catches warnings while it writes: two threads that do would leave each other's filters behind.
+_writing = threading.RLock()
 _jaxtyped: Callable[..., Any] = jaxtyping.jaxtyped
 
 
@@ -44,7 +47,8 @@ def _checked(function: Any = None, *, typechecker: Any) -> Any:
     def checked(*args: Any, **named: Any) -> Any:
         __tracebackhide__ = True
         if checked.written is None:
-            checked.written = _jaxtyped(function, typechecker=typechecker)
+            with _writing:
+                checked.written = checked.written or _jaxtyped(function, typechecker=typechecker)
         return checked.written(*args, **named)
 
     checked.written = None
