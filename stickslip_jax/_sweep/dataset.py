@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 
 _IN_MEMORY = 2**26  # bytes of distributions; what is more goes to a temporary file
+_ON_DISK = 2**30  # bytes of distributions that a run keeps; of the others it reads the batches again
 _Value = TypeVar("_Value")
 _LISTINGS = 5  # of the folder at most, where a run that is under way has joined batches since the last
 
@@ -227,19 +228,27 @@ class Work:
 
 
 class Spool(Generic[_Value]):
-    """One object for each point, in memory or, where they are many, in a temporary file."""
+    """One object for each point, in memory or, where they are many, in a temporary file.
 
-    def __init__(self) -> None:
+    `most`: bytes beyond which, and without room for them, objects are not kept; None: all are.
+    """
+
+    def __init__(self, most: int | None = None) -> None:
+        self._most = most
         self._file = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115 - closed with this object
         weakref.finalize(self, self._file.close)
         self._starts: dict[int, int] = {}
 
     def put(self, point: int, value: _Value) -> None:
-        """Keep the object of a point. Raises SweepError where there is no room for it."""
+        """Keep the object of a point. Raises SweepError where there is no room for one that is to be kept."""
         try:
             start = self._file.seek(0, 2)
+            if self._most is not None and start > self._most:
+                return
             pickle.dump(value, self._file)
         except OSError as error:
+            if self._most is not None:
+                return
             raise SweepError(
                 f"{gettempdir()} cannot be written ({error.strerror}), where the distributions of a large sweep are "
                 "kept until its histograms are made; make room there, or name another folder in the environment "
@@ -248,7 +257,7 @@ class Spool(Generic[_Value]):
         self._starts[point] = start
 
     def get(self, point: int) -> _Value | None:
-        """That of a point; None if there is none."""
+        """That of a point; None if it is not kept."""
         if point not in self._starts:
             return None
         self._file.seek(self._starts[point])
@@ -317,7 +326,8 @@ class Results:
 
     def __init__(self, work: Work):
         self._work, self._variables, self._there = work, Variables(work.plan), set[int]()
-        self._distributions = Spool[dict[str, Distribution]]()
+        # A run that finds no room for them reads its own batches again; while another one writes, they may change.
+        self._distributions = Spool[dict[str, Distribution]](_ON_DISK if work.store.can_write else None)
         self._ends: dict[str, list[DyadicCounts]] = {}
 
     @property
@@ -334,6 +344,8 @@ class Results:
         """Put all of a point but histograms and derivatives. Raises SweepError where there is no room for it."""
         plan, variables, ensemble = self._work.plan, self._variables, self._work.ensemble(point)
         self._there.add(point)
+        distributions = self._distributions_in(ensemble)
+        self._distributions.put(point, distributions)
         samples, near, spent, counts = 0, 0, np.nan, dict.fromkeys(Status, 0)
         if ensemble is not None:
             samples, near, spent = ensemble.samples, ensemble.near_grazing_samples, ensemble.run_seconds
@@ -354,12 +366,10 @@ class Results:
             variables.put(point, f"{name}_values", of.number, f"number of samples with a value of {name}")
         if plan.keep == "totals":
             return
-        held = {name: getattr(ensemble.statistics, name) for name in plan.statistics if name in _BY_NAME}
-        for name, of in held.items():
+        for name, of in distributions.items():
             variables.distribution(point, name, of, has_skewness=True)
             ends = of.bins._replace(counts=of.bins.counts[..., :0])  # the ends of the histogram without its numbers
             self._ends.setdefault(name, []).append(ends)
-        self._distributions.put(point, held)
         by_order = [ensemble.statistics.order(number) for number in range(1, ensemble.numbering.orders + 1)]
         shares = [float(one.share.value) for one in by_order]
         variables.put(point, "share_with_order", shares, "share of samples that have the stick", dimensions=("order",))
@@ -374,12 +384,17 @@ class Results:
                 variables.put(point, f"{name}_of_order{ending}", values, text, unit, dimensions=("order",))
         # Times of the sticks of the first samples that finished, for figures; NaN beyond the last that is held.
         for name in ("start", "end") if plan.realizations else ():
-            held_sticks = 256
-            times = np.full((plan.realizations, held_sticks), np.nan)
-            own = getattr(ensemble.finished_sticks().head(plan.realizations).padded(), name)[:, :held_sticks]
+            held = 256
+            times = np.full((plan.realizations, held), np.nan)
+            own = getattr(ensemble.finished_sticks().head(plan.realizations).padded(), name)[:, :held]
             times[: len(own), : own.shape[1]] = own
-            label = f"{name} of the first {held_sticks} sticks of some samples"
+            label = f"{name} of the first {held} sticks of some samples"
             variables.put(point, f"stick_{name}", times, label, "s", dimensions=("realization", "stick"))
+
+    def _distributions_in(self, ensemble: Ensemble | None) -> dict[str, Distribution]:
+        plan = self._work.plan
+        names = [name for name in plan.statistics if name in _BY_NAME] if plan.keep != "totals" else []
+        return {name: getattr(ensemble.statistics, name) for name in names} if ensemble is not None else {}
 
     def dataset(self, bar: Progress = NO_BAR) -> "xarray.Dataset":
         """All of it; what is not put yet is put."""
@@ -390,9 +405,11 @@ class Results:
         found = {name: CommonBins.of(ends, default_bins(_BY_NAME[name].is_whole)) for name, ends in self._ends.items()}
         bins = {name: common for name, common in found.items() if common is not None}
         for point in range(plan.points.number):
-            held = self._distributions.get(point) or {}
-            for name in (name for name in held if name in bins):
-                _put_histogram(variables, point, name, held[name], bins[name])
+            distributions = self._distributions.get(point)
+            if distributions is None:
+                distributions = self._distributions_in(self._work.ensemble(point))
+            for name in (name for name in distributions if name in bins):
+                _put_histogram(variables, point, name, distributions[name], bins[name])
             self._put_derivatives(point)
             bar.advance(1)
         return labeled_dataset(variables.entries(), self._coordinates(bins), self._about())

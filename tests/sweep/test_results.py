@@ -173,6 +173,21 @@ def test_points_are_put_together_while_others_are_simulated(monkeypatch, tmp_pat
     assert again.identical(first)
 
 
+@pytest.mark.parametrize("room", ["little", "none"])
+def test_a_run_without_room_for_distributions_reads_them_again(monkeypatch, room):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    arguments = {"over": {"mu": MU}, "samples": 300, "statistics": ["mean_stick_duration", "duration"]}
+    usual = sweep(**arguments).run(progress=False)
+    if room == "little":
+        monkeypatch.setattr("stickslip_jax._sweep.dataset._ON_DISK", -1)
+    else:
+        monkeypatch.setattr("stickslip_jax._sweep.dataset.SpooledTemporaryFile.write", full)
+    found = sweep(**arguments).run(progress=False)
+    assert found.drop_vars("run_seconds").identical(usual.drop_vars("run_seconds"))
+
+
 @pytest.mark.slow
 def test_one_compilation_serves_all_points(caplog):
     arguments = {"over": {"mu": MU, "rate": RATE, "stiffness": [3.0, 4.0]}, "samples": 700}
