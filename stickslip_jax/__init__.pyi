@@ -98,6 +98,11 @@ from ._statistics.ensemble_statistics import (
 )
 from ._statistics.estimate import Estimate as Estimate
 from ._statistics.quantities import FirstSticks as FirstSticks, first_stick as first_stick
+from ._statistics.forecasts import ForecastScores as ForecastScores
+from ._statistics.forecasts import Hazard as Hazard
+from ._statistics.forecasts import StickForecast as StickForecast
+from ._statistics.forecasts import forecast as forecast
+from ._statistics.forecasts import score_forecasts as score_forecasts
 from ._statistics.independence import identically_distributed as identically_distributed
 from ._statistics.independence import independent as independent, independent_and_identical as independent_and_identical
 from ._statistics.distribution import (
@@ -122,6 +127,9 @@ from ._statistics.totals import (
 from ._statistics.independence import HypothesisTest as HypothesisTest, Verdict as Verdict
 from ._foundation.types import Ending as Ending, Status as Status
 from ._ensemble.encoding import SweepError as SweepError
+from ._statistics.transitions import SequenceDistribution as SequenceDistribution
+from ._statistics.transitions import TransitionKernel as TransitionKernel
+from ._statistics.transitions import transition_kernel as transition_kernel
 from ._sweep.sweep import Sweep as Sweep
 from ._systems.dynamic_friction import (
     BoucWen as BoucWen,

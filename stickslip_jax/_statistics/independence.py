@@ -23,8 +23,11 @@ from .quantities import IN_A_CYCLE, MOST_ORDERS, TESTED, TestedQuantity
 # The simulation ends at t1 and cuts the stick or slip that is under way. One that begins shortly before t1 is complete
 # only if it is short. So the complete ones alone are too short on average, more so the later they come in order, and a
 # long one leaves less time for the next. Tests would take both for a drift of the distribution, or for dependence. All
-# sticks, or slips, that begin before ``t1 - (the longest)`` are complete, and whether one begins before a given instant
-# depends on what happened earlier, not on its own duration.
+# sticks, or slips, that begin before ``t1 - L`` are known up to the length L, and whether one begins before a given
+# instant depends on what happened earlier, not on its own duration. L is the longest one, but at most half of the time:
+# the more samples, the longer the longest, until nothing would be left. What lasts longer is censored at L for all
+# orders alike, so that the tests for complete values hold. (Tests that take values censored at different times, such as
+# the log-rank test, would use the sticks after ``t1 - L`` too, but find differences of hazards in proportion only.)
 
 
 class Sequences(NamedTuple):
@@ -41,7 +44,7 @@ class Sequences(NamedTuple):
 
 
 def sequences_of(source: StickSource, quantity: str, starts_before: float | None) -> Sequences:
-    """The values of `quantity` that begin before `starts_before` (s; None: ``t1 - longest``, as explained above).
+    """The values of `quantity` that begin before `starts_before` (s; None: ``t1 - L``, as explained above).
 
     Arguments, and errors raised, as in `identically_distributed`.
     """
@@ -64,26 +67,16 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
         raise ValueError("Argument source must have finite starts and ends, but some are NaN or infinite.")
     sticks = given._replace(count=given.count.astype(np.int64), numbers=given.numbers.astype(np.float64))
     horizon, owner = float(np.max(sticks.end, initial=0.0)), sticks.sample
-    # The slip after each stick. That after the last one of a sample is cut; there is none if that stick itself was cut.
-    is_cut, is_last = sticks.ending == Ending.HORIZON, np.diff(owner, append=-1) != 0
-    slips = ~(is_last & is_cut)
-    slip = np.where(slips, np.where(is_last, horizon, np.append(sticks.start[1:], 0.0)) - sticks.end, 0.0)
-    # Each value is known from a stick or slip: when that `begin`s, the `length` of all such ones up to the end of the
-    # simulation, in any order, whether there `exists` such a value, and whether the simulation did not cut it.
-    duration, everything = sticks.duration, np.ones(len(sticks.start), bool)
-    match quantity:
-        case "duration":  # from the stick itself
-            values, begin, length, exists, complete = duration, sticks.start, duration, everything, ~is_cut
-        case "slip_start":  # from the stick before the slip
-            values, begin, length, exists, complete = sticks.end, sticks.start, duration, ~is_cut, ~is_cut
-        case "slip_duration":  # from the slip itself
-            values, begin, length, exists, complete = slip, sticks.end, slip, slips, ~is_last
-        case _:  # known when the stick starts: from the slip before, which may be cut
-            values, length, exists, complete = getattr(sticks, quantity), slip, everything, everything
-            begin = np.where(np.diff(owner, prepend=-1) != 0, 0.0, np.roll(sticks.end, 1))
-    longest = np.max(length, initial=0.0)
-    before = horizon - longest if starts_before is None else float(starts_before)
-    used = complete & (begin < before)
+    values, begin, length, longest, exists, complete = _known(sticks, quantity, horizon)
+    # However many samples there are, half of the time is left. What lasts longer than the other half counts as that; or
+    # where something else is asked that is known only after it, it is left out, of all orders alike.
+    limit = min(float(longest), horizon / 2) if starts_before is None else math.inf
+    before = horizon - limit if starts_before is None else float(starts_before)
+    lasts_long = exists & (begin < before) & (length > limit)
+    if quantity in ("duration", "slip_duration"):
+        used, values = exists & (begin < before) & (complete | lasts_long), np.minimum(values, limit)
+    else:
+        used = complete & (begin < before) & ~lasts_long
     values = values[used]
     if not np.all(np.isfinite(values)):
         raise ValueError(f"Argument source must have finite {plural(quantity)}, but some are NaN or infinite.")
@@ -99,7 +92,32 @@ def sequences_of(source: StickSource, quantity: str, starts_before: float | None
     if left := int(exists.sum()) - len(values):
         late = "" if before == math.inf else f"begin at {max(before, 0):.4g} s or later, or "
         remark += f"; left out {left}, which {late}are cut by the end of the simulation"
+    if long := int(lasts_long.sum()):
+        what = "count as that" if quantity in ("duration", "slip_duration") else "are left out with what follows them"
+        remark += f"; {long} that last longer than {limit:.4g} s {what}"
     return Sequences(values, np.cumsum(count) - count, count, remark + ".")
+
+
+def _known(sticks: FlatSticks, quantity: str, horizon: float) -> tuple[Any, ...]:
+    """The values of a quantity, each known from a stick or slip: the values; when that begins; how long it lasts; the
+    longest such one; whether there is such a value; and whether the simulation did not cut it.
+    """
+    owner, start, end = sticks.sample, sticks.start, sticks.end
+    # The slip after each stick. That after the last one of a sample is cut; there is none if that stick itself was cut.
+    is_cut, is_last = sticks.ending == Ending.HORIZON, np.diff(owner, append=-1) != 0
+    slips = ~(is_last & is_cut)
+    slip = np.where(slips, np.where(is_last, horizon, np.append(start[1:], 0.0)) - end, 0.0)
+    longest = np.max(slip, initial=0.0)
+    if quantity == "slip_duration":  # from the slip itself
+        return slip, end, slip, longest, slips, ~is_last
+    if quantity not in ("duration", "slip_start"):  # known when the stick starts: from the slip before
+        begin, every = np.where(np.diff(owner, prepend=-1) != 0, 0.0, np.roll(end, 1)), np.ones(len(start), bool)
+        return getattr(sticks, quantity), begin, start - begin, longest, every, every
+    duration, complete = sticks.duration, ~is_cut
+    longest = np.max(duration, initial=0.0)
+    if quantity == "slip_start":  # from the stick before the slip
+        return end, start, duration, longest, complete, complete
+    return duration, start, duration, longest, np.ones(len(start), bool), complete
 
 
 def plural(quantity: str) -> str:
@@ -328,9 +346,9 @@ def identically_distributed(
         orders: Their number, from the first on, or a sequence of at least two different ones.
         significance: Largest probability, in (0, 1), of rejecting a true hypothesis.
         starts_before: Only values that begin before this instant (s) are used; a position begins with the slip before
-            it. By default the end of the simulation minus the longest value, so that none is cut; where the motion
-            comes to rest for good, that leaves no value. With ``math.inf`` all complete values are used; these are too
-            short on average, more so for later orders, and the tests detect it if many are cut.
+            it. By default the end of the simulation minus the longest value, so that none is cut, but not before its
+            middle: what lasts longer than half of the time counts as that half. With ``math.inf`` all complete values
+            are used; these are too short on average, more so for later orders, and the tests detect it if many are cut.
 
     Raises:
         ValueError: For another source, an ensemble that kept only totals, and arguments outside these bounds.
@@ -455,8 +473,8 @@ def independent(
         bins: Number of quantile bins of each value in the chi-square test, at least 2.
         significance: Largest probability, in (0, 1), of rejecting a true hypothesis.
         starts_before: Only pairs whose later value begins before this instant (s) are used; by default the end of the
-            simulation minus the longest value. That depends on the earlier value, but does not make independent values
-            dependent; without it (``math.inf``) a long value leaves less time for the next.
+            simulation minus the longest value, or its middle. That depends on the earlier value, but does not make
+            independent values dependent; without it (``math.inf``) a long value leaves less time for the next.
 
     Raises:
         ValueError: As `identically_distributed`.
@@ -487,7 +505,10 @@ def independent(
 
     # The pair of each sample that comes first, for two tests.
     one_each = order == first
-    tests = (*_tests_of_pairs(early[one_each], late[one_each], names, bins, alike), _serial(early, late, order, counts))
+    tests = (
+        *_tests_of_pairs(early[one_each], late[one_each], names, bins, alike),
+        serial_correlation(early, late, order, counts),
+    )
     reason = "" if any(test.made for test in tests) else tests[0].reason
     having = f"{one_each.sum()} of {len(counts)} samples have {'values of ' * alike}{names}."
     values = sum(len(one.values) for one in sources)
@@ -520,7 +541,7 @@ def independent_and_identical(
         first: Order of the first value that counts as the earlier one of a pair.
         significance: Largest probability, in (0, 1), of rejecting a true hypothesis.
         starts_before: Only values that begin before this instant (s) are used; by default the end of the simulation
-            minus the longest value.
+            minus the longest value, or its middle.
 
     Raises:
         ValueError: For what either of the two refuses.
@@ -583,7 +604,7 @@ def _tests_of_pairs(
     return of_ranks, HypothesisTest(chi_square, statistic, p_value, cramer, "Cramer's V", sizes=sizes)
 
 
-def _serial(early: np.ndarray, late: np.ndarray, order: np.ndarray, counts: np.ndarray) -> HypothesisTest:
+def serial_correlation(early: np.ndarray, late: np.ndarray, order: np.ndarray, counts: np.ndarray) -> HypothesisTest:
     """Rank correlation of all pairs, ranked separately for each order; its error from sums over samples.
 
     `early`, `late`, `order` of the former: (pairs,). `counts`: the number of pairs of each sample.

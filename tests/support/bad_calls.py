@@ -280,6 +280,20 @@ def results() -> Iterator[Target]:
         ss.independent, ("lag",), source=ensemble, quantity=("duration", "never | word"), lag=(1, "whole or zero"),
         first=(1, "whole"), bins=(3, "whole"), **tested,
     )  # fmt: skip
+    kernel = ss.transition_kernel(SYSTEM, LAW, transitions=64)
+    yield fields(
+        ss.transition_kernel, ("ensemble", "law"), source=(SYSTEM, "system"), law=(LAW, "never"),
+        after=("stick", "never | word"), bins=(4, "whole"), transitions=(64, "whole"),
+    )  # fmt: skip
+    yield fields(kernel.joint, start=("stationary", "never | word"), bins=(4, "whole"))
+    yield fields(
+        ss.forecast, kernel=(kernel, "never"), elapsed=(0.0, "not negative"), neighbours=(None, "optional whole"),
+        state=({"end_position": 0.1, "base_velocity": 1.0, "ending": 1.0}, "never"),
+    )  # fmt: skip
+    yield fields(
+        ss.score_forecasts, kernel=(kernel, "never"), record=(kernel, "never"), neighbours=(50, "whole"),
+        seed=(0, "whole or zero"),
+    )  # fmt: skip
     yield fields(
         ss.sobol_indices, outputs=(np.ones(24), "any"), design=(ss.design.saltelli(4, ["mu", "mass"]), "design"),
     )  # fmt: skip

@@ -4,9 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+import stickslip_jax as ss
 from stickslip_jax._dynamics.sticks import FlatSticks, StickStream
 from stickslip_jax._statistics.ensemble_statistics import EnsembleStatistics
 from stickslip_jax._statistics.quantities import Numbering, StickAccumulator
+from stickslip_jax._statistics.transitions import Cells
 
 T1 = 100.0
 
@@ -76,3 +78,11 @@ def jackknife_error(sticks: FlatSticks, statistic: Callable[[FlatSticks], np.nda
     number = len(sticks.count)
     others = np.array([statistic(sticks.only(np.arange(number) != left_out)) for left_out in range(number)])
     return np.sqrt((number - 1) / number * ((others - others.mean(axis=0)) ** 2).sum(axis=0))
+
+
+def chain(x):
+    """The transition kernel of sequences x of numbers, (samples, steps)."""
+    state, later = {"end_position": x[:, :-1].ravel()}, {"end_position": x[:, 1:].ravel()}
+    owner = np.repeat(np.arange(len(x)), x.shape[1] - 1)
+    cells = Cells.of(state, 32)
+    return ss.TransitionKernel("stick", ("end_position",), state, dict(later), later, owner, len(x), 0, cells, "m")

@@ -1,0 +1,190 @@
+"""Transitions by quadrature: the next stick in closed form, at points of a Sobol' sequence for random numbers."""
+
+import math
+from typing import Any, Literal, TypeAlias, cast
+
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from scipy import stats
+
+from .._excitation.piecewise_constant import PoissonSwitching, RandomSteps
+from .._foundation.types import Ending
+from .._systems.system import System
+from .._uncertainty.families import RandomNumber
+
+Columns: TypeAlias = dict[str, Float[np.ndarray, " transitions"]]
+"""Numbers of sticks by name, each (transitions,)."""
+
+After: TypeAlias = Literal["stick", "slip"]
+FOLLOWING: dict[str, tuple[str, ...]] = {
+    "stick": ("slip_before", "position", "duration", "end_position", "ending"),
+    "slip": ("duration", "end_position", "ending", "slip_duration", "position"),
+}
+"""What follows the end of a stick, or of a slip, in order of time."""
+
+_DIMENSIONS = 24  # of the sequence: later draws, of few motions, are random
+
+
+def period_of(law: Any) -> float | None:
+    """The period of a law on which what comes depends by its phase, s: one number, or None."""
+    found = law.interval if isinstance(law, RandomSteps) else getattr(law, "repeats_after", None)
+    return float(found) if np.ndim(found) == 0 and isinstance(found, (int, float, np.ndarray, Array)) else None
+
+
+def levels_of(law: Any) -> np.ndarray | None:
+    """The velocities that a base can have, m/s, of laws of few; None of others, and where the speed is uncertain."""
+    if (
+        not isinstance(law, (PoissonSwitching, RandomSteps))
+        or np.ndim(law.speed)
+        or isinstance(law.speed, RandomNumber)
+    ):
+        return None
+    return float(law.speed) * np.array(law.levels if isinstance(law, RandomSteps) else (-1.0, 1.0))
+
+
+class _Walk:
+    """Motions of a mass on a spring, with Coulomb friction and no damping, on a base of few velocities, (motions,).
+
+    `x`, `v`: position and velocity of the mass, m and m/s. `level`: the number of the base velocity, of `levels`.
+    `phase`: time since the last instant at which the base could jump, s (0 of a base without memory).
+    """
+
+    def __init__(self, system: Any, law: PoissonSwitching | RandomSteps, motions: int):
+        self.omega = math.sqrt(float(system.stiffness) / float(system.mass))
+        self.edge = float(system.friction.static) * float(system.normal_force) / float(system.stiffness)
+        self.law, self.levels = law, cast(np.ndarray, levels_of(law))
+        shares = np.array(law.level_probabilities) if isinstance(law, RandomSteps) else np.array([0.5, 0.5])
+        others = np.where(np.eye(len(shares), dtype=bool), 0, shares) / (1 - shares)[:, None]
+        self.shares, self.up_to = shares, np.cumsum(others, axis=1)
+        self.sequence, self.used = stats.qmc.Sobol(_DIMENSIONS, seed=0).random(motions), 0
+        self.rest = np.random.default_rng(0)
+
+    def uniform(self, which: np.ndarray) -> np.ndarray:
+        """The next number of each motion in (0, 1): of the sequence, and then random ones."""
+        if self.used == _DIMENSIONS:
+            return self.rest.random(len(which))
+        self.used += 1
+        return np.clip(self.sequence[which, self.used - 1], 1e-16, 1 - 1e-16)
+
+    def until_jump(self, which: np.ndarray, level: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        """The time until the base jumps, s."""
+        drawn = np.log(self.uniform(which))
+        if isinstance(self.law, PoissonSwitching):
+            return -drawn / float(self.law.rate)
+        step = float(self.law.interval)
+        return step - phase + step * np.floor(drawn / np.log(self.shares[level]))
+
+    def jumped(self, which: np.ndarray, level: np.ndarray) -> np.ndarray:
+        """The number of the velocity after a jump."""
+        return np.sum(self.uniform(which)[:, None] > self.up_to[level], axis=1).clip(max=len(self.levels) - 1)
+
+    def passed(self, phase: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """The phase so much later, s."""
+        return (phase + time) % float(self.law.interval) if isinstance(self.law, RandomSteps) else phase
+
+    def slip(self, x: np.ndarray, level: np.ndarray, released: np.ndarray, phase: np.ndarray) -> tuple:
+        """From the end of a stick to the next: how long the slip takes, where it ends, level and phase of the base."""
+        every = np.arange(len(x))
+        v, level, time = self.levels[level], level.copy(), np.zeros(len(x))
+        jumps = every[~released]
+        level[jumps] = self.jumped(jumps, level[jumps])
+        x, phase, slipping = x.copy(), phase.copy(), every
+        while len(slipping):
+            own = level[slipping]
+            until = self.until_jump(slipping, own, phase[slipping])
+            met, x[slipping], v[slipping] = self.arcs(x[slipping], v[slipping], self.levels[own], until)
+            passed = np.minimum(met, until)
+            time[slipping] += passed
+            phase[slipping] = self.passed(phase[slipping], passed)
+            slipping = slipping[met > until]
+            phase[slipping] = 0.0
+            level[slipping] = self.jumped(slipping, level[slipping])
+        return time, x, level, phase
+
+    def arcs(self, x: np.ndarray, v: np.ndarray, base: np.ndarray, until: np.ndarray) -> tuple:
+        """When the mass sticks (s; infinity: not `until` then), and its position and velocity at the earlier of both.
+
+        Friction pulls the mass towards the base velocity: it moves on circles in the plane of ``x`` and ``v / omega``
+        about ``side * edge``, with its side positive while it is slower than the base. On the circle of radius rho that
+        it enters at the angle phi the velocity is ``omega rho cos(theta + phi)``, which meets the base velocity at
+        ``theta + phi = -side arccos(base / (omega rho))``. There it sticks if ``|x| <= edge``, and else goes on with
+        the other side.
+        """
+        x, v, beta, passed = x.copy(), v / self.omega, base / self.omega, np.zeros(len(x))
+        side = np.where(v == beta, np.sign(x), np.sign(beta - v))
+        met, moving = np.full(len(x), np.inf), np.arange(len(x))
+        while len(moving):
+            s, b, left = side[moving], beta[moving], until[moving] - passed[moving]
+            about = x[moving] - s * self.edge
+            rho, phi = np.hypot(about, v[moving]), np.arctan2(about, v[moving])
+            height = rho**2 - b**2
+            meets = height > 1e-9 * rho**2  # one that was released here touches the base velocity only
+            angle = (-s * np.arccos(np.clip(b / rho, -1, 1)) - phi) % (2 * np.pi)
+            turned = np.where(meets, angle / self.omega, np.inf)
+            is_met = turned <= left
+            theta = self.omega * np.where(is_met, turned, left) + phi
+            x[moving] = s * self.edge + np.where(is_met, -s * np.sqrt(np.maximum(height, 0)), rho * np.sin(theta))
+            v[moving] = np.where(is_met, b, rho * np.cos(theta))
+            passed[moving] += np.where(is_met, turned, left)
+            stuck = is_met & (np.abs(x[moving]) <= self.edge)
+            met[moving[stuck]] = passed[moving[stuck]]
+            moving = moving[is_met & ~stuck]
+            side[moving] *= -1
+        return met, x, v * self.omega
+
+    def stick(self, x: np.ndarray, level: np.ndarray, phase: np.ndarray) -> tuple:
+        """From the begin of a stick: how long it lasts, where it ends, if by a release, and the phase of the base."""
+        speed = self.levels[level]
+        with np.errstate(divide="ignore"):
+            release = np.where(speed == 0, np.inf, (self.edge - np.sign(speed) * x) / np.abs(speed))
+        jump = self.until_jump(np.arange(len(x)), level, phase)
+        duration, released = np.minimum(release, jump), release < jump
+        end = np.where(released, np.sign(speed) * self.edge, x + speed * duration)
+        return duration, end, released, np.where(released, self.passed(phase, duration), 0.0)
+
+
+def by_quadrature(system: System, law: object, after: After, points: int) -> tuple[Columns, Columns, Columns]:
+    """The states, what follows, and the next states: of each way in which a stick can end, or begin, so many `points`.
+
+    Raises:
+        ValueError: For systems and laws without closed forms, or with uncertain numbers.
+    """
+    if not (system.traits.has_interval_form and levels_of(law) is not None):
+        raise ValueError(
+            "Arguments source and law must be a MassSpring without damping, force and static friction, and a base "
+            f"PoissonSwitching or RandomSteps, but {system!r} and {law!r} were given: kernels of others come from "
+            'their sticks, transition_kernel(simulate_ensemble(..., keep="sticks")).'
+        )
+    law = cast("PoissonSwitching | RandomSteps", law)
+    levels = np.arange(len(cast(np.ndarray, levels_of(law))))
+    ways = (
+        [(level, released) for level in levels for released in (False, True)]
+        if after == "stick"
+        else [(level, False) for level in levels]
+    )
+    walk = _Walk(system, law, len(ways) * points)
+    ways = [(level, way) for level, way in ways if not way or walk.levels[level]]  # a base at rest releases nothing
+    level, released = (np.repeat(column, points) for column in np.array(ways).T)
+    released, every = released.astype(bool), np.arange(len(level))
+    x = walk.edge * np.where(released, np.sign(walk.levels[level]), 2 * walk.uniform(every) - 1)
+    has_phase = released if after == "stick" else np.ones(len(x), bool)
+    phase = np.where(has_phase, walk.uniform(every) * float(getattr(law, "interval", 0.0)), 0.0)
+
+    def state(x: np.ndarray, level: np.ndarray, released: np.ndarray, phase: np.ndarray) -> Columns:
+        name = "end_position" if after == "stick" else "position"
+        ending = np.where(released, float(Ending.RELEASED), float(Ending.BASE_SWITCHED))
+        clock = {"phase": phase} if isinstance(law, RandomSteps) else {}
+        return {name: x, "base_velocity": walk.levels[level], "ending": ending} | clock
+
+    begin, of = state(x, level, released, phase), {}
+    if after == "stick":
+        of["slip_before"], of["position"], level, phase = walk.slip(x, level, released, phase)
+        of["duration"], of["end_position"], released, phase = walk.stick(of["position"], level, phase)
+        later = state(of["end_position"], level, released, phase)
+    else:
+        of["duration"], of["end_position"], released, phase = walk.stick(x, level, phase)
+        of["slip_duration"], of["position"], next_level, phase = walk.slip(of["end_position"], level, released, phase)
+        later = state(of["position"], next_level, released, phase)
+    of["ending"] = np.where(released, float(Ending.RELEASED), float(Ending.BASE_SWITCHED))
+    return begin, {name: of[name] for name in FOLLOWING[after]}, later
