@@ -219,8 +219,10 @@ def score_forecasts(
             score[name], without[name] = grid * _score(x, y), grid * _score(z, y)
         for own, new in zip(found.values(), (pit, score, without), strict=True):
             own.append(new)
-    joined = ({name: np.concatenate([one[name] for one in parts]) for name in parts[0]} for parts in found.values())
-    return ForecastScores(*joined, record.owner)
+    pit, score, without = (
+        {name: np.concatenate([one[name] for one in parts]) for name in parts[0]} for parts in found.values()
+    )
+    return ForecastScores(pit, score, without, record.owner)
 
 
 def _score(x: np.ndarray, y: np.ndarray) -> np.ndarray:

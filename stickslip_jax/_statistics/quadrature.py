@@ -11,7 +11,6 @@ from scipy import stats
 from .._excitation.piecewise_constant import PoissonSwitching, RandomSteps
 from .._foundation.types import Ending
 from .._systems.system import System
-from .._uncertainty.families import RandomNumber
 
 Columns: TypeAlias = dict[str, Float[np.ndarray, " transitions"]]
 """Numbers of sticks by name, each (transitions,)."""
@@ -29,18 +28,18 @@ _DIMENSIONS = 24  # of the sequence: later draws, of few motions, are random
 def period_of(law: Any) -> float | None:
     """The period of a law on which what comes depends by its phase, s: one number, or None."""
     found = law.interval if isinstance(law, RandomSteps) else getattr(law, "repeats_after", None)
-    return float(found) if np.ndim(found) == 0 and isinstance(found, (int, float, np.ndarray, Array)) else None
+    return float(cast(Any, found)) if _is_number(found) else None
 
 
 def levels_of(law: Any) -> np.ndarray | None:
     """The velocities that a base can have, m/s, of laws of few; None of others, and where the speed is uncertain."""
-    if (
-        not isinstance(law, (PoissonSwitching, RandomSteps))
-        or np.ndim(law.speed)
-        or isinstance(law.speed, RandomNumber)
-    ):
+    if not (isinstance(law, (PoissonSwitching, RandomSteps)) and _is_number(law.speed)):
         return None
     return float(law.speed) * np.array(law.levels if isinstance(law, RandomSteps) else (-1.0, 1.0))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float, np.generic, np.ndarray, Array)) and np.ndim(value) == 0
 
 
 class _Walk:
@@ -57,7 +56,8 @@ class _Walk:
         shares = np.array(law.level_probabilities) if isinstance(law, RandomSteps) else np.array([0.5, 0.5])
         others = np.where(np.eye(len(shares), dtype=bool), 0, shares) / (1 - shares)[:, None]
         self.shares, self.up_to = shares, np.cumsum(others, axis=1)
-        self.sequence, self.used = stats.qmc.Sobol(_DIMENSIONS, seed=0).random(motions), 0
+        by = {"seed": 0}  # "rng" since SciPy 1.15, which knows both
+        self.sequence, self.used = stats.qmc.Sobol(_DIMENSIONS, **by).random(motions), 0
         self.rest = np.random.default_rng(0)
 
     def uniform(self, which: np.ndarray) -> np.ndarray:

@@ -294,8 +294,10 @@ class TransitionKernel:
                 inside = np.clip(bin_of(self.following[values[at][0]], edges[at]), 0, bins - 1)
                 place = place * bins + inside
             tables.append((self._table(place, bins ** len(own)), own))
-        begin = None if isinstance(start, str) else np.eye(self.cells.number)[self._cell_at(start)]
-        if begin is None:
+        begin = None
+        if isinstance(start, Mapping):
+            begin = np.eye(self.cells.number)[self.cells.cell_of(self._checked(start))[0]]
+        else:
             checks.chosen("start", start, ("stationary",))
 
         def composed(pick: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -638,7 +640,7 @@ def transition_kernel(
         points = checks.whole_number("transitions", transitions, minimum=_PARTS, maximum=2**26)
         state, following, later = by_quadrature(source, law, after, points)
         owner = np.arange(len(following["duration"]))
-        samples, incomplete, origin = len(owner), 0, object()
+        samples, incomplete, origin, coordinate = len(owner), 0, object(), source.stick_position
     else:
         ensemble = require_ensemble(source)
         if law is not None:
@@ -648,14 +650,14 @@ def transition_kernel(
         period = period_of(ensemble.law) if period is None else period
         sticks, levels = ensemble.numbered_sticks(), levels_of(ensemble.law)
         state, following, later, owner, incomplete = _from_sticks(sticks, after, period, levels, before)
-        samples, origin = len(sticks.count), origin_of(ensemble)
+        samples, origin, coordinate = len(sticks.count), origin_of(ensemble), ensemble.system.stick_position
     known = tuple(name for name in _STATE[after] if name in state)
     names = known if given is None else tuple(checks.chosen("given", name, state) for name in given)
     if not names or len(set(names)) < len(names):
         raise checks.refused("given", "hold one or more different names", given)
     state, later = ({name: of[name] for name in names} for of in (state, later))
     cells = Cells.of(state, bins)
-    unit = (source if isinstance(source, System) else source.system).stick_position.unit
+    unit = coordinate.unit
     return TransitionKernel(after, names, state, following, later, owner, samples, incomplete, cells, unit, origin)
 
 

@@ -159,6 +159,11 @@ def test_joint_distributions_are_those_of_successive_sticks(kernels):
     alone = kernel.joint(("duration", 1), bins=4)
     np.testing.assert_allclose(found.probabilities.sum(axis=(1, 2)), alone.probabilities, rtol=1e-12)
     assert found.density.shape == (4, 4, 4)
+    # From one cell on: the durations that followed it.
+    here = kernel.cell == kernel.cell[100]
+    begun = kernel.joint(("duration", 1), bins=4, start={name: own[100] for name, own in kernel.state.items()})
+    counts, _ = np.histogram(kernel.following["duration"][here], found.edges[0])
+    np.testing.assert_allclose(begun.probabilities, counts / here.sum(), rtol=1e-12)
     assert (found.density[0, 0, 0] * np.diff(found.edges[0])[0] ** 3) == pytest.approx(found.probabilities[0, 0, 0])
 
 
