@@ -216,6 +216,27 @@ def sensitivity_curve():
     return plot.sensitivity_curve(found)
 
 
+def histograms():
+    """The durations of sticks at five friction coefficients."""
+    over = {"mu": np.linspace(0.3, 2.0, 5)}
+    sweep = ss.Sweep(SYSTEM, LAW, over=over, **STUDY)
+    return plot.histograms(sweep.run(progress=False), "duration")
+
+
+def friction_law():
+    """Three friction laws: constant, falling with the speed, and different by direction."""
+    stribeck = ss.Stribeck(mu=0.3, mu_static=0.5, stribeck_speed=0.1)
+    ax = plot.friction_law(ss.Coulomb(0.25), speed=0.6, label="Coulomb")
+    plot.friction_law(stribeck, speed=0.6, label="Stribeck", ax=ax)
+    one_way = ss.Directional(ss.Coulomb(0.4), ss.Coulomb(0.1))
+    return plot.friction_law(one_way, speed=0.6, label="Directional", ax=ax)
+
+
+def mechanism():
+    """The motor and cart of the 2022 paper."""
+    return plot.mechanism(ss.MotorCart(), (0.6, 0.0, 0.0))
+
+
 def tornado():
     """How much each parameter matters for the mean stick duration."""
     anywhere = (ss.Uniform(-0.5, 0.5), ss.Uniform(-0.5, 0.5))

@@ -10,7 +10,7 @@ frequency of the oscillator, both in Hz.
 
 import math
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, cast, get_args
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._dynamics.simulate import simulate
+from ._dynamics.simulation import Simulation
 from ._excitation.motion import Harmonic, RandomPhase, SourceVoltage
-from ._excitation.piecewise_constant import Constant, PiecewiseConstantLaw, PoissonSwitching, RandomSteps, SquareWave
+from ._excitation.piecewise_constant import (
+    Constant,
+    PiecewiseConstantLaw,
+    PoissonSwitching,
+    RandomSteps,
+    SquareWave,
+    VelocitySteps,
+)
 from ._foundation import checks
 from ._foundation.types import Scalar
 from ._sweep.sweep import Sweep
@@ -165,14 +173,18 @@ def motor_cart(mu: Scalar = 0.2, t1: float = 2.0) -> SetUp:
     return SetUp(MotorCart(mu=mu), RandomPhase(SourceVoltage()), t1, (Uniform(0.0, 2 * math.pi), 0.0, 0.0))
 
 
-def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]:
+def steady_stick_share(
+    ratio: Scalar, mu: Scalar = 1.0, y0: tuple[Scalar, Scalar] = (0.0, BELT_SPEED), *, periods: int = 400
+) -> Float[Array, ""]:
     """The fraction of time spent sticking in a steady period of the square wave (conference paper, figure 6).
 
     It is that of the last of `periods` periods, exact for that period. After 400 periods it no longer changes from
-    period to period for the ratios of the figure. Use ``jax.vmap`` for many ratios.
+    period to period for the ratios of the figure. Use ``jax.vmap`` for many ratios, `stick_share_map` for other belts.
 
     Args:
         ratio: The frequency ratio r, positive.
+        mu: The friction coefficient, zero or positive.
+        y0: Initial position and velocity, m and m/s.
         periods: How many to simulate, a whole number of at least 1.
 
     Returns:
@@ -186,14 +198,19 @@ def steady_stick_share(ratio: Scalar, *, periods: int = 400) -> Float[Array, ""]
     """
     checks.require_threads_of_jax()
     periods = checks.whole_number("periods", periods)
-    setup = square_wave_belt(ratio)
+    system, law, *_ = square_wave_belt(ratio, mu)
     period = jnp.asarray(_belt_period(ratio))
     t1 = periods * period
-    assert isinstance(setup.law, SquareWave)
-    base = setup.law.sample(None, t1, capacity=2 * periods + 1)
-    sticks = simulate(setup.system, base, t1=t1, y0=setup.y0).sticks
-    start, end = (jnp.where(sticks.mask, times, 0) for times in (sticks.start, sticks.end))
-    return jnp.sum(jnp.maximum(end - jnp.maximum(start, t1 - period), 0)) / period
+    assert isinstance(law, SquareWave)
+    one = simulate(system, law.sample(None, t1, capacity=2 * periods + 1), t1, y0)
+    return one.stick_time_between(t1 - period) / period
+
+
+def _steady_share(one: Simulation) -> Array:
+    """The stick share of the last period of a motion on a periodic belt."""
+    base = cast("Harmonic | VelocitySteps", one.base)
+    period = base.repeats_after if isinstance(base, Harmonic) else base.durations[:2].sum()
+    return one.stick_time_between(one.t1 - period) / period
 
 
 def parametric_analysis(*, samples: int = 10_000, t1: float = 200.0, seed: int = 0) -> Sweep:
@@ -226,12 +243,13 @@ def stick_share_map(
     samples: int | None = None,
     t1: float = 200.0,
     seed: int = 0,
+    y0: tuple[float, float] = (0.0, BELT_SPEED),
+    steady: bool = False,
 ) -> Sweep:
     """The fraction of time spent sticking over friction coefficient and frequency ratio (2015 and conference papers).
 
-    It is the fraction of all of ``[0, t1]``, the beginning included; that of a steady period of the square wave is
-    `steady_stick_share`. The values of the 2015 paper were not available: the grid is this package's choice, all else
-    is of the conference paper.
+    It is the fraction of all of ``[0, t1]``, the beginning included. The values of the 2015 paper were not available:
+    the grid is this package's choice, all else is of the conference paper.
 
     Args:
         belt: "constant", which has no frequency, so that only `mu` varies; "square"; "harmonic", ``cos`` with the
@@ -241,14 +259,20 @@ def stick_share_map(
         samples: Number of samples at each point; by default 1000 with the random belt, else 1.
         t1: The duration, s.
         seed: Of the random numbers.
+        y0: Initial position and velocity, m and m/s.
+        steady: Whether the result also has ``steady_share_mean``, the fraction of the last period before `t1`: that of
+            the steady motion, where `t1` is long enough. For the belts "square" and "harmonic".
 
     Returns:
         The sweep, which has not been run.
 
     Raises:
-        ValueError: For another belt, and for arguments that `Sweep` refuses.
+        ValueError: For another belt, a steady period of a belt that has none, and for arguments that `Sweep` refuses.
     """
     checks.chosen("belt", belt, get_args(Belt))
+    checks.truth("steady", steady)
+    if steady and belt not in ("square", "harmonic"):
+        raise checks.refused("steady", "be False for a belt without a period", steady)
     belts = {"square": square_wave_belt, "harmonic": harmonic_belt, "random": random_belt}
     over, law = {"mu": np.linspace(*SHARE_FRICTIONS) if mu is None else mu}, constant_belt().law
     if belt != "constant":
@@ -256,8 +280,8 @@ def stick_share_map(
     usual = SHARE_SAMPLES if belt == "random" else 1
     return Sweep(
         belt_oscillator(), law, over=over, t1=t1, samples=usual if samples is None else samples,
-        key=_key(seed), y0=(0.0, BELT_SPEED), keep="statistics" if belt == "random" else "totals",
-        statistics=["stick_fraction"],
+        key=_key(seed), y0=y0, keep="statistics" if belt == "random" else "totals",
+        statistics=["stick_fraction"], outputs={"steady_share": _steady_share} if steady else None,
     )  # fmt: skip
 
 

@@ -146,9 +146,9 @@ def checked_outputs(outputs: Outputs | None, taken: Mapping[str, str]) -> dict[s
 def simulate(
     system: System,
     base: BaseMotion,
-    *,
     t1: Scalar,
     y0: InitialState | None = None,
+    *,
     method: Exact | Regularized = EXACT,
 ) -> Simulation:
     """Simulate one realisation and record every stick. A pure function: works under jit, vmap, jvp, grad.

@@ -351,6 +351,27 @@ class Simulation(WithMethods):
         checks.require_threads_of_jax()
         return self.totals.stick_time / self.t1
 
+    def stick_time_between(self, begin: Scalar, end: Scalar | None = None) -> Float[Array, "*batch"]:
+        """The time in sticks from `begin` to `end`; by its derivative too, with ends that JAX may trace.
+
+        Args:
+            begin: s.
+            end: s; by default ``t1``.
+
+        Returns:
+            s. Over a whole period of a steady motion, divided by that period, it is the stick share of the motion.
+
+        Raises:
+            ValueError: Unless both are numbers.
+        """
+        checks.require_threads_of_jax()
+        last = self.t1 if end is None else end
+        for name, value in (("begin", begin), ("end", last)):
+            checks.numeric(name, value)
+        first, last = (jnp.asarray(value)[..., None] for value in (begin, last))
+        first_of, last_of = (jnp.where(self.sticks.mask, times, 0) for times in (self.sticks.start, self.sticks.end))
+        return jnp.maximum(jnp.minimum(last_of, last) - jnp.maximum(first_of, first), 0).sum(axis=-1)
+
     @property
     def step_starts(self) -> Float[Array, "*batch steps"]:
         """The instants at which the steps of the simulation begin, s; unused slots hold the end."""

@@ -17,7 +17,15 @@ import numpy as np
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
 from .._dynamics.simulation import Simulation, method_attributes, source
-from .._dynamics.sticks import NUMBERS, QUANTITIES, FlatSticks, slip_variables, slips_among, stick_variables
+from .._dynamics.sticks import (
+    NUMBERS,
+    QUANTITIES,
+    FlatSticks,
+    slip_variables,
+    slips_among,
+    stick_variables,
+    with_columns,
+)
 from .._foundation import checks
 from .._foundation.extras import Entries, flags, labeled_dataset, require, variable
 from .._foundation.types import Ending, Status
@@ -622,6 +630,28 @@ def fields_of_sticks(
         "y0": (),
         "dtype": "float64",
     }
+
+
+def fields_between(ensemble: EnsembleData, begin: float, end: float) -> Fields:
+    """The fields of the `Ensemble` of what happens from `begin` to `end`, s; see `Ensemble.between`."""
+    checks.bounded("begin", begin, "s", at_least=0, below=ensemble.t1)
+    checks.bounded("end", end, "s", above=begin)
+    if end > ensemble.t1:
+        raise checks.refused("end", f"be at most t1 = {ensemble.t1:g} s", end)
+    sticks, totals = ensemble.require_sticks(), ensemble.totals
+    inside = (sticks.end > begin) & (sticks.start < end)
+    cut = np.where(sticks.end[inside] > end, np.int8(Ending.HORIZON), sticks.ending[inside])
+    count = np.bincount(sticks.sample[inside], minlength=len(sticks.count))
+    flat = FlatSticks(count, sticks.numbers[:, inside], cut.astype(sticks.ending.dtype))
+    flat = with_columns(flat, start=np.maximum(flat.start - begin, 0), end=np.minimum(flat.end, end) - begin)
+    time = np.bincount(flat.sample, weights=flat.duration, minlength=len(count))
+    slips = slips_among(flat, end - begin, np.asarray(totals.status) == Status.FINISHED)
+    numbers = count.astype(np.int32), np.bincount(slips.sample, minlength=len(count)), time
+    results = SampleTotals(*numbers, totals.status, totals.near_grazing_count)
+    about = Unknown(f"{begin:g} to {end:g} s of another ensemble")
+    kept = {name: getattr(ensemble, name) for name in ("system", "method", "dtype")}
+    period = ensemble.system.stick_position.period
+    return _summed(results, flat, end - begin, ensemble.numbering, period) | kept | {"law": about, "y0": ()}
 
 
 def _summed(results: SampleTotals, sticks: FlatSticks, t1: float, numbering: Numbering, period: float | None) -> Fields:

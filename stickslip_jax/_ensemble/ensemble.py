@@ -176,6 +176,22 @@ class Ensemble(EnsembleData):
             found[name] += getattr(self, name)
         return dataclasses.replace(self, samples=self.samples + samples, **found)
 
+    def between(self, begin: float, end: float | None = None) -> "Ensemble":
+        """What happens from `begin` to `end`, as if it had been simulated alone: times count from `begin`.
+
+        A stick that lasts beyond `end` is cut by it, and one under way at `begin` begins at t = 0, at the position it
+        really began at; as a start at rest it counts in the number of sticks and the stick fraction only, unless
+        ``count_initial_rest``. For the last period of a base with one: ``many.between(many.t1 - period)``.
+
+        Args:
+            begin: s, zero or positive.
+            end: s, at most ``t1``, by default that.
+
+        Raises:
+            ValueError: For times outside these bounds, and unless ``keep="sticks"``.
+        """
+        return Ensemble(**conversions.fields_between(self, begin, self.t1 if end is None else end))
+
     @cached_property
     def input_values(self) -> dict[str, np.ndarray]:
         """The values of the numbers that differ from sample to sample, by name, arrays (samples,).
@@ -424,12 +440,12 @@ def _brief(module: object) -> str:
 def simulate_ensemble(
     system: System,
     law: BaseMotion,
-    *,
     t1: float,
+    y0: InitialState | None = None,
+    *,
     samples: int | Design,
     key: Array | None = None,
     correlation: GaussianCopula | None = None,
-    y0: InitialState | None = None,
     method: Exact | Regularized = EXACT,
     keep: Keep = "statistics",
     orders: int = 10,
@@ -451,11 +467,11 @@ def simulate_ensemble(
         system: A `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own.
         law: A random excitation, any that `simulate` takes, or an object with ``sample(key, t1)`` that returns one.
         t1: Duration, s.
+        y0: Initial state, such as ``(position, velocity)`` of a `MassSpring`, or an array (samples, coordinates); zeros
+            by default.
         samples: Their number, or a design (`stickslip_jax.design`) with a row for each.
         key: From ``jax.random.key(seed)``; None where nothing is random.
         correlation: Of random numbers; by default they are independent.
-        y0: Initial state, such as ``(position, velocity)`` of a `MassSpring`, or an array (samples, coordinates); zeros
-            by default.
         method: `Exact`, with a time step where one is needed, or `Regularized`.
         keep: "totals" (fastest): ``many.totals`` of each sample, and their statistics; "statistics": all of these, in
             memory that does not grow with `samples`; "sticks" keeps every stick and the totals too.

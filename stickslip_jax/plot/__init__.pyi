@@ -21,6 +21,7 @@ from ._ensembles import (
 )
 from ._parameters import (
     curve as curve,
+    histograms as histograms,
     parameter_map as parameter_map,
     parameter_sweep as parameter_sweep,
     stick_fraction_curve as stick_fraction_curve,
@@ -39,6 +40,7 @@ from ._sensitivities import (
     tornado as tornado,
 )
 from ._style import save as save
+from ._systems import friction_law as friction_law, mechanism as mechanism
 from ._trajectory import (
     energies as energies,
     friction_force as friction_force,

@@ -453,7 +453,7 @@ def animate(
     ratios = (2.2, 1.0, 0.3 + 0.08 * min(len(sticks), _MOST_NAMES)) if rows else (1.9, 1.0)
     above, below, *others = figure.subplots(len(ratios), 1, height_ratios=ratios)
     moves = [
-        *_draw_mechanism(above, mechanism, result, sticking),
+        *draw_mechanism(above, mechanism, sticking, "ground" if isinstance(result.base, GroundMotion) else "base"),
         _draw_clock(above, times, speed),
         _draw_history(below, result, shown, window, times, None if rows else next(iter(sticks.values()))),
     ]
@@ -474,12 +474,12 @@ def animate(
         move(0)
         figure.draw_without_rendering()
         if mechanism.equal:
-            _make_equal(above, mechanism)
+            make_equal(above, mechanism)
     figure.set_layout_engine("none")
     return Animation(figure, move, times, speed, float(fps))
 
 
-def _make_equal(ax: Axes, mechanism: Mechanism) -> None:
+def make_equal(ax: Axes, mechanism: Mechanism) -> None:
     """Widen one of the ranges about its middle until lengths are drawn alike in both directions."""
     box = ax.get_window_extent()
     middles, sizes = np.mean([mechanism.x_range, mechanism.y_range], axis=1), np.array([box.width, box.height])
@@ -487,10 +487,10 @@ def _make_equal(ax: Axes, mechanism: Mechanism) -> None:
     ax.set(xlim=(middles[0] - half[0], middles[0] + half[0]), ylim=(middles[1] - half[1], middles[1] + half[1]))
 
 
-def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: np.ndarray) -> list[Move]:
+def draw_mechanism(ax: Axes, mechanism: Mechanism, sticking: np.ndarray, moved: str) -> list[Move]:
     """Draw a mechanism into `ax`; returns what moves its parts.
 
-    `sticking`: whether each contact sticks in each frame, (frames, contacts).
+    `sticking`: whether each contact sticks in each frame, (frames, contacts). `moved`: what moves, "base" or "ground".
     """
     ax.set(xlim=mechanism.x_range, ylim=mechanism.y_range)
     moves = []
@@ -506,7 +506,7 @@ def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: n
     for side in ("left", "right", "top", *(() if mechanism.x_label else ("bottom",))):
         ax.spines[side].set_visible(False)
     ax.set_yticks([])
-    whose = " relative to ground (m)" if isinstance(one.base, GroundMotion) else " (m)"
+    whose = " relative to ground (m)" if moved == "ground" else " (m)"
     ax.set_xlabel(mechanism.x_label.replace(" (m)", whose) or mechanism.note)
     if mechanism.x_names:
         named = mechanism.x_names[:: -(-len(mechanism.x_names) // _MOST_NAMES)]
@@ -516,7 +516,7 @@ def _draw_mechanism(ax: Axes, mechanism: Mechanism, one: Simulation, sticking: n
     elif not mechanism.x_label:
         ax.set_xticks([])
     if any(isinstance(part, Belt) or (isinstance(part, Disk) and part.is_base) for part in mechanism.parts):
-        ax.plot([], [], color=_style.BASE, lw=2, label="ground" if isinstance(one.base, GroundMotion) else "base")
+        ax.plot([], [], color=_style.BASE, lw=2, label=moved)
     return moves
 
 

@@ -727,6 +727,53 @@ def parameter_sweep(
     return found
 
 
+def histograms(
+    results: "xarray.Dataset", name: str = "duration", *, most: int = 5, log: bool = False, ax: Axes | None = None
+) -> Axes:
+    """Histograms of a quantity at several values of a parameter, in the bins that all points of a sweep share.
+
+    Args:
+        results: The result of `Sweep.run`, along one parameter: select the values of others first,
+            ``results.sel(rate=1.0, method="nearest")``.
+        name: A quantity whose histogram the sweep has: "duration", "slip_duration", "position", "stick_count".
+        most: The largest number of histograms, from the first to the last value of the parameter.
+        log: Whether the axis of densities is logarithmic.
+        ax: Axes to draw into; by default those of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For a Dataset without this histogram, and along none or several parameters.
+    """
+    most = checks.whole_number("most", most, maximum=len(_style.SERIES))
+    checks.truth("log", log)
+    known = [
+        str(one).removesuffix("_density") for one in getattr(results, "data_vars", ()) if str(one).endswith("_density")
+    ]
+    if not known:
+        raise checks.refused("results", "be the result of Sweep.run, with histograms", results)
+    density: Any = results[checks.chosen("name", name, known) + "_density"]
+    along = [one for one in density.dims if one != f"{name}_bin"]
+    if len(along) != 1:
+        hint = "select one of each other, results.sel(rate=1.0, method='nearest')" if along else "leave one unselected"
+        raise checks.refused("results", f"vary along one parameter, but it does along {len(along)}", along, hint)
+    values, bins = density[along[0]], results[f"{name}_bin"]
+    edges = np.append(results[f"{name}_bin_low"].values, results[f"{name}_bin_high"].values[-1])
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    chosen = np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int))
+    for color, at in zip(_style.SERIES, chosen, strict=False):
+        label = f"{along[0]} = {float(values[at]):.4g} {_style.unit_of(values)}".removesuffix(" 1").rstrip()
+        ax.stairs(density.isel({along[0]: at}).values, edges, color=color, lw=1.5, label=label)
+    unit = _style.unit_of(bins)
+    ax.set_xlabel(_style.label_of(bins))
+    ax.set_ylabel("probability" if unit == "1" else _style.density_label(unit))
+    if log:
+        ax.set_yscale("log")
+    ax.legend(fontsize="small")
+    return ax
+
+
 def _is_geometric(values: np.ndarray) -> bool:
     """Whether neighbouring values have the same ratio, and not the same difference."""
     if len(values) < 3 or values.dtype.kind != "f" or np.any(values <= 0):

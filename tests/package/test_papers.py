@@ -1,5 +1,6 @@
 """The papers' set-ups: their numbers, and what is told of their figures."""
 
+import itertools
 import math
 
 import jax
@@ -32,6 +33,30 @@ def test_the_share_is_steady(share):
     ratios = jnp.linspace(0.1, 2.5, 49)
     before = jax.jit(jax.vmap(lambda ratio: papers.steady_stick_share(ratio, periods=399)))(ratios)
     assert np.asarray(share(ratios)) == pytest.approx(np.asarray(before), abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("belt", ["square", "harmonic"])
+def test_steady_shares_of_a_map(belt):
+    """By the sweep, and of each motion alone, the last period of it; long before the motion is steady too."""
+    ratios, frictions = [0.7, 1.2], [0.5, 1.0]
+    sweep = papers.stick_share_map(belt, mu=frictions, ratios=ratios, t1=300.0, y0=(0.1, 0.0), steady=True)
+    found = sweep.run(progress=False).steady_share_mean
+    make = {"square": papers.square_wave_belt, "harmonic": papers.harmonic_belt}[belt]
+    for mu, ratio in itertools.product(frictions, ratios):
+        one = ss.simulate(*make(ratio, mu)[:2], 300.0, (0.1, 0.0))
+        last = 300.0 - math.pi / ratio
+        sticks = [(a, b) for a, b in zip(one.sticks.start, one.sticks.end, strict=True) if b > last]
+        expected = sum(float(b) - max(float(a), last) for a, b in sticks) * ratio / math.pi
+        assert float(found.sel(mu=mu, r=ratio)) == pytest.approx(expected, abs=1e-10)
+    if belt == "square":
+        shares = [papers.steady_stick_share(ratio, mu, (0.1, 0.0)) for mu in frictions for ratio in ratios]
+        assert found.values.ravel() == pytest.approx(np.array(shares), abs=1e-3)
+
+
+def test_belts_without_a_period():
+    with pytest.raises(ValueError, match="Argument steady must be False for a belt without a period"):
+        papers.stick_share_map("random", steady=True)
 
 
 @pytest.mark.slow

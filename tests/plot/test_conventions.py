@@ -19,6 +19,7 @@ FIRST = {
     "parameter_values": "a curve",
     "x": "a map",
     "system": "known without it",
+    "law": "its characteristic",
 }
 
 

@@ -1,9 +1,11 @@
 """Figures of parameter sweeps: which kind is drawn, with which axes."""
 
+import jax
 import numpy as np
 import pytest
 import xarray as xr
 
+import stickslip_jax as ss
 from stickslip_jax import plot
 
 
@@ -66,3 +68,44 @@ def test_bad_arguments(annotations_unchecked):
     for arguments, message in wrong:
         with pytest.raises(ValueError, match=f"Argument {message}"):
             plot.parameter_sweep(*arguments)
+
+
+@pytest.fixture(scope="module")
+def swept():
+    """A small sweep over two parameters, with histograms."""
+    sweep = ss.Sweep(
+        ss.papers.belt_oscillator(), ss.PoissonSwitching(1.0, 1.0), over={"mu": [0.5, 1.0, 2.0], "rate": [0.5, 1.0]},
+        t1=30.0, samples=60, key=jax.random.key(0),
+    )  # fmt: skip
+    return sweep.run(progress=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["duration", "stick_count", "position"])
+def test_histograms_along_a_parameter(swept, name):
+    """The steps are the densities of the sweep, in its bins, one for each value of the parameter."""
+    one = swept.sel(rate=1.0)
+    ax = plot.histograms(one, name, log=True)
+    outlines = [patch.get_data() for patch in ax.patches]
+    assert len(outlines) == 3
+    for drawn, mu in zip(outlines, one.mu.values, strict=True):
+        np.testing.assert_array_equal(drawn.values, one[f"{name}_density"].sel(mu=mu).values)
+        np.testing.assert_array_equal(drawn.edges[:-1], one[f"{name}_bin_low"].values)
+        assert (drawn.values * np.diff(drawn.edges)).sum() == pytest.approx(1)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["mu = 0.5", "mu = 1", "mu = 2"]
+    assert ax.get_yscale() == "log"
+    assert len(plot.histograms(one, name, most=2).patches) == 2
+    unit = {"duration": " (1/s)", "stick_count": "", "position": " (1/m)"}[name]
+    assert ax.get_ylabel() == ("probability" if name == "stick_count" else f"probability density{unit}")
+
+
+@pytest.mark.slow
+def test_histograms_that_are_not_along_one_parameter(swept):
+    for data, name, message in [
+        (swept, "duration", "vary along one parameter, but it does along 2"),
+        (swept.isel(mu=0, rate=0), "duration", "vary along one parameter, but it does along 0"),
+        (swept.isel(mu=0), "mass", "Argument name must be one of"),
+        (_results((3,)), "duration", "Argument results must be the result of Sweep.run"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            plot.histograms(data, name)

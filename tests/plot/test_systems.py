@@ -434,3 +434,67 @@ def test_bad_coordinates(two, annotations_unchecked):
     plain = ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, COULOMB), ss.Constant(0.3), t1=2.0)
     with pytest.raises(ValueError, match=r"energy_regions must be False unless .* position against velocity"):
         plot.phase_portrait(plain, x="velocity", y="position", energy_regions=True)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        ss.Coulomb(0.3, mu_static=0.4), ss.Stribeck(mu=0.3, mu_static=0.5, stribeck_speed=0.1),
+        ss.Directional(ss.Coulomb(0.4), ss.VelocityWeakening(0.2, 3.0)), ss.Coulomb(0.0),
+    ],
+)  # fmt: skip
+def test_characteristic_of_a_friction_law(law):
+    """Both branches, and at rest everything between the two limits."""
+    ax = plot.friction_law(law, speed=0.5)
+    x, y = ax.lines[0].get_data()
+    assert np.all(np.diff(x) >= 0)
+    assert (x[0], x[-1]) == (-0.5, 0.5)
+    for velocity, coefficient in zip(x[::40], y[::40], strict=True):
+        own = law.in_direction(jnp.asarray(velocity))
+        if velocity != 0:
+            assert coefficient == pytest.approx(np.sign(velocity) * float(own.kinetic(jnp.abs(velocity))))
+    limits = [sign * float(law.in_direction(jnp.asarray(sign)).static) for sign in (-1.0, 1.0)]
+    assert (min(y[x == 0]), max(y[x == 0])) == pytest.approx(limits)
+    assert ax.get_xlabel() == "relative velocity (m/s)"
+    plot.friction_law(ss.Coulomb(0.1), label="other", ax=ax)
+    assert [text.get_text() for text in ax.get_legend().get_texts()][-1] == "other"
+    plt.close(ax.figure)
+
+
+def test_usual_speeds_of_a_characteristic():
+    ax = plot.friction_law(ss.Stribeck(mu=0.3, mu_static=0.5, stribeck_speed=0.1))
+    scale = float(ss.Stribeck(mu=0.3, mu_static=0.5, stribeck_speed=0.1).speed_scale)
+    assert ax.lines[0].get_xdata()[-1] == pytest.approx(6 * scale)
+    assert plot.friction_law(COULOMB).lines[0].get_xdata()[-1] == 1.0
+    plt.close("all")
+
+
+@pytest.mark.parametrize(
+    ("law", "speed", "message"),
+    [
+        (0.3, None, "Argument law must be a friction law"),
+        (COULOMB, 0.0, "Argument speed must be"),
+        (ss.Coulomb(ss.Uniform(0.1, 0.2)), None, "law"),
+        (ss.Coulomb(np.array([0.1, 0.2])), None, "law.mu must be one number"),
+    ],
+)
+@pytest.mark.usefixtures("annotations_unchecked")
+def test_laws_that_have_no_characteristic(law, speed, message):
+    with pytest.raises(ValueError, match=message):
+        plot.friction_law(law, speed=speed)
+
+
+def test_drawing_of_a_mechanism():
+    """The body stands where the state says; a motor's pin is where its angle says."""
+    ax = plot.mechanism(ss.MassSpring(1.0, 4.0, 1.0, COULOMB), (0.3, 0.0))
+    boxes = [patch.get_x() + patch.get_width() / 2 for patch in ax.patches]
+    assert any(abs(place - 0.3) < 1e-9 for place in boxes)
+    assert ax.get_xlabel() == "position $x$ (m)"
+    cart = ss.MotorCart()
+    ax = plot.mechanism(cart, (0.7, 0.0, 0.0))
+    d = float(cart.eccentricity)
+    pins = [patch.center for patch in ax.patches if hasattr(patch, "center")]
+    assert any(np.allclose(pin, (d * np.cos(0.7), d * np.sin(0.7))) for pin in pins)
+    with pytest.raises(ValueError, match="Argument y0 must"):
+        plot.mechanism(cart, (0.7, 0.0))
+    plt.close("all")
