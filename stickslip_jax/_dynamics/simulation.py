@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -117,21 +117,22 @@ def _forces(
 
     def at(time: FloatScalar) -> tuple[FloatScalar, FloatScalar]:
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
-        now = jnp.zeros((), bool)
+        now, known = jnp.zeros((), bool), cast(Any, model)
         if isinstance(model, InnerStates):
             coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
-        elif isinstance(method, Regularized):
-            assert method.width is not None
-            speed = model.relative_velocity(forcing, jnp.zeros_like(time), y)
-            coefficient = Switch(method.width, method.shape).coefficient(model.friction_at(y), speed)
+            known, y = model.inner, y[:-1]
         else:
-            lasts = (time < sticks.end) | ((sticks.ending == Ending.HORIZON) & (time <= sticks.end))
-            # At isolated instants of no relative velocity the friction of the slip that follows.
-            sign = jnp.where(model.at_rest(forcing, y), model.release_sign(forcing, y), model.slip_sign(forcing, y))
-            now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
-            coefficient = _coefficient(model, forcing, y, sign, now)
-        known: Any
-        known, y = (model.inner, y[:-1]) if isinstance(model, InnerStates) else model.without_age(y)
+            known, y = model.without_memory(y)
+            if isinstance(method, Regularized):
+                assert method.width is not None
+                speed = known.relative_velocity(forcing, jnp.zeros_like(time), y)
+                coefficient = Switch(method.width, method.shape).coefficient(known.friction_at(y), speed)
+            else:
+                lasts = (time < sticks.end) | ((sticks.ending == Ending.HORIZON) & (time <= sticks.end))
+                # At isolated instants of no relative velocity the friction of the slip that follows.
+                sign = jnp.where(known.at_rest(forcing, y), known.release_sign(forcing, y), known.slip_sign(forcing, y))
+                now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
+                coefficient = _coefficient(known, forcing, y, sign, now)
         # The power of friction is linear in the force, and minus the velocity its slope.
         velocity = jnp.where(now, 0, -known.powers(forcing, y, jnp.ones_like(time)).dissipated["friction"])
         inside = (time >= 0) & (time <= last)
@@ -158,9 +159,9 @@ def _energies(
 
         def power(node: FloatScalar) -> Powers:
             now = begun.t + node * h
-            y, forcing = state_in_step(model, begun, node * h), model.forcing(now, begun.segments)
-            coefficient = _coefficient(model, forcing, y, begun.sign, begun.sign == 0)
-            known, y = model.without_age(y)
+            forcing, sign = model.forcing(now, begun.segments), begun.sign if begun.sign.ndim == 0 else begun.sign[0]
+            known, y = model.without_memory(state_in_step(model, begun, node * h))
+            coefficient = _coefficient(known, forcing, y, sign, sign == 0)
             return known.powers(forcing, y, known.friction_force(y, coefficient))
 
         nodes, weights = (jnp.asarray(numbers, h.dtype) for numbers in rule)
@@ -175,8 +176,8 @@ def _energies(
         begun, sums = jax.tree.map(lambda values: values[index], (beginnings, before))
         h = time - begun.t
         done = jax.tree.map(jnp.add, sums, worked(begun, h))
-        known, y = model.without_age(state_in_step(model, begun, h))
-        _, first = model.without_age(tuple(values[0] for values in beginnings.y))
+        known, y = model.without_memory(state_in_step(model, begun, h))
+        _, first = model.without_memory(tuple(values[0] for values in beginnings.y))
         stored, start = known.stored_energies(y), known.stored_energies(first)
         left = _sum(start) + _sum(done.supplied) - _sum(stored) - _sum(done.dissipated)
         found = Energies(stored, done.supplied, done.dissipated, left)
@@ -481,7 +482,7 @@ class Simulation(WithMethods):
             model, known = inner, inner.inner
         else:
             model = one_contact_model(self.system, self._path.smooth, None)
-            known, _ = model.without_age(())
+            known, _ = model.without_memory(())
         require_energy_model(known, "friction_force")
         return self._at(partial(_forces, model, self._path, self.method, self.sticks, self.time_reached), times)
 
@@ -513,7 +514,7 @@ class Simulation(WithMethods):
             path = follow_steps(self.system, self.base, Exact(), self.t1, y0, last.dtype).path
             assert isinstance(path, StepPath)
         model = one_contact_model(self.system, path.smooth, path.solver)
-        known, _ = model.without_age(())
+        known, _ = model.without_memory(())
         require_energy_model(known, "energies")
         known.check_energy()
         lengths = jnp.append(path.beginnings.t[1:], last) - path.beginnings.t

@@ -37,6 +37,7 @@ from .contacts import Contact, ForceQuantity, force_at, is_function, recorded_in
 from .friction import AtAge, FrictionLaw, require_law, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
+from .places import FrictionByPlace, PlacedContact
 from .structure import LinearStructure, StructureModel
 from .switched_model import Base, EnergyModel, FloatPair, Forcing, Powers, Terms, later, with_change
 from .system import (
@@ -390,7 +391,14 @@ class MassSpring(System):
 
     @property
     def memory(self) -> Memory:
-        return Memory((AGE,) if self.friction.grows else (), inner_laws_of((self.friction,)))
+        place = Coordinate("place on the base", "m", r"\xi")
+        places = (place,) if self._by_place is not None and self._by_place.on == "base" else ()
+        return Memory((AGE,) if self.friction.grows else (), inner_laws_of((self.friction,)), places)
+
+    @property
+    def _by_place(self) -> FrictionByPlace | None:
+        """The friction law, where it differs from place to place."""
+        return self.friction if isinstance(self.friction, FrictionByPlace) else None
 
     @property
     def stick_position(self) -> Coordinate:
@@ -409,7 +417,9 @@ class MassSpring(System):
         friction = self.friction
         is_simple = friction.constant and not (friction.static_exceeds_kinetic or friction.depends_on_direction)
         is_free = self.damping is None and self.force is None and not is_function(self.normal_force)
-        return Traits(has_interval_form=is_simple and is_free and self._moves_as_it_says)
+        by_place = self._by_place is not None
+        is_plain = is_simple and is_free and not by_place and self._moves_as_it_says
+        return Traits(has_interval_form=is_plain, jumps_at_places=by_place)
 
     @property
     def _moves_as_it_says(self) -> bool:
@@ -426,7 +436,7 @@ class MassSpring(System):
 
     def switched_model(
         self, smooth: Signal | None, solver: ExplicitSolver | None
-    ) -> "OscillatorModel | StructureModel | AgeingContact | AgeingContacts":
+    ) -> "OscillatorModel | StructureModel | AgeingContact | AgeingContacts | PlacedContact":
         structure = self._as_structure
         if structure is not None:
             return structure.switched_model(smooth, solver)
@@ -436,6 +446,8 @@ class MassSpring(System):
             # A solver that the user gives takes the given steps, unless the friction law is the user's too.
             controlled = solver is None or not is_built_in(self)
             model = SolverOscillatorModel(self, smooth, diffrax.Dopri8() if solver is None else solver, controlled)
+        if self._by_place is not None:
+            return PlacedContact(model, self._by_place)
         return with_ages(model, 2, self.friction.grows, self.friction.growth_time)
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
@@ -477,7 +489,7 @@ class MassSpring(System):
         deceleration = self.friction.static * self.normal_force / self.mass
         speed = deceleration * clock
         of_memory = (*(clock for _ in memory.ages), *(law.state_scale for law in memory.laws))
-        return Sizes(speed, deceleration, (speed * clock, speed, *of_memory))
+        return Sizes(speed, deceleration, (speed * clock, speed, *(speed * clock for _ in memory.places), *of_memory))
 
     def check_solver(self, solver: Solver | None) -> None:
         if solver is None and self.damping is None and isinstance(self.force, Signal):
@@ -488,6 +500,7 @@ class MassSpring(System):
     def look(self) -> Look:
         friction, center = self.friction, None
         about_points = friction.constant and not friction.depends_on_direction and self.force is None
+        about_points = about_points and self._by_place is None
         if about_points and not _is_zero(self.stiffness) and not is_function(self.normal_force):
             center = friction.kinetic(jnp.zeros(())) * self.normal_force / self.stiffness
         mu = r"\mu" if friction.constant and not friction.static_exceeds_kinetic else r"\mu_\mathrm{s}"
@@ -520,6 +533,9 @@ class MassSpring(System):
             return jnp.asarray(AtAge(self.friction, age).stick_limit(jnp.full_like(age, sign)), age.dtype)
 
         forward, backward = (jax.vmap(partial(limit_at, sign=sign))(ages) for sign in (1.0, -1.0))
+        if self._by_place is not None:
+            place = state[2] if self._by_place.on == "base" else state[0]
+            forward = backward = jax.vmap(self._by_place.static_at)(place)
         # A mass that lags behind the base once it is released needs a positive force.
         return (load - forward * closed) / stiffness, (load + backward * closed) / stiffness
 

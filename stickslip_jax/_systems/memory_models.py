@@ -160,7 +160,7 @@ class AgeingContact(_WithAges[F], OneContactModel[F]):  # pyright: ignore[report
     def release_sign(self, forcing: F, y: State) -> FloatScalar:
         return self.inner.release_sign(forcing, y[:-1])
 
-    def without_age(self, y: State) -> tuple[Any, State]:
+    def without_memory(self, y: State) -> tuple[Any, State]:
         return self.inner, y[:-1]
 
     @property

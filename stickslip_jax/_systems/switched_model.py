@@ -359,8 +359,8 @@ class OneContactModel(SwitchedModel[F]):
         free, gain = self.effect_of_friction(forcing, tau, y)
         return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)
 
-    def without_age(self, y: State) -> "tuple[Any, State]":
-        """The model of sticks without ages, and its state."""
+    def without_memory(self, y: State) -> "tuple[Any, State]":
+        """The model that knows forces and energies in this state, without what friction remembers, and its state."""
         return self, y
 
 

@@ -345,25 +345,26 @@ class Sizes(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What friction remembers, the last numbers of a state: of each contact the `ages` of sticks, where friction
-    depends on them, and the inner states of those `laws` that have one.
+    """What friction remembers, the last numbers of a state: of each contact the `ages` of sticks and the `places` on
+    the base, where friction depends on them, and the inner states of those `laws` that have one.
     """
 
     ages: tuple[Coordinate, ...] = ()
     laws: tuple[DynamicFriction, ...] = ()
+    places: tuple[Coordinate, ...] = ()
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The ages and the inner states."""
+        """The ages, the places and the inner states."""
         names = [Coordinate.of(law.inner_state) for law in self.laws]
         if len(names) > 1:
             names = [name._replace(name=f"{name.name} {i}") for i, name in enumerate(names, start=1)]
-        return *self.ages, *names
+        return *self.ages, *self.places, *names
 
     @property
     def start(self) -> tuple[Number, ...]:
         """What they begin with where an initial state leaves them out."""
-        return (*(0.0 for _ in self.ages), *(law.initial_state for law in self.laws))
+        return (*(0.0 for _ in (*self.ages, *self.places)), *(law.initial_state for law in self.laws))
 
 
 class Tracks(NamedTuple):
@@ -396,11 +397,13 @@ class Traits(NamedTuple):
     - `has_interval_form`: whether its motion has a closed form from jump to jump of a piecewise-constant base velocity.
     - `stops_are_unstable`: whether friction depends on where the motion stops: two motions that nearly stop there may
       part quickly. First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
+    - `jumps_at_places`: whether friction jumps from place to place.
     """
 
     compiles_natively: bool = True
     has_interval_form: bool = False
     stops_are_unstable: bool = False
+    jumps_at_places: bool = False
 
 
 class System(Checked):
@@ -510,10 +513,10 @@ class System(Checked):
         return Look()
 
 
-def one_contact_model(system: System, smooth: Signal | None, solver: ExplicitSolver | None) -> OneContactModel:
+def one_contact_model(system: System, smooth: Signal | None, solver: ExplicitSolver | None) -> Any:
     """The `switched_model` of a system with one contact. Raises ValueError for a system with several."""
     model = system.switched_model(smooth, solver)
-    if not isinstance(model, OneContactModel):
+    if not (isinstance(model, OneContactModel) or system.traits.jumps_at_places):
         raise ValueError(
             "Argument system must have one contact, with a constant normal force, for energies and friction forces, "
             f"but a {type(system).__name__} with a list of contacts or a normal force that varies was given."

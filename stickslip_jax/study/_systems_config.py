@@ -24,6 +24,7 @@ from .._systems.friction import (
 )
 from .._systems.mass_spring import MassSpring
 from .._systems.motor_cart import USUAL_MU, MotorCart
+from .._systems.places import FrictionByPlace
 from .._systems.structure import MOST_CONTACTS, LinearStructure, check_structure
 from .._uncertainty import families
 from ._sections import (
@@ -216,6 +217,24 @@ _DIRECTIONAL = section_of(
     forward=(_ONE_WAY, "friction law of slips with a positive relative velocity"),
     backward=(_ONE_WAY, "that of negative ones"),
 )
+
+
+class FrictionByPlaceConfig(
+    section_of(
+        FrictionByPlace,
+        "law",
+        places=(list[float], "where the friction jumps, m, increasing"),
+        laws=(list[_any_of(_OF_SPEED, usual="Coulomb")], "friction laws of the regions between, a section each"),
+        on=(Literal["base", "ground"], Field(default="base", description="what the places are marked on")),
+    )
+):
+    """Piecewise uniform friction: each region is a section ``[[system.friction.laws]]``."""
+
+    def arguments(self, *left_out: str) -> dict[str, Any]:
+        given = super().arguments("laws", *left_out)
+        return given | {"places": tuple(given["places"]), "laws": tuple(map(value_of, self.laws))}
+
+
 _FORCES = (*_laws(Harmonic, SumOfHarmonics, signal_unit="N"), RecordedConfig, *_laws(ForceSteps))
 
 
@@ -238,7 +257,9 @@ if TYPE_CHECKING:
     NormalForceConfig = Any
 else:
     BaseConfig = _any_of(_BASES)
-    FrictionConfig = _any_of((*_OF_SPEED, _DIRECTIONAL, _AGEING, *_WITH_INNER_STATE), usual="Coulomb")
+    FrictionConfig = _any_of(
+        (*_OF_SPEED, _DIRECTIONAL, _AGEING, FrictionByPlaceConfig, *_WITH_INNER_STATE), usual="Coulomb"
+    )
     ForceConfig = _number_or(float, _FORCES)
     """An external force, N: a number, or a function of time."""
     NormalForceConfig = _number_or(Annotated[float, Field(gt=0)], _FORCES)

@@ -478,6 +478,8 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
             "Argument method must be Exact(...) for friction that grows while a stick lasts, but "
             f"{checks.show(method)} was given: smoothed friction has no stick whose age is known."
         )
+    if system.traits.jumps_at_places:
+        raise checks.refused("method", "be Exact(...) for friction that jumps from place to place", method)
     inner = bool(system.memory.laws)
     if inner and (method.width is not None or method.step is not None):
         laws = "for friction laws with an inner state, which are smooth by themselves and stiff"

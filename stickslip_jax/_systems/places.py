@@ -1,0 +1,274 @@
+"""Friction that differs from place to place: the law, and a mass whose mode ends where it comes to another region."""
+
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._foundation import checks
+from .._foundation.fields import Quantity, varies_within
+from .._foundation.types import BoolArray, DType, FloatArray, FloatScalar, Number, Scalar, State
+from .friction import FrictionLaw, least, require_law
+from .switched_model import NOISE_ULPS, Decision, F, Guard, OneContactModel, Question, SwitchedModel
+
+# Friction by place: the law.
+
+Carrier: TypeAlias = Literal["base", "ground"]
+"""What the places are marked on."""
+
+
+class FrictionByPlace(FrictionLaw):
+    """Piecewise uniform friction: between given places it has a law of its own, and jumps there.
+
+    A place of the base, such as a mark on a belt, moves with it: where the mass is on the base is a further number of
+    the state, its *place* (m), the mass's position less the way of the base. It is zero in an initial state without it.
+    A place of the ground, such as one along a rail, is a position of the mass. The friction changes when the mass comes
+    to another region: that is an event like the others, in a slip, or in a stick that is carried along the ground.
+
+    The conference paper of Lima and Sampaio names belts that are piecewise uniform.
+
+    Args:
+        places: Where the friction jumps, m, increasing.
+        laws: The friction laws of the regions between them, all of one kind, such as `Coulomb`: one more than there
+            are places, or with a `period` as many, each from its place to the next.
+        period: After which the regions repeat themselves, m, larger than the last place less the first; None: not.
+        on: "base" (the default) or "ground".
+
+    Raises:
+        ValueError: For places that do not increase, another number of laws, laws of several kinds or with an inner
+            state, and a period that is too short.
+
+    >>> belt = ss.FrictionByPlace((0.0, 0.3), (ss.Coulomb(0.8), ss.Coulomb(0.4)), period=1.0)
+    >>> system = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=belt)
+    >>> one = ss.simulate(system, ss.Constant(0.2), t1=20.0)
+    >>> print(f"{float(one.final_state[2]):.3f}")  # the place on the belt, m
+    -3.878
+    """
+
+    places: tuple[Number, ...]
+    laws: tuple[FrictionLaw, ...]
+    period: Annotated[Number | None, Quantity("m", "after which the regions repeat themselves", above=0)] = None
+    on: Carrier = eqx.field(static=True, default="base", kw_only=True)
+    rests_on: ClassVar = {"constant": (), "static_exceeds_kinetic": (), "speed_scale": ()}
+
+    def check_parts(self) -> None:
+        checks.chosen("on", self.on, get_args(Carrier))
+        for name in ("places", "laws"):
+            if not isinstance(getattr(self, name), tuple) or not getattr(self, name):
+                raise checks.refused(name, "be a tuple with one entry or more", getattr(self, name))
+        for at, place in enumerate(self.places):
+            checks.numeric(f"places[{at}]", place)
+        for at, law in enumerate(self.laws):
+            require_law(f"laws[{at}]", law, may_remember=False)
+        regions = len(self.places) + (self.period is None)
+        if len(self.laws) != regions:
+            raise checks.refused("laws", f"hold {regions} laws, one for each region", self.laws)
+        kinds = {(type(law), *(name for name, held in vars(law).items() if held is None)) for law in self.laws}
+        if len(kinds) > 1 or any(law.grows or law.depends_on_direction for law in self.laws):
+            raise checks.refused("laws", "be of one kind, alike in both directions, without ageing", self.laws)
+
+    def check_relations(self) -> None:
+        known = [place for place in self.places if not checks.is_traced(place)]
+        if len(known) < len(self.places) or varies_within(self.places):
+            return
+        if np.any(np.diff(np.asarray(known, float)) <= 0):
+            raise checks.refused("places", "increase", self.places)
+        if self.period is not None and not checks.is_traced(self.period) and not varies_within((self.period,)):
+            checks.bounded("period", self.period, "m", above=float(known[-1] - known[0]))
+
+    def has_varying_parts(self) -> bool:
+        return varies_within((self.places, self.laws))
+
+    @property
+    def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
+        return all(law.constant for law in self.laws)
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return any(law.static_exceeds_kinetic for law in self.laws)
+
+    @property
+    def speed_scale(self) -> Scalar | None:
+        return least(*(law.speed_scale for law in self.laws))
+
+    @property
+    def static(self) -> Scalar:
+        """The largest of all regions."""
+        return jnp.max(jnp.stack([jnp.asarray(law.static, float) for law in self.laws]))
+
+    def kinetic(self, speed: FloatArray) -> FloatArray:
+        """The largest of all regions."""
+        return jnp.max(jnp.stack([jnp.asarray(law.kinetic(speed), float) for law in self.laws]), axis=0)
+
+    def in_region(self, region: FloatArray) -> FrictionLaw:
+        """The law of one region, a whole number from 0 below the first place on (with a period: from it on)."""
+        index = jnp.asarray(region).astype(jnp.int32)
+        index = index % len(self.laws) if self.period is not None else jnp.clip(index, 0, len(self.laws) - 1)
+        return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves])[index], *self.laws)
+
+    def static_at(self, place: FloatArray) -> Scalar:
+        """The static friction coefficient at one place, m."""
+        return self.in_region(self.region_of(place)).static
+
+    def region_of(self, place: FloatArray) -> FloatArray:
+        """The number of the region at a `place`, m; at a border the one above it."""
+        borders = jnp.stack([jnp.asarray(one, place.dtype) for one in self.places])
+        if self.period is None:
+            return jnp.searchsorted(borders, place, side="right", method="compare_all").astype(place.dtype)
+        turns = jnp.floor((place - borders[0]) / self.period)
+        inside = place - turns * self.period
+        return turns * len(self.laws) + jnp.searchsorted(borders, inside, side="right", method="compare_all") - 1
+
+    def ends_of(self, region: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The places (m) at which a region begins and ends, infinite where it does not."""
+        borders = [jnp.asarray(one, region.dtype) for one in self.places]
+        if self.period is None:
+            table = jnp.stack([jnp.full_like(region, -jnp.inf), *borders, jnp.full_like(region, jnp.inf)])
+            index = jnp.clip(region.astype(jnp.int32), 0, len(borders))
+            return table[index], table[index + 1]
+        table, number = jnp.stack([*borders, borders[0] + self.period]), len(borders)
+        turns = jnp.floor(region / number)
+        index = (region - turns * number).astype(jnp.int32)
+        return table[index] + turns * self.period, table[index + 1] + turns * self.period
+
+
+# A mass on places of different friction.
+#
+# Its mode is that of the mass in the region where it is, and the region: an array (3,) of the sign of the contact and
+# twice a number that stands for the region. The guards of the last two are how far it is to both ends of the region.
+# So each step has one friction law, and ends where another begins.
+
+_OFFSET = 0.5  # of the number that stands for a region: 0 would be a stick
+
+
+class PlacedContact(SwitchedModel[F]):
+    """The model `inner` of one contact, with the friction of the region where the mass is.
+
+    Its state is that of `inner`, and with places of the base the place.
+    """
+
+    inner: Any  # a OneContactModel with a system and two numbers in its state
+    law: FrictionByPlace
+    steps_may_be_long: ClassVar[bool] = False
+
+    @property
+    def has_kinks(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
+        return self.inner.has_kinks
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        return self.inner.time_scales_are_known
+
+    @property
+    def friction(self) -> FrictionLaw:
+        """The law, of all regions."""
+        return self.law
+
+    def forcing(self, t: FloatScalar, segments: Any) -> Any:
+        return self.inner.forcing(t, segments)
+
+    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+        return tuple(jnp.asarray(value, dtype) for value in y0)
+
+    def stuck(self, sign: FloatArray) -> BoolArray:
+        return sign[0] == 0
+
+    def within(self, region: FloatArray) -> OneContactModel[F]:
+        """The model in one region, given by the number that stands for it."""
+        friction = self.law.in_region(jnp.floor(region))
+        return eqx.tree_at(lambda model: model.system.friction, self.inner, friction)
+
+    def without_memory(self, y: State) -> tuple[OneContactModel[F], State]:
+        """The model in the region of the state `y`, and its state."""
+        return (self.within(self.law.region_of(self.place(y)) + _OFFSET), y[:2]) if y else (self.inner, y)
+
+    def place(self, y: State) -> FloatArray:
+        """Where the mass is: on the base, or on the ground."""
+        return y[2] if self.law.on == "base" else y[0]
+
+    def _place_rate(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> FloatArray:
+        if self.law.on == "ground":
+            return self.inner.rates(forcing, tau, y[:2], sign[0])[0]
+        return jnp.where(sign[0] == 0, 0, self.inner.relative_velocity(forcing, tau, y[:2]))
+
+    def flow_and_error(
+        self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
+    ) -> tuple[State, FloatScalar | None]:
+        reached, error = self.within(sign[1]).flow_and_error(forcing, y[:2], h, sign[0])
+        if self.law.on == "ground":
+            return reached, error
+        carried = self.inner.stick(forcing, y[:2], h)[0][0] - y[0]
+        return (*reached, jnp.where(sign[0] == 0, y[2], y[2] + (reached[0] - y[0]) - carried)), error
+
+    def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
+        own = self.within(sign[1]).rates(forcing, tau, y[:2], sign[0])
+        return own if self.law.on == "ground" else (*own, self._place_rate(forcing, tau, y, sign))
+
+    def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
+        return self.inner.relative_velocity(forcing, tau, y[:2])
+
+    def at_rest(self, forcing: F, y: State, times: float = 1.0) -> BoolArray:
+        return _with(self.inner.at_rest(forcing, y[:2], times), False)
+
+    def slip_sign(self, forcing: F, y: State) -> FloatArray:
+        none, slips = jnp.zeros_like(y[0]), self.inner.slip_sign(forcing, y[:2])
+        return _with(slips, self._region(y, self._place_rate(forcing, none, y, jnp.stack([slips, slips]))))
+
+    def _region(self, y: State, direction: FloatArray) -> FloatArray:
+        """What stands for the region of a state: on a border, within its round-off, that to which the mass moves."""
+        place = self.place(y)
+        size = jnp.max(jnp.abs(jnp.stack([jnp.asarray(one, place.dtype) for one in (0.0, *self.law.places)])))
+        few = NOISE_ULPS * jnp.finfo(place.dtype).eps * (size + jnp.abs(place))
+        return self.law.region_of(place + few * jnp.sign(direction)) + _OFFSET
+
+    def after(
+        self, forcing: F, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
+    ) -> tuple[FloatArray, BoolArray, BoolArray]:
+        next_one = sign[1] + landed[2].astype(y[0].dtype) - landed[1].astype(y[0].dtype)
+        # A stick on a border is in the region to which it would break.
+        direction = y[1]
+        if self.law.on == "base":
+            direction = jnp.where(sign[0] == 0, self.inner.release_sign(forcing, y[:2]), sign[0])
+        region = jnp.where(landed[0] | ended, self._region(y, direction), next_one)
+        # What a stick can hold, and the force in a slip, is another there: the contact is asked.
+        moved = region != sign[1]
+        return _with(sign[0], region), _with(landed[0] & ~moved, False), _with(moved, False)
+
+    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
+        guard, rate = self.within(sign[1]).guard(forcing, tau, y[:2], sign[0])
+        low, high = self.law.ends_of(jnp.floor(sign[1]))
+        place, moves = self.place(y), self._place_rate(forcing, tau, y, sign)
+        guards, rates = [guard], [rate]
+        for way, end in ((1, low), (-1, high)):
+            ends = jnp.isfinite(end) & (moves != 0)  # what stays where it is comes to no other region
+            guards.append(jnp.where(ends, way * (place - jnp.where(ends, end, 0)), 1))
+            rates.append(jnp.where(ends, way * moves, 0))
+        return jnp.stack(guards), jnp.stack(rates)
+
+    def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
+        own = self.within(sign[1]).guard_scale(forcing, y[:2], sign[0])
+        ends = (jnp.where(jnp.isfinite(end), end, 0) for end in self.law.ends_of(jnp.floor(sign[1])))
+        sizes = [jnp.abs(end) + jnp.abs(self.place(y)) + jnp.abs(y[0]) for end in ends]
+        return jnp.stack([own, *sizes])
+
+    def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
+        return *self.inner.at_base_velocity(forcing, y[:2], resting[0]), *y[2:]
+
+    def decided(self, forcing: F, y: State, question: Question) -> Decision:
+        region = question.sign[1]
+        found = self.within(region).decided(forcing, y[:2], Question(*(own[0] for own in question)))
+        return Decision(
+            _with(found.holds, False), _with(found.release_sign, region), _with(found.guard, jnp.inf),
+            _with(found.guard_rate, 0.0),
+        )  # fmt: skip
+
+    def step_limit(self, age: FloatArray, step: FloatScalar, y: State, sign: FloatArray) -> FloatScalar:
+        return self.inner.step_limit(age[0] if age.ndim else age, step, y[:2], sign[0])
+
+
+def _with(own: Any, region: Any) -> Any:
+    """What belongs to the contact, and twice what belongs to the region."""
+    own = jnp.asarray(own)
+    return jnp.stack([own, *(jnp.asarray(region, own.dtype),) * 2])
