@@ -56,7 +56,7 @@ class _Walk:
         shares = np.array(law.level_probabilities) if isinstance(law, RandomSteps) else np.array([0.5, 0.5])
         others = np.where(np.eye(len(shares), dtype=bool), 0, shares) / (1 - shares)[:, None]
         self.shares, self.up_to = shares, np.cumsum(others, axis=1)
-        by = {"seed": 0}  # "rng" since SciPy 1.15, which knows both
+        by: Any = {"seed": 0}  # "rng" since SciPy 1.15, which knows both
         self.sequence, self.used = stats.qmc.Sobol(_DIMENSIONS, **by).random(motions), 0
         self.rest = np.random.default_rng(0)
 
