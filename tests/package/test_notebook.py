@@ -16,7 +16,7 @@ FIGURES = {
     "conference_paper": 4,
     "parametric_oscillator": 5,
     "statistical_model": 7,
-    "electromechanical": 5,
+    "electromechanical": 6,
     "parametric_analysis": 5,
     "sensitivity": 3,
     "regularized": 2,
