@@ -204,7 +204,7 @@ def compare(number):
     return one, reference
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.slow), 3])
 def test_against_an_integration_of_its_own(number):
     check(*compare(number))
 
