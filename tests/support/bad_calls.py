@@ -285,7 +285,10 @@ def results() -> Iterator[Target]:
         ss.transition_kernel, ("ensemble", "law"), source=(SYSTEM, "system"), law=(LAW, "never"),
         after=("stick", "never | word"), bins=(4, "whole"), transitions=(64, "whole"),
     )  # fmt: skip
-    yield fields(kernel.joint, start=("stationary", "never | word"), bins=(4, "whole"))
+    yield fields(
+        lambda start, bins: kernel.joint(("duration", 1), start=start, bins=bins),
+        start=("stationary", "never | word"), bins=(4, "whole"),
+    )  # fmt: skip
     yield fields(
         ss.forecast, kernel=(kernel, "never"), elapsed=(0.0, "not negative"), neighbours=(None, "optional whole"),
         state=({"end_position": 0.1, "base_velocity": 1.0, "ending": 1.0}, "never"),
