@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from .._excitation.piecewise_constant import PoissonSwitching, RandomSteps
+from .._foundation import checks
 from .._foundation.types import Ending
 from .._systems.system import System
 
@@ -153,8 +154,8 @@ def by_quadrature(system: System, law: object, after: After, points: int) -> tup
     if not (system.traits.has_interval_form and levels_of(law) is not None):
         raise ValueError(
             "Arguments source and law must be a MassSpring without damping, force and static friction, and a base "
-            f"PoissonSwitching or RandomSteps, but {system!r} and {law!r} were given: kernels of others come from "
-            'their sticks, transition_kernel(simulate_ensemble(..., keep="sticks")).'
+            f"PoissonSwitching or RandomSteps, but {checks.show(system)} and {checks.show(law)} were given: kernels of "
+            'others come from their sticks, transition_kernel(simulate_ensemble(..., keep="sticks")).'
         )
     law = cast("PoissonSwitching | RandomSteps", law)
     levels = np.arange(len(cast(np.ndarray, levels_of(law))))

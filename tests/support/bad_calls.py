@@ -282,11 +282,11 @@ def results() -> Iterator[Target]:
     )  # fmt: skip
     kernel = ss.transition_kernel(SYSTEM, LAW, transitions=64)
     yield fields(
-        ss.transition_kernel, ("ensemble", "law"), source=(SYSTEM, "system"), law=(LAW, "never"),
+        ss.transition_kernel, ("ensemble", "law"), source=(SYSTEM, "system"), law=(LAW, "any"),
         after=("stick", "never | word"), bins=(4, "whole"), transitions=(64, "whole"),
     )  # fmt: skip
     yield fields(
-        lambda start, bins: kernel.joint(("duration", 1), start=start, bins=bins),
+        lambda start, bins: kernel.joint(("duration", 1), start=start, bins=bins), ("state",),
         start=("stationary", "never | word"), bins=(4, "whole"),
     )  # fmt: skip
     yield fields(
