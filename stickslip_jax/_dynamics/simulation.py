@@ -106,7 +106,7 @@ def _sum(terms: Terms) -> FloatScalar:
 
 @kept_jit
 def _forces(
-    model: OneContactModel | InnerStates,
+    model: Any,  # a OneContactModel, one of several places, or one with inner states
     path: MotionPath,
     method: Exact | Regularized,
     sticks: Sticks,
@@ -151,9 +151,7 @@ def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatSca
 
 
 @kept_jit
-def _energies(
-    model: OneContactModel, beginnings: StepBeginnings, last: FloatScalar, rule: _Rule, times: Times
-) -> Energies:
+def _energies(model: Any, beginnings: StepBeginnings, last: FloatScalar, rule: _Rule, times: Times) -> Energies:
     def worked(begun: StepBeginnings, h: FloatScalar) -> Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
 
@@ -363,9 +361,14 @@ class Simulation(WithMethods):
             s. Over a whole period of a steady motion, divided by that period, it is the stick share of the motion.
 
         Raises:
-            ValueError: Unless both are numbers.
+            ValueError: Unless both are numbers, and where several contacts stick: ask one, ``of_contact(number)``.
         """
         checks.require_threads_of_jax()
+        if self.sticks.contact is not None:
+            raise ValueError(
+                "stick_time_between needs the sticks of one contact, but a simulation of several was given; call it on "
+                "of_contact(number) or of_all_contacts()."
+            )
         last = self.t1 if end is None else end
         for name, value in (("begin", begin), ("end", last)):
             checks.numeric(name, value)

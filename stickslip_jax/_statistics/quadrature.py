@@ -24,6 +24,7 @@ FOLLOWING: dict[str, tuple[str, ...]] = {
 """What follows the end of a stick, or of a slip, in order of time."""
 
 _DIMENSIONS = 24  # of the sequence: later draws, of few motions, are random
+_ALL_BY, _MOST_JUMPS = 200, 10_000  # of the base in a slip: after which none, or not every motion, has stuck again
 
 
 def period_of(law: Any) -> float | None:
@@ -58,7 +59,8 @@ class _Walk:
         others = np.where(np.eye(len(shares), dtype=bool), 0, shares) / (1 - shares)[:, None]
         self.shares, self.up_to = shares, np.cumsum(others, axis=1)
         by: Any = {"seed": 0}  # "rng" since SciPy 1.15, which knows both
-        self.sequence, self.used = stats.qmc.Sobol(_DIMENSIONS, **by).random(motions), 0
+        whole = stats.qmc.Sobol(_DIMENSIONS, **by).random_base2((motions - 1).bit_length())
+        self.sequence, self.used = whole[:motions], 0
         self.rest = np.random.default_rng(0)
 
     def uniform(self, which: np.ndarray) -> np.ndarray:
@@ -88,10 +90,16 @@ class _Walk:
         """From the end of a stick to the next: how long the slip takes, where it ends, level and phase of the base."""
         every = np.arange(len(x))
         v, level, time = self.levels[level], level.copy(), np.zeros(len(x))
-        jumps = every[~released]
-        level[jumps] = self.jumped(jumps, level[jumps])
-        x, phase, slipping = x.copy(), phase.copy(), every
+        ended = every[~released]
+        level[ended] = self.jumped(ended, level[ended])
+        x, phase, slipping, jumps = x.copy(), phase.copy(), every, 0
         while len(slipping):
+            if jumps == _MOST_JUMPS or (jumps == _ALL_BY and len(slipping) == len(x)):
+                raise ValueError(
+                    f"Argument law must let the mass stick again, but after {jumps} jumps of the base {len(slipping)} "
+                    f"of {len(x)} slips go on: the base is too fast for the friction, or the friction is zero."
+                )
+            jumps += 1
             own = level[slipping]
             until = self.until_jump(slipping, own, phase[slipping])
             met, x[slipping], v[slipping] = self.arcs(x[slipping], v[slipping], self.levels[own], until)
@@ -151,21 +159,25 @@ def by_quadrature(system: System, law: object, after: After, points: int) -> tup
     Raises:
         ValueError: For systems and laws without closed forms, or with uncertain numbers.
     """
-    if not (system.traits.has_interval_form and levels_of(law) is not None):
+    known, drawn, is_certain = cast(Any, system), cast(Any, law), False
+    if system.traits.has_interval_form and levels_of(law) is not None:
+        clock = drawn.interval if isinstance(law, RandomSteps) else drawn.rate
+        numbers = known.mass, known.stiffness, known.normal_force, known.friction.static, clock
+        is_certain = all(map(_is_number, numbers)) and known.stiffness > 0
+    if not is_certain:
         raise ValueError(
-            "Arguments source and law must be a MassSpring without damping, force and static friction, and a base "
+            "Arguments source and law must be a MassSpring with a spring, without damping, force and static friction, "
+            "all its numbers certain, and a base "
             f"PoissonSwitching or RandomSteps, but {checks.show(system)} and {checks.show(law)} were given: kernels of "
             'others come from their sticks, transition_kernel(simulate_ensemble(..., keep="sticks")).'
         )
     law = cast("PoissonSwitching | RandomSteps", law)
-    levels = np.arange(len(cast(np.ndarray, levels_of(law))))
-    ways = (
-        [(level, released) for level in levels for released in (False, True)]
-        if after == "stick"
-        else [(level, False) for level in levels]
-    )
+    speeds = cast(np.ndarray, levels_of(law))
+    ways = [(level, False) for level in range(len(speeds))]
+    if after == "stick":  # a base at rest releases nothing
+        ways += [(level, True) for level, speed in enumerate(speeds) if speed]
+    points = 1 << (points - 1).bit_length()  # as many as Sobol' sequences are balanced with
     walk = _Walk(system, law, len(ways) * points)
-    ways = [(level, way) for level, way in ways if not way or walk.levels[level]]  # a base at rest releases nothing
     level, released = (np.repeat(column, points) for column in np.array(ways).T)
     released, every = released.astype(bool), np.arange(len(level))
     x = walk.edge * np.where(released, np.sign(walk.levels[level]), 2 * walk.uniform(every) - 1)

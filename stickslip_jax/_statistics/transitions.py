@@ -43,6 +43,7 @@ _PARTS = 20  # of the samples, each left out once for standard errors
 _MOST_CELLS = 2**24  # of tables
 _BLOCK = 16  # transitions from nearly the same state
 _CLASSES = 32  # of what follows, where it is ranked
+_POINTS = 2**18  # of a quadrature
 _DRAWN_FROM = 8  # transitions that began closest
 
 
@@ -404,10 +405,8 @@ class TransitionKernel:
         together = HypothesisTest("Serial rank correlation", reason=reason)
         if made:
             reason, least = "", min(made, key=lambda test: test.p_value)
-            name, p_value = (
-                f"Serial rank correlation, {len(made)} pairs of numbers",
-                min(holm([t.p_value for t in made])),
-            )
+            name = f"Serial rank correlation, {len(made)} pairs of numbers"
+            p_value = min(holm([test.p_value for test in made]))
             effect = (least.effect, f"rank correlation of {least.name}", least.effect_error)
             together = HypothesisTest(name, least.statistic, p_value, *effect, least.sizes, parts=made)
         question = f"Does what follows a {self.after} depend on its end alone ({', '.join(map(words, self.given))})?"
@@ -597,7 +596,7 @@ def transition_kernel(
     period: float | None = None,
     bins: int = 32,
     ends_before: float | None = None,
-    transitions: int = 2**18,
+    transitions: int | None = None,
 ) -> TransitionKernel:
     """The distribution of the next stick given how the last one ended: the sequence of sticks as a Markov chain.
 
@@ -618,7 +617,7 @@ def transition_kernel(
             matrices.
         ends_before: Only ends before this instant (s) are used. By default the middle of the simulation, so that nearly
             all that follows is complete.
-        transitions: How many points the quadrature has of each way in which a stick can end.
+        transitions: How many points the quadrature has of each way in which a stick can end, at least; by default 2^18.
 
     Returns:
         A `TransitionKernel`.
@@ -637,7 +636,11 @@ def transition_kernel(
     if period is not None:
         checks.positive("period", period, "s")
     if isinstance(source, System):
-        points = checks.whole_number("transitions", transitions, minimum=_PARTS, maximum=2**26)
+        for name, own in (("period", period), ("ends_before", ends_before)):
+            if own is not None:
+                raise checks.refused(name, "be left out with a system and a law, which know it", own)
+        wanted = _POINTS if transitions is None else transitions
+        points = checks.whole_number("transitions", wanted, minimum=_PARTS, maximum=2**26)
         state, following, later = by_quadrature(source, law, after, points)
         owner = np.arange(len(following["duration"]))
         samples, incomplete, origin, coordinate = len(owner), 0, object(), source.stick_position
@@ -645,20 +648,23 @@ def transition_kernel(
         ensemble = require_ensemble(source)
         if law is not None:
             raise checks.refused("law", "be left out with an ensemble, which has one", law)
+        if transitions is not None:
+            raise checks.refused("transitions", "be left out with an ensemble: its sticks are taken", transitions)
         before = ensemble.t1 / 2 if ends_before is None else ends_before
         checks.bounded("ends_before", before, "s", above=0)
         period = period_of(ensemble.law) if period is None else period
         sticks, levels = ensemble.numbered_sticks(), levels_of(ensemble.law)
-        state, following, later, owner, incomplete = _from_sticks(sticks, after, period, levels, before)
-        samples, origin, coordinate = len(sticks.count), origin_of(ensemble), ensemble.system.stick_position
+        coordinate = ensemble.system.stick_position
+        turn = coordinate.period
+        state, following, later, owner, incomplete = _from_sticks(sticks, after, period, levels, before, turn)
+        samples, origin = len(sticks.count), origin_of(ensemble)
     known = tuple(name for name in _STATE[after] if name in state)
     names = known if given is None else tuple(checks.chosen("given", name, state) for name in given)
     if not names or len(set(names)) < len(names):
         raise checks.refused("given", "hold one or more different names", given)
     state, later = ({name: of[name] for name in names} for of in (state, later))
-    cells = Cells.of(state, bins)
-    unit = coordinate.unit
-    return TransitionKernel(after, names, state, following, later, owner, samples, incomplete, cells, unit, origin)
+    found = (after, names, state, following, later, owner, samples, incomplete, Cells.of(state, bins))
+    return TransitionKernel(*found, coordinate.unit, origin)
 
 
 def _phase(time: np.ndarray, period: float) -> np.ndarray:
@@ -668,16 +674,25 @@ def _phase(time: np.ndarray, period: float) -> np.ndarray:
 
 
 def _from_sticks(
-    sticks: FlatSticks, after: After, period: float | None, levels: np.ndarray | None, before: float
-) -> tuple[Columns, Columns, Columns, np.ndarray, int]:
-    """The states, what follows, the next states and the owner of each transition, and how many were left out."""
+    sticks: FlatSticks, after: After, period: float | None, levels: np.ndarray | None, before: float,
+    turn: float | None,
+) -> tuple[Columns, Columns, Columns, np.ndarray, int]:  # fmt: skip
+    """The states, what follows, the next states and the owner of each transition, and how many were left out.
+
+    `turn`: after which positions are the same again, where they are angles.
+    """
     owner, start, end = sticks.sample, np.asarray(sticks.start, float), np.asarray(sticks.end, float)
     has_next = np.append(np.diff(owner) == 0, False)
     position, moved = np.asarray(sticks.position, float), np.asarray(sticks.slip_displacement, float)
     left = np.where(has_next, np.append((position - moved)[1:], np.nan), np.nan)
     duration = end - start
+    way = left - position
+    if turn is not None:  # positions are within one turn, displacements are not
+        left, way = left % turn, way - turn * np.round(way / turn)
+    # What stays where it is, but for round-off, is on a base at rest.
+    way = np.where(np.abs(way) <= _ALIKE * np.max(np.abs(position), initial=0.0), 0.0, way)
     with np.errstate(invalid="ignore", divide="ignore"):
-        velocity = (left - position) / duration
+        velocity = way / duration
     if levels is not None:
         velocity = levels[np.argmin(np.abs(np.nan_to_num(velocity)[:, None] - levels), axis=1)]
     of = {

@@ -123,6 +123,7 @@ class FrictionLaw(Checked):
     """
 
     constant: ClassVar[bool] = False
+    differs_by_place: ClassVar[bool] = False
     rests_on: ClassVar = {
         "constant": ("kinetic", "in_direction"),
         "speed_scale": ("kinetic", "in_direction"),
@@ -250,6 +251,7 @@ class FrictionLaw(Checked):
         >>> print(ss.Coulomb(0.3).force(times, velocity, 10.0, series_stiffness=40.0))
         [ 0.  3.  2. -2.]
         """
+        require_law("law", self)
         return force_of_law(self, times, velocity, normal_force, series_stiffness, backlash)
 
     def check_relations(self) -> None:
@@ -771,12 +773,17 @@ class AtAge(FrictionLaw):
         return AtAge(self.law.in_direction(velocity), self.age)
 
 
-def require_law(name: str, value: object, may_remember: bool = True) -> None:
-    """Raises ValueError for what is no friction law, or unless it `may_remember`, one with an inner state."""
+def require_law(name: str, value: object, may_remember: bool = True, may_differ_by_place: bool = False) -> None:
+    """Raises ValueError for what is no friction law; unless it `may_remember`, for one with an inner state; and unless
+    it `may_differ_by_place`, for one that does: what knows nothing of places would take the largest of all regions.
+    """
     if not isinstance(value, FrictionLaw):
         raise checks.refused(name, "be a friction law such as Coulomb(mu=0.3)", value)
     if not may_remember and value.inner_state is not None:
         raise checks.refused(name, "be a friction law without an inner state, such as Coulomb(mu=0.3)", value)
+    if not may_differ_by_place and value.differs_by_place:
+        hint = "a MassSpring with a constant normal force takes friction that differs by place"
+        raise checks.refused(name, "be a friction law that is the same everywhere", value, hint)
 
 
 def least(*values: Scalar | None) -> Scalar | None:

@@ -334,7 +334,7 @@ class MassSpring(System):
     force: Annotated[Any, ForceQuantity("N")] = eqx.field(default=None, converter=lambda v: None if _is_zero(v) else v)
 
     def check_parts(self) -> None:
-        require_law("friction", self.friction)
+        require_law("friction", self.friction, may_differ_by_place=not is_function(self.normal_force))
 
     def check_relations(self) -> None:
         if not any(map(is_distribution, jax.tree.leaves(self.friction, is_leaf=is_distribution))):

@@ -31,7 +31,7 @@ from .._foundation.types import (
 from .._numerics.derivatives import without_derivatives
 from .._numerics.elementary import sincos, sincos_of_small
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .friction import AtAge, Coulomb, FrictionLaw, times_of_slips
+from .friction import AtAge, Coulomb, FrictionLaw, require_law, times_of_slips
 from .layouts import motor_and_cart
 from .memory_models import AgeingContact, InnerStates, inner_laws_of, with_ages
 from .switched_model import EnergyModel, FloatPair, Powers, Segments, Terms
@@ -382,6 +382,7 @@ class MotorCart(System):
             return
         if not isinstance(self.friction, FrictionLaw):
             raise checks.refused("friction", "be a friction law such as Coulomb(mu=0.3), or None", self.friction)
+        require_law("friction", self.friction)
         if self.mu is not None:
             raise ValueError(
                 f"Argument mu must be None where a law gives the friction, but mu={checks.show(self.mu)} and "

@@ -51,6 +51,7 @@ class FrictionByPlace(FrictionLaw):
     laws: tuple[FrictionLaw, ...]
     period: Annotated[Number | None, Quantity("m", "after which the regions repeat themselves", above=0)] = None
     on: Carrier = eqx.field(static=True, default="base", kw_only=True)
+    differs_by_place = True
     rests_on: ClassVar = {"constant": (), "static_exceeds_kinetic": (), "speed_scale": ()}
 
     def check_parts(self) -> None:

@@ -25,7 +25,7 @@ from .._excitation.recorded import GroundMotion
 from .._foundation import checks
 from .._foundation.extras import progress_bar
 from .._foundation.files import file_for_user, file_to_write
-from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, bars
+from .._systems.system import Belt, Body, Disk, Mechanism, OverTime, Part, Rod, Spring, System, bars
 from . import _style
 from ._style import Window, legend_above
 from ._trajectory import Stuck, check_simulation, check_window, lasts_at, line_times, phases_in, sticks_in
@@ -175,6 +175,19 @@ _FILL, _FIXED = "#E6E6E6", "#BBBBBB"
 _COIL_WIDTH, _COIL_LENGTH, _MOST_COILS = 0.16, 0.2, 7  # inches, from side to side and along the spring
 _LEADS = 0.12  # of the length of a spring, straight at each end
 _BASE_MARKS = 6
+
+
+def mechanism_of(system: System, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
+    """How a system looks in these states, arrays (frames,), its base displaced so far. Raises ValueError for a user's
+    look that returns no mechanism.
+    """
+    if system.look.mechanism is not None:
+        mechanism = system.look.mechanism(state, base)
+    else:  # which coordinates belong to one of several contacts is not known
+        on = (0,) if system.tracks.contacts is None else ()
+        mechanism = bars(system.coordinates, state, (on,) * len(state))
+    check_mechanism(mechanism, type(system).__name__, len(base), system.tracks.contacts or 1)
+    return mechanism
 
 
 def check_mechanism(mechanism: object, whose: str, frames: int, contacts: int) -> None:
@@ -438,12 +451,7 @@ def animate(
     window = check_window(window, float(result.time_reached)) if rows else phases_in(result, window)[1]
     times, speed = frame_times(window, None if speed is None else float(speed), float(fps), result.sticks.start.dtype)
     system, state, contacts = result.system, state_at(result, times), result.system.tracks.contacts or 1
-    if system.look.mechanism is not None:
-        mechanism = system.look.mechanism(state, base_displacement(result, times))
-    else:  # which coordinates belong to one of several contacts is not known
-        on = (0,) if system.tracks.contacts is None else ()
-        mechanism = bars(system.coordinates, state, (on,) * len(state))
-    check_mechanism(mechanism, type(system).__name__, len(times), contacts)
+    mechanism = mechanism_of(system, state, base_displacement(result, times))
     sticking = np.zeros((len(times), contacts), bool)
     for number, stuck in sticks.items():
         sticking[:, number] = lasts_at(stuck, times)

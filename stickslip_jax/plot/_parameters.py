@@ -748,9 +748,8 @@ def histograms(
     """
     most = checks.whole_number("most", most, maximum=len(_style.SERIES))
     checks.truth("log", log)
-    known = [
-        str(one).removesuffix("_density") for one in getattr(results, "data_vars", ()) if str(one).endswith("_density")
-    ]
+    names = map(str, getattr(results, "data_vars", ()))
+    known = [one.removesuffix("_density") for one in names if one.endswith("_density")]
     if not known:
         raise checks.refused("results", "be the result of Sweep.run, with histograms", results)
     density: Any = results[checks.chosen("name", name, known) + "_density"]

@@ -12,9 +12,9 @@ from .._dynamics.common.method import check_fixed, state_of
 from .._foundation import checks
 from .._foundation.types import InitialState
 from .._systems.friction import FrictionLaw, require_law
-from .._systems.system import System, bars, require_system
+from .._systems.system import System, require_system
 from . import _style
-from ._animations import check_mechanism, draw_mechanism, make_equal
+from ._animations import draw_mechanism, make_equal, mechanism_of
 
 _SCALES = 6.0  # of the speed over which a coefficient changes
 _POINTS = 400
@@ -37,15 +37,9 @@ def mechanism(system: System, y0: InitialState | None = None, *, ax: Axes | None
     """
     require_system(system)
     state = tuple(np.atleast_1d(np.asarray(value, float)) for value in state_of(system, y0))
-    contacts = system.tracks.contacts or 1
-    if system.look.mechanism is not None:
-        drawn = system.look.mechanism(state, np.zeros(1))
-    else:
-        on = (0,) if system.tracks.contacts is None else ()
-        drawn = bars(system.coordinates, state, (on,) * len(state))
-    check_mechanism(drawn, type(system).__name__, 1, contacts)
+    drawn = mechanism_of(system, state, np.zeros(1))
     ax = _style.axes_or_new(ax, (6.4, 2.6))
-    moves = draw_mechanism(ax, drawn, np.zeros((1, contacts), bool), "base")
+    moves = draw_mechanism(ax, drawn, np.zeros((1, system.tracks.contacts or 1), bool), "base")
     for _ in range(2):  # the second time springs know where the axes are
         for move in moves:
             move(0)

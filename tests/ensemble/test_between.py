@@ -118,6 +118,18 @@ def test_bad_times(many, call, message):
         call(many)
 
 
+@pytest.mark.slow
+def test_stick_time_of_several_contacts_is_asked_of_one():
+    contacts = tuple(ss.Contact(row, 1.0, ss.Coulomb(0.5)) for row in ((1.0, 0.0), (0.0, 1.0)))
+    row = ss.LinearStructure(np.eye(2), np.array([[2.0, -1.0], [-1.0, 2.0]]), None, contacts)
+    one = ss.simulate(row, ss.Constant(0.3), 10.0, (0.1, 0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="needs the sticks of one contact"):
+        one.stick_time_between(0.0)
+    for number in (0, 1):
+        found = one.of_contact(number).stick_time_between(0.0)
+        assert float(found) == pytest.approx(float(one.stick_time[number]), rel=1e-12)
+
+
 def test_sticks_that_were_not_kept():
     many = ss.simulate_ensemble(
         papers.belt_oscillator(), ss.PoissonSwitching(1.0, 1.0), T1, samples=3, key=jax.random.key(2)

@@ -232,8 +232,8 @@ def test_sequences_after_slips_have_their_positions():
     [
         ({"source": 3}, "Argument ensemble must be the result of simulate_ensemble"),
         ({"after": "jump"}, "Argument after must be one of 'stick', 'slip'"),
-        ({"law": None}, "must be a MassSpring without damping"),
-        ({"law": ss.Harmonic(1.0, 1.0)}, "must be a MassSpring without damping"),
+        ({"law": None}, "must be a MassSpring with a spring, without damping"),
+        ({"law": ss.Harmonic(1.0, 1.0)}, "must be a MassSpring with a spring, without damping"),
         ({"source": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.3, mu_static=0.4))}, "without damping, force and static"),
         ({"law": ss.PoissonSwitching(ss.Uniform(1.0, 2.0), 1.0)}, "PoissonSwitching or RandomSteps"),
         ({"bins": 0}, "Argument bins must be"),
@@ -247,6 +247,43 @@ def test_bad_arguments(change, message):
     arguments = {"source": SYSTEM, "law": POISSON, "transitions": 64} | change
     with pytest.raises(ValueError, match=message):
         ss.transition_kernel(arguments.pop("source"), arguments.pop("law"), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"system": ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.0))}, "must let the mass stick again"),
+        ({"law": ss.PoissonSwitching(50.0, 1.0)}, "must let the mass stick again"),
+        ({"system": ss.MassSpring(1.0, 0.0, 1.0, ss.Coulomb(0.3))}, "a MassSpring with a spring"),
+        ({"system": ss.MassSpring(ss.Uniform(1.0, 2.0), 4.0, 1.0, ss.Coulomb(0.3))}, "all its numbers certain"),
+        ({"period": 2.0}, "Argument period must be left out with a system"),
+        ({"ends_before": 2.0}, "Argument ends_before must be left out with a system"),
+    ],
+)
+def test_motions_that_have_no_kernel_by_quadrature(change, message):
+    given = {"system": SYSTEM, "law": POISSON, "transitions": 64} | change
+    with pytest.raises(ValueError, match=message):
+        ss.transition_kernel(given.pop("system"), given.pop("law"), **given)
+
+
+@pytest.mark.filterwarnings("error")
+def test_any_number_of_points_and_levels():
+    """Sobol' sequences are balanced with powers of two only."""
+    three = ss.RandomSteps(1.0, 0.7, levels=(-1.0, 0.0, 1.0))
+    assert ss.transition_kernel(SYSTEM, three, transitions=1000).number == 5 * 1024
+
+
+@pytest.mark.slow
+def test_angles_of_a_motor_are_those_of_one_turn():
+    """Positions are folded, displacements are not: where a stick ends is where it began, and nothing moves in it."""
+    many = ss.simulate_ensemble(*ss.papers.motor_cart(0.5), samples=300, key=jax.random.key(0), keep="sticks")
+    kernel = ss.transition_kernel(many)
+    np.testing.assert_array_equal(kernel.state["base_velocity"], 0)
+    assert np.all((kernel.state["end_position"] >= 0) & (kernel.state["end_position"] < 2 * math.pi))
+    apart = kernel.following["end_position"] - kernel.following["position"]
+    np.testing.assert_allclose(np.sin(apart / 2), 0, atol=1e-9)
+    with pytest.raises(ValueError, match="Argument transitions must be left out with an ensemble"):
+        ss.transition_kernel(many, transitions=64)
 
 
 def test_bad_questions(kernels):

@@ -341,6 +341,39 @@ def test_bad_laws(change, message):
         ss.FrictionByPlace(**arguments | change)
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: ss.MassSpring(1.0, 4.0, ss.ForceSteps((0.0, 5.0), (1.0, 0.5)), BELT),
+        lambda: ss.MotorCart(friction=BELT),
+        lambda: ss.Contact((1.0,), 1.0, BELT),
+        lambda: ss.Directional(BELT, ss.Coulomb(0.3)),
+        lambda: ss.Ageing(BELT, ss.LogarithmicGrowth(0.02, 0.1)),
+        lambda: ss.FrictionByPlace((0.0,), (BELT, BELT)),
+        lambda: BELT.force([0.0, 1.0], [0.1, 0.1]),
+        lambda: ss.plot.friction_law(BELT),
+    ],
+)
+def test_what_knows_nothing_of_places_refuses_them(call):
+    """It would take the largest coefficient of all regions."""
+    with pytest.raises(ValueError, match=r"must be a friction law that is the same everywhere, but FrictionByPlace"):
+        call()
+
+
+@pytest.mark.parametrize("on", ["base", "ground"])
+def test_the_other_half_of_the_symmetry(on):
+    """All directions reversed, places mirrored: the motion is the mirrored one, to the last digits."""
+    laws = ss.Coulomb(0.8, 0.9), ss.Coulomb(0.3, 0.5), ss.Coulomb(0.5, 0.6)
+    ends = []
+    for way in (1, -1):
+        places = tuple(sorted(way * place for place in (-0.1, 0.25)))
+        law = ss.FrictionByPlace(places, laws[::way], on=on)
+        system = ss.MassSpring(1.0, 4.0, 1.0, law, 0.1)
+        ends.append(ss.simulate(system, ss.Harmonic(way * 0.7, 1.1), 15.0, (way * 0.05, way * 0.3)))
+    assert ends[0].sticks.count == ends[1].sticks.count > 0
+    np.testing.assert_allclose(ends[0].final_state, -np.asarray(ends[1].final_state), atol=1e-13)
+
+
 def test_smoothed_friction_is_refused():
     with pytest.raises(ValueError, match=r"must be Exact\(\.\.\.\) for friction that jumps from place to place"):
         ss.simulate(SYSTEM, ss.Constant(0.3), 20.0, method=ss.Regularized(1e-3))
