@@ -25,8 +25,9 @@ SMOKE := benchmarks/.build/smoke
 study: $(STUDY)
 	$(BIN)/stickslip study --out $(OUT) --force
 
+# A test that hangs is ended after ten minutes, and fails.
 test: $(READY)
-	$(BIN)/python -m pytest -n auto --dist worksteal
+	$(BIN)/python -m pytest -n auto --dist worksteal --timeout 600 --timeout-method thread
 
 # What one runs while working: under a minute on two cores once the compilation cache is warm.
 test-fast: $(READY)

@@ -224,7 +224,7 @@ def histograms():
 
 
 def friction_law():
-    """Three friction laws: constant, falling with the speed, and different by direction."""
+    """Friction: constant, falling with the speed, and different by direction."""
     stribeck = ss.Stribeck(mu=0.3, mu_static=0.5, stribeck_speed=0.1)
     ax = plot.friction_law(ss.Coulomb(0.25), speed=0.6, label="Coulomb")
     plot.friction_law(stribeck, speed=0.6, label="Stribeck", ax=ax)

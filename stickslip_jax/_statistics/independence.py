@@ -473,8 +473,9 @@ def independent(
         bins: Number of quantile bins of each value in the chi-square test, at least 2.
         significance: Largest probability, in (0, 1), of rejecting a true hypothesis.
         starts_before: Only pairs whose later value begins before this instant (s) are used; by default the end of the
-            simulation minus the longest value, or its middle. That depends on the earlier value, but does not make
-            independent values dependent; without it (``math.inf``) a long value leaves less time for the next.
+            simulation minus the longest value, or its middle. That depends on the earlier value: it does not make
+            independent values dependent, but where they are, fewer long ones remain, which makes the effect smaller;
+            without it (``math.inf``) a long value leaves less time for the next.
 
     Raises:
         ValueError: As `identically_distributed`.

@@ -56,6 +56,7 @@ def test_every_field_of_numbers_is_described(kind):
     others |= {"direction"} if kind is ss.Contact else set()
     others |= {"law", "growth"} if kind is ss.Ageing else set()
     others |= {"forward", "backward"} if kind is ss.Directional else set()
+    others |= {"places", "laws", "on"} if kind is ss.FrictionByPlace else set()
     others |= {"counted_contact"}  # chosen by `of_contact`
     # Matrices, which have checks of their own.
     others |= {"mass", "stiffness", "damping", "contacts"} if kind is ss.LinearStructure else set()

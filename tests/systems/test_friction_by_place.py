@@ -136,11 +136,11 @@ class Reference:
         for low, high in itertools.pairwise(times):
             state = over(high)
             if min(state) < 0 and high > t0 + 1e-9:
-                which, ends = int(np.argmin(state)), [low, high]
+                which = int(np.argmin(state))
                 for _ in range(70):
-                    middle = sum(ends) / 2
-                    ends[int(over(middle)[which] < 0)] = middle
-                return (ends[1], at(ends[1])), ("limit", "place")[which]
+                    middle = (low + high) / 2
+                    low, high = (low, middle) if over(middle)[which] < 0 else (middle, high)
+                return (high, at(high)), ("limit", "place")[which]
         return (t1, at(t1)), None
 
 
