@@ -136,11 +136,11 @@ class Reference:
         for low, high in itertools.pairwise(times):
             state = over(high)
             if min(state) < 0 and high > t0 + 1e-9:
-                which = int(np.argmin(state))
+                which, within = int(np.argmin(state)), [low, high]
                 for _ in range(70):
-                    middle = (low + high) / 2
-                    low, high = (low, middle) if over(middle)[which] < 0 else (middle, high)
-                return (high, at(high)), ("limit", "place")[which]
+                    middle = sum(within) / 2
+                    within[int(over(middle)[which] < 0)] = middle
+                return (within[1], at(within[1])), ("limit", "place")[which]
         return (t1, at(t1)), None
 
 
