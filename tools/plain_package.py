@@ -36,7 +36,7 @@ MANY = {"t1": T1, "samples": 2000, "key": KEY, "y0": START}
 BELT = papers.harmonic_belt(0.7)
 TIMES = np.linspace(0.0, 10.0, 101)
 NAMED = {"xlabel": "a", "ylabel": "b", "label": "c"}
-UNLABELED = {"basins", "bifurcation_diagram", "orbit_branch", "parameter_sweep", "section"}
+UNLABELED = {"basins", "bifurcation_diagram", "histograms", "orbit_branch", "parameter_sweep", "section"}
 """Figures of labelled results, which only functions that need an extra return."""
 
 
@@ -62,6 +62,7 @@ def figures() -> dict[str, Callable[[], object]]:
     many = ss.simulate_ensemble(SYSTEM, LAW, **MANY, keep="sticks")
     print(many)
     print(ss.independent(many, "duration"), ss.bootstrap_interval(ss.stick_fraction, many, resamples=100), sep="\n")
+    print(ss.forecast(ss.transition_kernel(many, given=("base_velocity",)), {"base_velocity": 1.0}))
     assert ss.Sweep(SYSTEM, LAW, over={"mu": [0.5, 1.0]}, **MANY).ensemble_at(mu=0.5).samples == 2000
     derivatives: Any = ss.sensitivity(ss.mean_stick_duration, SYSTEM, LAW, wrt=("mu", "stiffness"), **MANY)
     derivative: Any = ss.sensitivity(ss.mean_stick_duration, SYSTEM, LAW, wrt="mu", **MANY)
@@ -82,6 +83,8 @@ def figures() -> dict[str, Callable[[], object]]:
         "friction_force": lambda: plot.friction_force(one),
         "animate": lambda: plot.animate(one, window=(0.0, 1.0), speed=1.0, fps=5).save("film.gif"),
         "save": lambda: plot.save(plot.time_history(one), "history.png"),
+        "mechanism": lambda: plot.mechanism(SYSTEM),
+        "friction_law": lambda: plot.friction_law(SYSTEM.friction),
         "stick_raster": lambda: plot.stick_raster(many),
         "histogram": lambda: plot.histogram(many.statistics.duration),
         "joint_histogram": lambda: plot.joint_histogram(many.statistics.joint("duration", "position")),
