@@ -629,7 +629,7 @@ def transition_kernel(
     >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
     >>> kernel = ss.transition_kernel(ss.papers.belt_oscillator(), law, transitions=2**14)
     >>> kernel.steps_to_forget(0.01)
-    5
+    6
     """
     after = cast(After, checks.chosen("after", after, get_args(After)))
     bins = checks.whole_number("bins", bins, minimum=1, maximum=1000)
