@@ -102,9 +102,10 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# The tables of the parts that were done are written even if a later one fails.
 bench: $(READY)
-	$(BIN)/python -m benchmarks --rounds $(ROUNDS) $(if $(ONLY),--only '$(ONLY)')
-	$(BIN)/python -m benchmarks.table
+	$(BIN)/python -m benchmarks --rounds $(ROUNDS) $(if $(ONLY),--only '$(ONLY)') || failed=1; \
+		$(BIN)/python -m benchmarks.table && test -z "$$failed"
 
 # Every program of the benchmarks once, as small as possible, and the tables written into a copy.
 bench-smoke: export JAX_COMPILATION_CACHE_DIR = $(CURDIR)/$(SMOKE)

@@ -6,10 +6,11 @@ import json
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from .parts import PARTS
@@ -38,36 +39,41 @@ def _processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def _measured(names: Sequence[str], bench: Bench) -> dict[str, list[dict[str, Any]]]:
-    rows = {}
+def _measure(names: Sequence[str], bench: Bench, keep: Callable[[str, list[dict[str, Any]]], None]) -> None:
     try:
         for name in names:
             started = time.perf_counter()
-            rows[name] = PARTS[name].measure(bench)
+            keep(name, PARTS[name].measure(bench))
             if not bench.tiny:  # later parts must not share the machine, or memory, with processes of earlier ones
                 bench.close()
             print(f"{name}: {time.perf_counter() - started:.0f} s", flush=True)
     finally:
         bench.close()
-    return rows
 
 
 def main() -> None:
-    """Run the parts and write what they measured."""
+    """Run the parts and write what they measured, each when it is done: an end before the last one loses nothing."""
     chosen = _options()
     names = chosen.only or list(PARTS)
-    shares = [[name for name in names if (name in SHARING) is sharing] for sharing in (True, False)]
-    with ThreadPoolExecutor(2 if chosen.tiny else 1) as pool:
-        found = list(pool.map(lambda share: _measured(share, Bench(chosen.rounds, chosen.tiny)), shares))
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     results = {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "machine": f"{_processor()}, {cores} cores; Python {platform.python_version()}, jax {version('jax')}",
         "rounds": chosen.rounds,
-        "parts": {name: rows for share in found for name, rows in share.items()},
+        "parts": {},
     }
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
-    chosen.out.write_text(json.dumps(results, indent=1))
+    chosen.out.write_text(json.dumps(results))  # nothing of an earlier run
+    one_writes = Lock()
+
+    def keep(name: str, rows: list[dict[str, Any]]) -> None:
+        with one_writes:
+            results["parts"][name] = rows
+            chosen.out.write_text(json.dumps(results, indent=1))
+
+    shares = [[name for name in names if (name in SHARING) is sharing] for sharing in (True, False)]
+    with ThreadPoolExecutor(2 if chosen.tiny else 1) as pool:
+        list(pool.map(lambda share: _measure(share, Bench(chosen.rounds, chosen.tiny), keep), shares))
 
 
 if __name__ == "__main__":

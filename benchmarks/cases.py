@@ -328,6 +328,68 @@ for _motion in ("harmonic base of random phase", "damped, Poisson switching"):
     }
 
 
+# --- the sequence of sticks
+
+
+def _simulated_kernel(sizes: Sizes) -> Run:
+    """Simulated and counted, with the second eigenvalue and its error."""
+
+    def run(number: int) -> Work:
+        many = ss.simulate_ensemble(
+            system(0.8), LAW, t1=T1, samples=sizes.samples, key=jax.random.key(number), y0=START, keep="sticks",
+            progress=False,
+        )  # fmt: skip
+        kernel = ss.transition_kernel(many)
+        assert kernel.second_eigenvalue.value < 1
+        return Work(kernel.number)
+
+    return run
+
+
+def _kernel_by_quadrature(sizes: Sizes) -> Run:
+    def run(_: int) -> Work:
+        kernel = ss.transition_kernel(system(0.8), LAW, transitions=sizes.samples)
+        assert kernel.second_eigenvalue.value < 1
+        return Work(kernel.number)
+
+    return run
+
+
+def _forecasts(sizes: Sizes) -> Run:
+    """Distribution and hazard of the next stick after 100 ends of sticks, one by one, as a controller asks for them."""
+    kernel = ss.transition_kernel(system(0.8), LAW, transitions=sizes.samples)
+
+    def run(number: int) -> Work:
+        for place in np.random.default_rng(number).uniform(-0.3, 0.3, 100):
+            state = {"end_position": place, "base_velocity": SPEED, "ending": ss.Ending.BASE_SWITCHED}
+            found = ss.forecast(kernel, state)
+            assert found.distribution("slip_before").quantile(0.9).value > 0
+            assert found.hazard().rate.size == 30
+        return Work(100)
+
+    return run
+
+
+def _scored_forecasts(sizes: Sizes) -> Run:
+    """All sticks of a record forecast and compared."""
+    kernel = ss.transition_kernel(system(0.8), LAW, transitions=sizes.samples)
+
+    def run(number: int) -> Work:
+        key = jax.random.key(number)
+        record = ss.simulate_ensemble(system(0.8), LAW, t1=T1, samples=100, key=key, keep="sticks", progress=False)
+        scores = ss.score_forecasts(kernel, ss.transition_kernel(record), seed=number)
+        return Work(len(scores.owner))
+
+    return run
+
+
+SEQUENCE: dict[str, Callable[[Sizes], Run]] = {
+    "kernel, simulation included": _simulated_kernel,
+    "kernel by quadrature": _kernel_by_quadrature,
+    "forecasts one by one": _forecasts,
+    "forecasts of a record, scored": _scored_forecasts,
+}
+
 KEPT: tuple[tuple[ss.Keep, str], ...] = (
     ("totals", "totals"),
     ("statistics", "full statistics"),
@@ -356,6 +418,7 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
     found |= {basin_name(size): partial(_basins, size) for size in (*TINY.basins, *FULL.basins)}
     for name in ONE_TRAJECTORY:
         found[f"one trajectory: {name}"] = partial(_one_trajectory, name)
+    found |= {f"sequence: {name}": build for name, build in SEQUENCE.items()}
     for name, what in SENSITIVITY.items():
         found[f"sensitivity: {name}"] = partial(_sensitivity, *what)
     found["exact"] = partial(_regularized, 40_000, None)

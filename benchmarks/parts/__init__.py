@@ -12,6 +12,7 @@ from . import (
     one_trajectory,
     regularized,
     sensitivity,
+    sequence,
     stepping,
     sweeps,
 )
@@ -29,5 +30,6 @@ PARTS = {
     "regularised": regularized,
     "inner states": inner_states,
     "sensitivity": sensitivity,
+    "sequence": sequence,
     "sweeps": sweeps,
 }
