@@ -94,11 +94,11 @@ QUANTITIES = {
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 
 
-def ensemble_at(point):
+def ensemble_at(point, keep="statistics"):
     """The samples of the sweep at this point, again, with all their distributions."""
     return ss.simulate_ensemble(
         papers.belt_oscillator(point["mu"]), ss.PoissonSwitching(papers.BELT_SPEED, point["rate"]), t1=T1,
-        samples=SAMPLES, key=jax.random.key(0), y0=(0.0, papers.BELT_SPEED), progress=False,
+        samples=SAMPLES, key=jax.random.key(0), y0=(0.0, papers.BELT_SPEED), keep=keep, progress=False,
     )  # fmt: skip
 
 
@@ -162,16 +162,26 @@ draw_section("rate", "mu")
 draw_section("mu", "rate")
 
 # %% [markdown]
-# The sweep holds the entropies of all 64 points, of histograms in bins that all points share; of the number of sticks,
-# one bin for each number.
+# Entropies at all 64 points. The sweep holds those of histograms in bins that all points share: of the number of sticks
+# each number has a bin of its own, and sticks are all of a size. Slips last from a hundredth of a second to a hundred,
+# so that in such bins most points have all slips in the first few: of these the logarithm of the duration is binned,
+# which has the same entropy in bins that grow with the duration.
 
 # %%
-for name in ("stick_count", "duration", "slip_duration"):
+for name in ("stick_count", "duration"):
     entropies, bins = results[f"{name}_entropy"], results.sizes[f"{name}_bin"]
     low, high = (entropies.where(entropies == end, drop=True) for end in (entropies.min(), entropies.max()))
     print(f"{name}, {bins} bins: entropy from {float(low.max()):.3f} nat (mu {float(low.mu[0]):.3g}, rate "
           f"{float(low.rate[0]):.3g}/s) to {float(high.max()):.3f} nat (mu {float(high.mu[0]):.3g}, rate "
           f"{float(high.rate[0]):.3g}/s)")  # fmt: skip
+edges = np.geomspace(1e-3, T1, 54)  # s, ten bins in each decade
+for mu in results.mu.values[[0, 4, 7]]:
+    for rate in results.rate.values[[0, 4, 7]]:
+        slips = ensemble_at({"mu": float(mu), "rate": float(rate)}, keep="sticks").statistics.slip_duration
+        counts = np.histogram(slips.values, edges)[0]
+        shares = counts[counts > 0] / counts.sum()
+        print(f"slip duration, mu {mu:.3g}, rate {rate:.3g}/s: entropy {-(shares * np.log(shares)).sum():.3f} nat, "
+              f"{len(shares)} of {len(edges) - 1} bins in use")  # fmt: skip
 
 # %% [markdown]
 # ## How much each parameter matters
@@ -209,3 +219,30 @@ print(found)
 ax = ss.plot.tornado(found)
 ax.figure.suptitle("start at half the speed of the belt", fontsize=10)
 plt.show()
+
+# %% [markdown]
+# ## What grows, and what falls
+# The conclusions of the analysis: what each mean does along the two sections. It grows, or falls, where every step from
+# one value to the next does, by more than three standard errors.
+
+# %%
+MEANS = ("mean_stick_count", "mean_stick_duration", "mean_slip_duration", "stick_fraction")
+WORDS = {1: "grows", -1: "falls", 0: "stays"}
+for along, other in (("rate", "mu"), ("mu", "rate")):
+    section = results.sel({other: middle[other]})
+    for name in MEANS:
+        values, errors = section[name].values, section[f"{name}_error"].values
+        z = np.diff(values) / np.hypot(errors[1:], errors[:-1])
+        steps = [WORDS[int(np.sign(one)) if abs(one) > 3 else 0] for one in z]
+        runs = [word for at, word in enumerate(steps) if at == 0 or word != steps[at - 1]]
+        most = section[along].values[values.argmax()]
+        print(f"along {along}: {name} {', then '.join(runs)}, from {values[0]:.4g} to {values[-1]:.4g}, "
+              f"largest at {most:.3g}{units[along]}")  # fmt: skip
+
+# %% [markdown]
+# And by how much: elasticities of the other means at the point in the middle, by the two parameters of the paper.
+
+# %%
+others = [ss.mean_stick_count, ss.mean_stick_duration, ss.stick_fraction]
+settings = {"t1": T1, "samples": max(SAMPLES, 1000), "key": jax.random.key(0), "y0": (0.0, papers.BELT_SPEED / 2)}
+print(ss.sensitivity(others, system, law, wrt=("mu", "rate"), elasticity=True, **settings))

@@ -150,19 +150,7 @@ print(f"harmonic belt: sticks for ever exactly where the formula says so at {agr
       f"{for_ever.size} points, for ever at {for_ever.sum()}")  # fmt: skip
 
 
-@jax.jit
-@jax.vmap
-@jax.vmap
-def steady_share(mu, ratio):
-    """The share of the last of 400 periods of the square wave."""
-    period = 2 * jnp.pi / (ratio * omega)
-    t1 = 400 * period
-    base = ss.SquareWave(papers.BELT_SPEED, period).sample(None, t1, capacity=801)
-    one = ss.simulate(ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(mu)), base, t1=t1, y0=(0.0, 1.0))
-    start, end = (jnp.where(one.sticks.mask, values, 0) for values in (one.sticks.start, one.sticks.end))
-    return jnp.sum(jnp.maximum(end - jnp.maximum(start, t1 - period), 0)) / period
-
-
+steady_share = jax.jit(jax.vmap(jax.vmap(lambda mu, ratio: papers.steady_stick_share(ratio, mu))))
 few, many = np.array([1.0, 4.0, 10.0]), np.linspace(0.1, 2.5, 97)
 steady = np.asarray(steady_share(*np.meshgrid(few, many, indexing="ij")))
 print(f"square wave, mu = {few[0]:g}: no stick in a steady period at {(steady[0] == 0).sum()} of {len(many)} ratios")

@@ -256,7 +256,7 @@ def _sample_functions(
     """
     model, paths = inputs.model, tuple(entry.path for entry in inputs.entries)
 
-    def simulated(key_data: Array, values: tuple[Array, ...], number: Array, base: PyTree) -> Simulation:
+    def simulated(key_data: AnyArray, values: tuple[Array, ...], number: Array, base: PyTree) -> Simulation:
         system, law, y0 = with_numbers(model, paths, values)
         if base is None:
             key = jax.random.fold_in(jax.random.wrap_key_data(key_data), number)

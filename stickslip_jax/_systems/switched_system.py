@@ -52,6 +52,12 @@ from .system import (
 )
 from .users_models import GeneralContactsModel, GeneralModel, UsersBase, depends_on_time, differs_between, records_in
 
+_GIVEN_BY_USERS = frozenset({
+    "contacts", "coordinates", "inner_laws", "look", "natural_frequency", "shortest_time", "speed_scale", "static_ratio",
+    "stick_position", "stops_are_unstable",
+})  # fmt: skip
+"""What a class of a user's own may say by a method, a property or a field."""
+
 
 class SwitchedSystem(WithContacts):
     """A system of your own: ordinary differential equations with a dry-friction contact. Subclass it and write:
@@ -117,7 +123,23 @@ class SwitchedSystem(WithContacts):
     `simulate` and `simulate_ensemble` raise ValueError for an instance that breaks these rules in the initial state
     with the base at rest. Any base velocity may excite the system, and any ground acceleration if `rates` uses
     ``base.ground``.
+
+    Raises:
+        TypeError: Where the class is defined, for a field with the name of something that `SwitchedSystem` has itself.
     """
+
+    def __init_subclass__(cls, **settings: Any):
+        super().__init_subclass__(**settings)
+        taken = [
+            name
+            for name in cls.__dict__.get("__annotations__", ())
+            if hasattr(SwitchedSystem, name) and not name.startswith("_") and name not in _GIVEN_BY_USERS
+        ]
+        if taken:
+            raise TypeError(
+                f"Class {cls.__name__} must not have a field {taken[0]!r}, which SwitchedSystem uses itself; give it "
+                f"another name, such as {taken[0] + '_of_mine'!r}."
+            )
 
     @property
     @abc.abstractmethod
