@@ -47,6 +47,7 @@ FIGURES = {
     "base_isolation": 1,
     "calibration": 1,
     "conference_paper": 1,
+    "control": 3,
     "electromechanical": 1,
     "measured_friction": 1,
     "nonlinear": 3,

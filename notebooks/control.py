@@ -32,7 +32,7 @@ import stickslip_jax as ss
 
 jax.config.update("jax_enable_x64", True)
 
-SAMPLES = max(int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "512")), 32)
+SAMPLES = max(int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "256")), 32)
 SPEED, T1 = 0.5, 200.0  # m/s; s
 BLUE, PINK, ORANGE, BLACK = "#0072B2", "#CC79A7", "#E69F00", "#000000"
 law = ss.PoissonSwitching(speed=SPEED, rate=0.05)
@@ -148,7 +148,7 @@ Y0 = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
 # One realisation of the table, three times: nobody steers, the actuator reacts to sticks, and it is told of them.
 
 # %%
-table = law.sample(jax.random.key(4), t1=60.0)
+table = law.sample(jax.random.key(3), t1=60.0)
 fig, axes = plt.subplots(3, 1, figsize=(7.0, 5.4), sharex=True, layout="constrained")
 times = np.linspace(0.0, 60.0, 1201)
 kinds = {
@@ -236,6 +236,13 @@ gained = mean(reacting[:, 0] - predicting[:, 0])
 print("prediction lessens the stick share by more than ten standard errors:", bool(gained[0] > 10 * gained[1]))
 
 # %% [markdown]
+# **Verdict.** Less normal force all the time is the dearest way. For small gains reacting is the cheaper of the two
+# others: all it takes off is taken off in sticks. But it ends where the actuator ends, at its 40 %, with sticks a
+# quarter shorter and as many as before. Told of a stick in advance, the same actuator makes it so short that the next
+# slip is too small to reach the velocity of the table again: sticks are less than half as many, and the share of the
+# time halves, for a quarter more of normal force.
+
+# %% [markdown]
 # ## Derivatives by the gains
 # Which way should one turn the gain and the lead? `ss.sensitivity` gives the derivatives of the mean stick share with
 # their standard errors, right also where sticks appear and vanish; `ss.differentiable` is the mean stick share as a
@@ -249,8 +256,8 @@ settings = {"t1": T1, "samples": SAMPLES, "key": jax.random.key(3), "y0": Y0}
 found = ss.sensitivity(ss.stick_fraction, system, law, wrt=("gain", "lead"), **settings)
 print(found)
 share = ss.differentiable(ss.stick_fraction, system, law, wrt=("gain", "lead"), **settings)
-value, slopes = jax.value_and_grad(share)(at)
-print(f"stick share {value:.4f}, by the gain {slopes[0]:.4f}, by the lead {slopes[1]:.4f} 1/s")
+slopes = jax.jit(jax.jacfwd(share))(at)
+print(f"differentiable: by the gain {slopes[0]:.4f}, by the lead {slopes[1]:.4f} 1/s")
 
 # %%
 STEPS = (0.02, 0.1)

@@ -177,8 +177,8 @@ for name in ("stick_count", "duration"):
 edges = np.geomspace(1e-3, T1, 54)  # s, ten bins in each decade
 for mu in results.mu.values[[0, 4, 7]]:
     for rate in results.rate.values[[0, 4, 7]]:
-        slips = ensemble_at({"mu": float(mu), "rate": float(rate)}, keep="sticks").statistics.slip_duration
-        counts = np.histogram(slips.values, edges)[0]
+        found = ensemble_at({"mu": float(mu), "rate": float(rate)}, keep="sticks").statistics
+        counts = np.histogram(found.joint("duration", "slip_duration").y.values, edges)[0]
         shares = counts[counts > 0] / counts.sum()
         print(f"slip duration, mu {mu:.3g}, rate {rate:.3g}/s: entropy {-(shares * np.log(shares)).sum():.3f} nat, "
               f"{len(shares)} of {len(edges) - 1} bins in use")  # fmt: skip

@@ -3,6 +3,7 @@
 import abc
 import contextlib
 import dataclasses
+import inspect
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -53,8 +54,8 @@ from .system import (
 from .users_models import GeneralContactsModel, GeneralModel, UsersBase, depends_on_time, differs_between, records_in
 
 _GIVEN_BY_USERS = frozenset({
-    "contacts", "coordinates", "inner_laws", "look", "natural_frequency", "shortest_time", "speed_scale", "static_ratio",
-    "stick_position", "stops_are_unstable",
+    "contacts", "coordinates", "inner_laws", "look", "natural_frequency", "shortest_time", "speed_scale",
+    "static_ratio", "stick_position", "stops_are_unstable",
 })  # fmt: skip
 """What a class of a user's own may say by a method, a property or a field."""
 
@@ -132,7 +133,7 @@ class SwitchedSystem(WithContacts):
         super().__init_subclass__(**settings)
         taken = [
             name
-            for name in cls.__dict__.get("__annotations__", ())
+            for name in inspect.get_annotations(cls)
             if hasattr(SwitchedSystem, name) and not name.startswith("_") and name not in _GIVEN_BY_USERS
         ]
         if taken:

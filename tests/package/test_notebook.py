@@ -18,6 +18,7 @@ FIGURES = {
     "statistical_model": 7,
     "electromechanical": 6,
     "parametric_analysis": 5,
+    "control": 3,
     "sensitivity": 3,
     "regularized": 2,
     "pipeline": 2,
@@ -75,6 +76,12 @@ PRINTED = {
         r"mu = 2, rate = 1/s: independence rejected of stick, stick; stick, slip; slip, stick",
         r"mu = 1, rate = 1/s: a renewal process of independent phases (not )?rejected by 100 samples",
         r"slip_start Spearman, orders 1 and 2: p = \S+; rank correlation 0\.8",
+    ),
+    "control": (
+        r"Are the forecasts calibrated\? No evidence against it at the 5 % level",
+        r"after a release 4\.920 s; after a reversal at 0, 0\.4 and 0\.8 m \[1\.\d+ 1\.1\d* 0\.8\d*\] s",
+        r"prediction lessens the stick share by more than ten standard errors: True",
+        r"by the gain: -0\.\d+ \+- 0\.\d+, by differences -0\.\d+ \+- 0\.\d+: [0-3]\.\d standard errors apart",
     ),
     "electromechanical": (
         r"mu = 0\.2: at pi/2 0\.10315 s",
