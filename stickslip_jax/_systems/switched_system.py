@@ -2,7 +2,6 @@
 
 import abc
 import contextlib
-import dataclasses
 import inspect
 from collections.abc import Callable
 from functools import partial
@@ -42,7 +41,6 @@ from .system import (
     Memory,
     RecordedForces,
     Sizes,
-    System,
     TimeScale,
     TimeScales,
     Tracks,
@@ -352,7 +350,6 @@ _BY_DIRECTION = (
     "Directional friction law, or smooth the step, jax.numpy.tanh(v / width)."
 )
 _NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
-_ASKED = ("look", "memory", "recorded", "tracks", "traits")  # properties that the package asks for
 AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
 
 
@@ -364,12 +361,6 @@ def check_fields(system: Any) -> None:
             field = jax.tree_util.keystr(path).lstrip(".")
             hint = f"declare a field of another kind as {field}: ... = equinox.field(static=True)"
             raise checks.refused(f"{field} of a {kind}", "be a number or an array", leaf, hint)
-    for field in dataclasses.fields(system):
-        if callable(getattr(System, field.name, None)) or field.name in _ASKED:
-            raise ValueError(
-                f"Argument {field.name} of a {kind} must have another name, because {field.name} is "
-                "what the package asks of every system; rename the field."
-            )
     if system.has_normal_forces and system.contacts is None:
         raise ValueError(
             f"Argument normal_forces of a {kind} must come with the number of its contacts, but "

@@ -279,9 +279,3 @@ def test_fields_of_a_user_hide_nothing():
     )
     assert int(named.sticks.count) == int(plain.sticks.count) >= 1
     np.testing.assert_array_equal(named.sticks.start, plain.sticks.start)
-
-
-@pytest.mark.parametrize("name", ["tracks", "memory", "rates", "redundant"])
-def test_field_with_a_name_of_the_package(name):
-    with pytest.raises(TypeError, match=f"Class Mine must not have a field '{name}', which SwitchedSystem uses itself"):
-        type("Mine", (Users,), {"__annotations__": {name: float}, "__module__": __name__})

@@ -49,18 +49,6 @@ class Lawless(Oscillator):
     law: Callable[[float], float] = math.sin
 
 
-class Shadowing(Oscillator):
-    """A field with the name of what the package calls."""
-
-    switched_model: float = 1.0
-
-
-class Remembering(Oscillator):
-    """A field with the name of a property that the package asks for."""
-
-    memory: float = 1.0
-
-
 class Carrier(ss.SwitchedSystem):
     """A sprung mass that carries another, which slides on it; the base drags the first through a damper."""
 
@@ -294,11 +282,16 @@ def bent(self, t, y, base, friction):
         (Oscillator(), {"y0": (0.0, 0.0, 0.0)}, r"y0 must be two numbers \(position in m, velocity in m/s\), but"),
         (Oscillator(static_ratio=0.5), {}, r"static_ratio must be at least 1, but 0.5 was given"),
         (Lawless(), {}, r"law of a Lawless must be a number or an array, but .*static=True"),
-        (Shadowing(), {}, r"switched_model of a Shadowing must have another name"),
-        (Remembering(), {}, r"memory of a Remembering must have another name"),
         (Oscillator, {}, r"system must be a MassSpring, a MotorCart or a SwitchedSystem of your own, but"),
     ],
 )  # fmt: skip
 def test_bad_input(system, options, message):
     with pytest.raises(ValueError, match=message):
         ss.simulate(system, **{"base": ss.Harmonic(1.0, 0.8), "t1": 10.0} | options)
+
+
+@pytest.mark.parametrize("name", ["switched_model", "tracks", "memory", "rates", "redundant"])
+def test_field_with_a_name_of_the_package(name):
+    """It would hide what the package asks of every system."""
+    with pytest.raises(TypeError, match=f"Class Mine must not have a field '{name}', which SwitchedSystem uses itself"):
+        type("Mine", (Oscillator,), {"__annotations__": {name: float}, "__module__": __name__})
