@@ -478,6 +478,8 @@ def require_ensemble(ensemble: object) -> Any:
     """`ensemble` itself, an `Ensemble`. Raises ValueError if it is no result of `simulate_ensemble`."""
     if not hasattr(ensemble, "status_counts") or not hasattr(ensemble, "moments"):
         hint = "a single simulation has .stick_fraction, .sticks and .slips itself"
+        if hasattr(ensemble, "of_contact"):
+            hint = "of several contacts give one, .of_contact(0), or all together, .of_all_contacts()"
         raise checks.refused("ensemble", "be the result of simulate_ensemble", ensemble, hint)
     return ensemble
 

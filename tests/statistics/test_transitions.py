@@ -286,6 +286,27 @@ def test_angles_of_a_motor_are_those_of_one_turn():
         ss.transition_kernel(many, transitions=64)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("annotations_unchecked")
+def test_contacts_of_a_structure_one_by_one():
+    """The end of a stick of one block does not tell what the other does: the chain remembers more, and the test of its
+    order finds it. Of each contact, and of the ensemble of all contacts.
+    """
+    law, friction = ss.PoissonSwitching(speed=0.5, rate=0.1), ss.Coulomb(0.5, 0.7)
+    contacts = tuple(ss.Contact(way, 1.0, friction) for way in np.eye(2))
+    system = ss.LinearStructure(np.diag([1.0, 1.7]), np.array([[2.0, -1.0], [-1.0, 2.0]]), contacts=contacts)
+    run = {"t1": 300.0, "samples": 512, "key": jax.random.key(0), "keep": "sticks", "progress": False}
+    both = ss.simulate_contacts(system, law, **run)
+    for number in (0, 1):
+        kernel = ss.transition_kernel(both.of_contact(number))
+        alone = ss.transition_kernel(ss.simulate_ensemble(system.of_contact(number), law, **run))
+        assert kernel.number == alone.number > 5_000
+        np.testing.assert_allclose(kernel.second_eigenvalue.value, alone.second_eigenvalue.value, rtol=1e-9)
+        assert kernel.order_test().rejected
+    with pytest.raises(ValueError, match=r"of several contacts give one, \.of_contact\(0\)"):
+        ss.transition_kernel(both)
+
+
 def test_bad_questions(kernels):
     exact, _ = kernels
     state = {"end_position": 0.1, "base_velocity": 1.0, "ending": SWITCHED}
