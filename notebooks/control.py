@@ -32,7 +32,7 @@ import stickslip_jax as ss
 
 jax.config.update("jax_enable_x64", True)
 
-SAMPLES = max(int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "256")), 32)
+SAMPLES = max(int(os.environ.get("STICKSLIP_NOTEBOOK_SAMPLES", "128")), 32)
 SPEED, T1 = 0.5, 200.0  # m/s; s
 BLUE, PINK, ORANGE, BLACK = "#0072B2", "#CC79A7", "#E69F00", "#000000"
 law = ss.PoissonSwitching(speed=SPEED, rate=0.05)
@@ -198,9 +198,9 @@ def mean(values):
     return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
 
 
-GAINS = (0.1, 0.2, 0.3, 0.4)
+GAINS = (0.2, 0.3, 0.4)
 ways = {
-    "constant": [steered(constant=share) for share in (0.05, 0.1, 0.15)],
+    "constant": [steered(constant=share) for share in (0.05, 0.15)],
     "reacting": [steered(gain) for gain in GAINS],
     "predicting": [steered(gain, 1.0, 1.0) for gain in GAINS],
 }
