@@ -259,7 +259,7 @@ def _sample_functions(
     def simulated(key_data: AnyArray, values: tuple[Array, ...], number: Array, base: PyTree) -> Simulation:
         system, law, y0 = with_numbers(model, paths, values)
         if base is None:
-            key = jax.random.fold_in(jax.random.wrap_key_data(key_data), number)
+            key = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key_data)), number)
             base = law.sample(key, t1) if is_random(law) else law
         return simulate(system, base, t1=t1, y0=y0, method=method)
 
