@@ -163,8 +163,9 @@ class _Process:
         if self._process is None:
             self._connection, other = _CONTEXT.Pipe()
             is_double = jnp.result_type(float) == jnp.float64
-            self._process = _CONTEXT.Process(target=_serve_tasks, args=(other, is_double), daemon=True)
-            self._process.start()
+            process = _CONTEXT.Process(target=_serve_tasks, args=(other, is_double), daemon=True)
+            process.start()
+            self._process = process  # from now on `end` can end it; if it was called meanwhile, that is done below
             other.close()
         if self._is_over:
             self.end()

@@ -2,13 +2,14 @@
 
 import html
 import re
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
 import stickslip_jax as ss
-from stickslip_jax.study import read_config
+from stickslip_jax.study import _explorer_page, read_config
 from stickslip_jax.study._explorer_page import GIVEN, NumberControl, Worker
 from stickslip_jax.study._explorer_scene import (
     Scene,
@@ -377,3 +378,26 @@ def test_moves_are_told_soon():
     for control in shown(samples=5).controls:
         for part in (control._slider, control._box):
             assert (part._debounce, type(part).__base__._debounce) == (20, 50)
+
+
+def test_a_process_that_is_ended_while_it_starts_is_killed(monkeypatch):
+    """Ctrl-C right after the address is printed: the first page's process is just starting."""
+    done = []
+
+    class Starting:
+        def __init__(self, **_):
+            pass
+
+        def start(self):
+            one.end()
+            done.append("started")
+
+        def kill(self):
+            done.append("killed")
+
+    context = SimpleNamespace(Process=Starting, Pipe=lambda: (SimpleNamespace(), SimpleNamespace(close=lambda: None)))
+    monkeypatch.setattr(_explorer_page, "_CONTEXT", context)
+    one = _explorer_page._Process()
+    with pytest.raises(EOFError):
+        one.compute(b"", lambda _: None)
+    assert done == ["started", "killed"]
