@@ -162,10 +162,9 @@ draw_section("rate", "mu")
 draw_section("mu", "rate")
 
 # %% [markdown]
-# Entropies at all 64 points. The sweep holds those of histograms in bins that all points share: of the number of sticks
-# each number has a bin of its own, and sticks are all of a size. Slips last from a hundredth of a second to a hundred,
-# so that in such bins most points have all slips in the first few: of these the logarithm of the duration is binned,
-# which has the same entropy in bins that grow with the duration.
+# The sweep holds the entropies of all 64 points, of histograms in bins that all points share; of the number of sticks,
+# one bin for each number. Slips last from a hundredth of a second to a hundred: in such bins most points would have all
+# of them in the first few. So here their bins grow with the duration, ten in each decade, at nine of the points.
 
 # %%
 for name in ("stick_count", "duration"):
@@ -174,7 +173,7 @@ for name in ("stick_count", "duration"):
     print(f"{name}, {bins} bins: entropy from {float(low.max()):.3f} nat (mu {float(low.mu[0]):.3g}, rate "
           f"{float(low.rate[0]):.3g}/s) to {float(high.max()):.3f} nat (mu {float(high.mu[0]):.3g}, rate "
           f"{float(high.rate[0]):.3g}/s)")  # fmt: skip
-edges = np.geomspace(1e-3, T1, 54)  # s, ten bins in each decade
+edges = np.geomspace(1e-3, T1, 54)  # s
 for mu in results.mu.values[[0, 4, 7]]:
     for rate in results.rate.values[[0, 4, 7]]:
         found = ensemble_at({"mu": float(mu), "rate": float(rate)}, keep="sticks").statistics
@@ -240,9 +239,10 @@ for along, other in (("rate", "mu"), ("mu", "rate")):
               f"largest at {most:.3g}{units[along]}")  # fmt: skip
 
 # %% [markdown]
-# And by how much: elasticities of the other means at the point in the middle, by the two parameters of the paper.
+# And by how much: elasticities of the other means at the point in the middle, by the two parameters of the paper. Those
+# of slips are central differences.
 
 # %%
-others = [ss.mean_stick_count, ss.mean_stick_duration, ss.stick_fraction]
 settings = {"t1": T1, "samples": max(SAMPLES, 1000), "key": jax.random.key(0), "y0": (0.0, papers.BELT_SPEED / 2)}
-print(ss.sensitivity(others, system, law, wrt=("mu", "rate"), elasticity=True, **settings))
+for others in ([ss.mean_stick_count, ss.stick_fraction], ss.mean_slip_duration):
+    print(ss.sensitivity(others, system, law, wrt=("mu", "rate"), elasticity=True, **settings))

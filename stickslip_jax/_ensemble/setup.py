@@ -238,12 +238,12 @@ class OutputRunner:
         finished = status == Status.FINISHED
         return [np.where(finished, np.asarray(column, np.float64), np.nan) for column in numbers]
 
-    def _arguments(self, first: int, number: int) -> tuple[AnyArray, tuple[AnyArray, ...], Array, PyTree]:
+    def _arguments(self, first: int, number: int) -> tuple[Array, tuple[Array, ...], Array, PyTree]:
         """The key, and what differs among samples `first`, ``first + 1``, ...: their numbers and realisations."""
         setup = self._setup
         values = tuple(jnp.asarray(column) for column in setup.inputs.drawn(first, number, setup.dtype))
         numbers = jnp.asarray(setup.inputs.realization_numbers(first, number))
-        key_data = np.asarray(setup.key_data, np.uint32)
+        key_data = jnp.asarray(setup.key_data, jnp.uint32)
         return key_data, values, numbers, setup.inputs.realizations(first, number, setup.t1)
 
 
@@ -256,10 +256,10 @@ def _sample_functions(
     """
     model, paths = inputs.model, tuple(entry.path for entry in inputs.entries)
 
-    def simulated(key_data: AnyArray, values: tuple[Array, ...], number: Array, base: PyTree) -> Simulation:
+    def simulated(key_data: Array, values: tuple[Array, ...], number: Array, base: PyTree) -> Simulation:
         system, law, y0 = with_numbers(model, paths, values)
         if base is None:
-            key = jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key_data)), number)
+            key = jax.random.fold_in(jax.random.wrap_key_data(key_data), number)
             base = law.sample(key, t1) if is_random(law) else law
         return simulate(system, base, t1=t1, y0=y0, method=method)
 

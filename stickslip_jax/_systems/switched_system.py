@@ -2,7 +2,7 @@
 
 import abc
 import contextlib
-import inspect
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -50,12 +50,6 @@ from .system import (
     shortest_period,
 )
 from .users_models import GeneralContactsModel, GeneralModel, UsersBase, depends_on_time, differs_between, records_in
-
-_GIVEN_BY_USERS = frozenset({
-    "contacts", "coordinates", "inner_laws", "look", "natural_frequency", "shortest_time", "speed_scale",
-    "static_ratio", "stick_position", "stops_are_unstable",
-})  # fmt: skip
-"""What a class of a user's own may say by a method, a property or a field."""
 
 
 class SwitchedSystem(WithContacts):
@@ -124,21 +118,17 @@ class SwitchedSystem(WithContacts):
     ``base.ground``.
 
     Raises:
-        TypeError: Where the class is defined, for a field with the name of something that `SwitchedSystem` has itself.
+        ValueError: For a field with a name that the package uses itself, such as `rates` or `tracks`.
     """
 
-    def __init_subclass__(cls, **settings: Any):
-        super().__init_subclass__(**settings)
-        taken = [
-            name
-            for name in inspect.get_annotations(cls)
-            if hasattr(SwitchedSystem, name) and not name.startswith("_") and name not in _GIVEN_BY_USERS
-        ]
-        if taken:
-            raise TypeError(
-                f"Class {cls.__name__} must not have a field {taken[0]!r}, which SwitchedSystem uses itself; give it "
-                f"another name, such as {taken[0] + '_of_mine'!r}."
-            )
+    def __check_init__(self):
+        for field in dataclasses.fields(self):
+            is_taken = hasattr(SwitchedSystem, field.name) and field.name not in _GIVEN_BY_FIELDS
+            if is_taken and field not in dataclasses.fields(SwitchedSystem):
+                raise ValueError(
+                    f"Argument {field.name} of a {type(self).__name__} must have another name, because {field.name} is "
+                    "what the package asks of every system; rename the field."
+                )
 
     @property
     @abc.abstractmethod
@@ -350,6 +340,11 @@ _BY_DIRECTION = (
     "Directional friction law, or smooth the step, jax.numpy.tanh(v / width)."
 )
 _NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
+_GIVEN_BY_FIELDS = (
+    "contacts", "coordinates", "inner_laws", "natural_frequency", "shortest_time", "speed_scale", "state_names",
+    "static_ratio", "stick_position", "stops_are_unstable",
+)  # fmt: skip
+"""Properties that a class of a user's own may give by a field as well."""
 AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
 
 

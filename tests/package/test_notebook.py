@@ -53,8 +53,8 @@ PRINTED = {
         r"r = 0\.76: 19\.10 %",
         r"r = 1\.2: 36\.43 %",
         r"no stick from r = 1\.4188 on",
-        r"sticks from r = 0\.110 to 0\.1\d\d, .* shares of five starts differ by at most \d\.\de[+-]\d\d",
-        r"sticks from r = 0\.760 to 1\.410, .* shares of five starts differ by at most \d\.\de[+-]\d\d",
+        r"sticks from r = 0\.110 to 0\.1\d\d, .* shares of five starts differ by at most (0\.0e\+00|\d\.\de-1\d)",
+        r"sticks from r = 0\.760 to 1\.410, .* shares of five starts differ by at most (0\.0e\+00|\d\.\de-1\d)",
         r"(?s)(over 0\.6 to 2\.5: \S+ to \S+ %, level within a tenth: False.*){4}",
     ),
     "parametric_oscillator": (
@@ -102,6 +102,8 @@ PRINTED = {
         r"d log / d log mu of mean stick duration \(pooled\): 0\.[89]",
         r"along rate: mean_stick_count grows.*, from \d",
         r"along mu: mean_stick_duration grows.*, from 0\.\d",
+        r"d log / d log mu of mean number of sticks: ",
+        r"d log / d log rate of mean slip duration \(pooled\): -0\.\d+ \+- 0\.\d+",
     ),
     "sensitivity": (
         r"automatic differentiation gives the first of these two: True",

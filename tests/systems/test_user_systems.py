@@ -3,8 +3,10 @@
 import math
 from collections.abc import Callable
 from functools import partial
+from typing import ClassVar
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -290,8 +292,21 @@ def test_bad_input(system, options, message):
         ss.simulate(system, **{"base": ss.Harmonic(1.0, 0.8), "t1": 10.0} | options)
 
 
-@pytest.mark.parametrize("name", ["switched_model", "tracks", "memory", "rates", "redundant"])
-def test_field_with_a_name_of_the_package(name):
+@pytest.mark.parametrize("name", ["switched_model", "tracks", "memory", "rates", "redundant", "look"])
+@pytest.mark.parametrize("is_mixed_in", [False, True])
+def test_field_with_a_name_of_the_package(name, is_mixed_in):
     """It would hide what the package asks of every system."""
-    with pytest.raises(TypeError, match=f"Class Mine must not have a field '{name}', which SwitchedSystem uses itself"):
-        type("Mine", (Oscillator,), {"__annotations__": {name: float}, "__module__": __name__})
+    said = {"__annotations__": {name: float}, "__module__": __name__, name: 1.0}
+    bases = (type("Mixin", (eqx.Module,), said), Oscillator) if is_mixed_in else (Oscillator,)
+    mine = type("Mine", bases, {"__module__": __name__} if is_mixed_in else said)
+    with pytest.raises(ValueError, match=f"Argument {name} of a Mine must have another name"):
+        mine()
+
+
+def test_names_that_fields_may_have():
+    """Class variables are no fields, and some properties may be given by fields."""
+    said = {"static_ratio": float, "own_distributions": ClassVar[tuple], "size": float}
+    mine = type(
+        "Mine", (Oscillator,), {"__annotations__": said, "__module__": __name__, "static_ratio": 1.5, "size": 2}
+    )
+    assert (mine().static_ratio, mine().size) == (1.5, 2)
