@@ -45,6 +45,7 @@ _BLOCK = 16  # transitions from nearly the same state
 _CLASSES = 32  # of what follows, where it is ranked
 _POINTS = 2**18  # of a quadrature
 _DRAWN_FROM = 8  # transitions that began closest
+_BEYOND = 0.05  # of the range of a number: so far outside of what is known it is still taken for the nearest
 
 
 class Cells(NamedTuple):
@@ -359,7 +360,7 @@ class TransitionKernel:
         Raises:
             ValueError: As `nearest`.
         """
-        columns = self._checked(state)
+        columns = self._checked(state, is_single=True)
         category = int(self.cells.category_of(columns)[0])
         members = self._members[category]
         wanted = len(members) if not self._scales[category] else number or max(50, round(len(members) ** 0.7))
@@ -440,7 +441,7 @@ class TransitionKernel:
             chosen = generator.integers(self.number, size=sequences)
             state = {name: column[chosen] for name, column in self.state.items()}
         else:
-            state = self._checked({name: np.full(sequences, value) for name, value in start.items()})
+            state = {name: np.repeat(one, sequences) for name, one in self._checked(start, is_single=True).items()}
         first, drawn = state.get("position", np.full(sequences, np.nan)), list[Columns]()
         for _ in range(sticks):
             near = self.nearest(state, _DRAWN_FROM, generator)
@@ -512,10 +513,14 @@ class TransitionKernel:
                 waiting += [parted[:half], parted[half:]]
         return block[chosen]
 
-    def _checked(self, state: Mapping[str, Any]) -> Columns:
-        """The columns of states, (states,). Raises ValueError for other names than `given`, and for an unknown one."""
+    def _checked(self, state: Mapping[str, Any], *, is_single: bool = False) -> Columns:
+        """The columns of states, (states,). Raises ValueError for other names than `given`, for what is no number, and
+        for an unknown one; a single one must be amidst those of its category: closest to any other are states too.
+        """
         if not isinstance(state, Mapping) or set(state) != set(self.given):
             raise checks.refused("state", f"hold a number for each of {', '.join(self.given)}", state)
+        for name, value in state.items():
+            checks.numeric(f"state[{name!r}]", value, 0 if is_single else None)
         columns = {name: np.atleast_1d(np.asarray(state[name], float)) for name in self.given}
         if np.any(unknown := self.cells.category_of(columns) < 0):
             at = int(np.argmax(unknown))
@@ -527,6 +532,14 @@ class TransitionKernel:
             raise ValueError(
                 f"Argument state must be one that a {self.after} ended in, {known}, but {given} was given."
             )
+        for name in self.given if is_single else ():
+            own = self.state[name][self._members[int(self.cells.category_of(columns)[0])]]
+            low, high, slack = own.min(), own.max(), _BEYOND * np.ptp(self.state[name])
+            if not low - slack <= columns[name][0] <= high + slack:
+                where = (
+                    f"be between {low:.6g} and {high:.6g} {self.unit_of(name)}, as at the ends that the kernel knows"
+                )
+                raise checks.refused(f"state[{name!r}]", where, state[name])
         return columns
 
     def _table(self, place: np.ndarray, places: int) -> Int[np.ndarray, "parts cells cells places"]:

@@ -327,6 +327,30 @@ def test_bad_questions(kernels):
             call()
 
 
+@pytest.mark.usefixtures("annotations_unchecked")
+@pytest.mark.parametrize(
+    ("number", "message"),
+    [
+        (math.nan, "must be finite"),
+        (np.ma.masked, "a single real number"),
+        (0.1 + 0j, "a single real number"),
+        (True, "a single real number"),
+        ("0.1", "a single real number"),
+        ([0.1], "a single real number"),
+        (5.0, r"must be between -0\.[12]\d* and 0\.[12]\d* m, as at the ends that the kernel knows, but 5.0"),
+    ],
+)
+def test_states_that_are_none(kernels, number, message):
+    """The closest transitions to anything are some: to what is no state too."""
+    state = {"end_position": number, "base_velocity": 1.0, "ending": SWITCHED}
+    for call in (kernels[0].like, partial(ss.forecast, kernels[0]), lambda s: kernels[0].sample(3, 1, start=s)):
+        with pytest.raises(ValueError, match=rf"Argument state\['end_position'\] .*{message}"):
+            call(state)
+    known = {"end_position": 0.0, "base_velocity": 1.0, "ending": RELEASED}
+    with pytest.raises(ValueError, match=r"must be between 0\.25? and 0\.25? m"):  # released at the limit only
+        ss.forecast(kernels[0], known)
+
+
 def test_what_the_end_cuts_is_counted():
     """All ends before `ends_before` are used or counted; a record without displacements is refused."""
     many = ss.simulate_ensemble(SYSTEM, POISSON, t1=20.0, samples=300, key=jax.random.key(0), keep="sticks")
