@@ -10,7 +10,7 @@ import numpy as np
 from .._dynamics.common.method import Exact, Regularized, check_method, entries_of
 from .._excitation.excitation import BaseMotion, excitation_of, law_of
 from .._foundation import checks
-from .._foundation.fields import Checked, Quantity, described, modules_in, varies
+from .._foundation.fields import Checked, Quantity, check_again, described, modules_in, varies
 from .._foundation.types import InitialState
 from .._systems.system import System, checked_system, require_system, unit_at
 from .._uncertainty.design import Design, given_twice
@@ -422,13 +422,12 @@ def _unfit(module: object, single: object, inside: dict[NumberPath, np.ndarray])
 
 def _refused(module: object, inside: dict[NumberPath, np.ndarray]) -> np.ndarray:
     """For which points the constructor of `module` refuses these numbers: each different row is tried once."""
-    check = getattr(type(module), "__check_init__", lambda _: None)
     rows, which = np.unique(np.stack(list(inside.values()), axis=1), axis=0, return_inverse=True)
     refused = np.zeros(len(rows), bool)
     for number, row in enumerate(rows):
         one = with_numbers(module, tuple(inside), row.tolist())
         try:
-            check(one)
+            check_again(one)
         except ValueError:
             refused[number] = True
     return refused[which.reshape(-1)]

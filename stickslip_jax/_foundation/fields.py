@@ -406,6 +406,12 @@ def require_single(**arguments: object) -> None:
             )
 
 
+def check_again(module: object) -> None:
+    """Run the constructor's checks of `module` again, each class's own, as equinox does. Raises their ValueError."""
+    for kind in type(module).__mro__:
+        vars(kind).get("__check_init__", lambda _: None)(module)
+
+
 def is_of_package(tree: object) -> bool:
     """Whether the class of every module in `tree` is the package's own, and not a user's."""
     return all(type(module).__module__.startswith(f"{PACKAGE}.") for module in modules_in(tree))

@@ -121,7 +121,7 @@ class SwitchedSystem(WithContacts):
         ValueError: For a field with a name that the package uses itself, such as `rates` or `tracks`.
     """
 
-    def __check_init__(self):
+    def check_parts(self) -> None:
         for field in dataclasses.fields(self):
             is_taken = hasattr(SwitchedSystem, field.name) and field.name not in _GIVEN_BY_FIELDS
             if is_taken and field not in dataclasses.fields(SwitchedSystem):

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from .._foundation import checks
-from .._foundation.fields import Quantity, described, is_distribution, modules_in
+from .._foundation.fields import Quantity, check_again, described, is_distribution, modules_in
 
 # Parameters by name: numbers in a system, its excitation and its initial state.
 
@@ -91,7 +91,7 @@ def leaves_of_numbers(build: Callable[[Any], PyTree], tree: Any, paths: Sequence
 def check_numbers(tree: object) -> None:
     """Run the constructor's checks of all modules in `tree` again. Raises their ValueError."""
     for module in reversed(list(modules_in(tree))):  # those inside others first
-        getattr(module, "__check_init__", lambda: None)()
+        check_again(module)
 
 
 def matching(argument: str, name: str, paths: list[NumberPath]) -> int:

@@ -28,7 +28,7 @@ class Drawn(ss.SwitchedSystem):
     state_names = ("position in m", "velocity in m/s")
 
     def rates(self, t, y, base, friction):
-        return y[1], -y[0] * self.most + friction
+        return y[1], -y[0] * self.most - friction
 
     def relative_velocity(self, t, y, base):
         return y[1] - base.velocity
@@ -36,6 +36,14 @@ class Drawn(ss.SwitchedSystem):
     def check_relations(self):
         if self.least > self.most:
             raise ValueError(f"Argument most must be at least {self.least}, but {self.most} was given.")
+
+
+class DrawnInOneWay(Drawn):
+    """With a check of its own besides those of the classes that it is made of."""
+
+    def __check_init__(self):
+        if self.most == 3.0:
+            raise ValueError("Argument most must not be 3.")
 
 
 def sweep(**changed):
@@ -75,6 +83,14 @@ UNFIT = {
     "a user's": (
         {"system": Drawn(1.0, 2.0), "over": {"least": [1.0, 1.9, 2.5]}, "method": ss.Exact(step=0.01)},
         "most must be at least 2.5, but 2.0",
+    ),
+    "a user's, by its class": (
+        {"system": DrawnInOneWay(1.0, 2.0), "over": {"least": [1.0, 1.9, 2.5]}, "method": ss.Exact(step=0.01)},
+        "most must be at least 2.5, but 2.0",
+    ),
+    "a user's, by its own check": (
+        {"system": DrawnInOneWay(1.0, 2.0), "over": {"most": [1.0, 1.9, 3.0]}, "method": ss.Exact(step=0.01)},
+        "most must not be 3",
     ),
     "ranges": ({"law": ss.KanaiTajimi(1.0, interval=0.02), "over": {"interval": [0.02, 0.01, 1.0]}}, "interval must"),
     "start": ({"over": {"y0[1]": [0.0, 1.0]}}, None),
@@ -202,6 +218,7 @@ TOO_LARGE = {
 
 @pytest.mark.parametrize("case", TOO_LARGE)
 def test_designs_that_are_too_large(case):
+    ss.design.latin_hypercube(2, ["mu"])  # what it imports is not what a design holds
     tracemalloc.start()
     try:
         with pytest.raises(ValueError, match=r"\AArgument .* must .*; take fewer rows or columns\.\Z|at most \d+, but"):
