@@ -21,7 +21,7 @@ from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar,
 from ..._numerics.derivatives import root_of, with_slope, without_derivatives
 from ..._numerics.elementary import angle_of
 from ..._numerics.matrices import largest_of, linear_solve, times
-from ..._systems.contacts import ContactsModel, solved
+from ..._systems.contacts import ContactsModel
 from ..._systems.friction import FrictionLaw
 from ..._systems.memory_models import InnerStates
 from ..._systems.switched_model import NOISE_ULPS, OneContactModel, State
@@ -294,7 +294,6 @@ def _newton_matrix(slope: FloatArray, stiffness: FloatArray) -> FloatArray:
 
 
 _TIME_ULPS = 4  # the round-off of the time, in units in the last place
-_MOST_NEEDED = 1e6  # times the largest friction
 
 
 class AnyField(eqx.Module):
@@ -619,12 +618,6 @@ class ContactsField(SteppedField):
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         now = self.model.instant(forcing, tau, y)
         return moved(now.rates, 1.0, self.model.effect(forcing, tau, y, self._law(forcing, tau, y)(now.velocity)))
-
-    def need(self, forcing: Any, tau: FloatArray, y: State, velocity: FloatArray) -> FloatArray:
-        now, slow = self.model.instant(forcing, tau, y), jnp.abs(velocity) <= self.criterion.threshold
-        force = solved(now.gain, now.drift, self._law(forcing, tau, y)(now.velocity), slow)
-        share = jnp.abs(self.model.limits(forcing, tau, y, now.velocity).share(force))
-        return jnp.minimum(share, _MOST_NEEDED)  # infinite where a contact is open
 
     def _law(self, forcing: Any, tau: FloatArray, y: State) -> FrictionAt:
         return FrictionAt(self.model, self.switch, self.static_exceeds_kinetic, forcing, tau, y)

@@ -23,7 +23,6 @@ from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantitie
 
 
 _Pair: TypeAlias = tuple[Array, Array]
-_AT_LIMIT = 1e-5  # of the largest friction
 _ULPS = 64  # of the relative velocities: a smaller change is round-off, and no jump
 
 
@@ -81,9 +80,9 @@ class Cubic(NamedTuple):
 class SeenStep(NamedTuple):
     """One step from `t` to ``t + h`` as the detector reads it.
 
-    `relative`: velocity, before a jump of the base. `need`, `end_need`: friction that holds the mass, over the largest
-    friction. Of several contacts they are arrays: the positions of each and of all at once, everything else of each,
-    with the `normal` forces.
+    `relative`: velocity, before a jump of the base. `need`, `end_need`: friction that holds the one contact, over the
+    largest friction. Of several contacts they are arrays: the positions of each and of all at once, everything else of
+    each, with the `normal` forces.
     """
 
     t: FloatArray
@@ -134,12 +133,11 @@ def detect(
     """Update the detector by one step; returns it and the record of the stick that ended in the step, if any.
 
     The step may end in a jump of the base (`jumped`), `after` which the contacts are so, or be the `last`. It need not
-    resolve the width: the relative velocity is taken to fall linearly to zero inside the step in which a stick begins,
-    and to leave zero inside the step in which the needed friction exceeds the largest.
+    resolve the width: the relative velocity is taken to fall linearly to zero inside the step in which a stick begins.
     """
     threshold = jnp.asarray(criterion.threshold, step.t.dtype)
     was, crossed_before = _own(detector.inside), _own(detector.crossed)
-    given = _straight_entry(threshold, step), _late_exit(threshold, step)
+    given = _straight_entry(threshold, step), crossing(threshold, step, entering=False)
     slow, passes, (entry, leave), (closed_before, closed), (opening, closing) = _passage(threshold, step, was, *given)
     enters, leaves, passes = ~was & slow, was & ~slow, passes & ~jumped
     # A long step in which a contact comes to rest may end a little beyond rest; the next step corrects this.
@@ -266,24 +264,6 @@ def _straight_entry(threshold: FloatArray, step: SeenStep) -> FloatArray:
     total = jnp.maximum(size - end, threshold)
     where = jnp.where(rise < 0, above / jnp.where(rise < 0, -rise, 1), step.h * above / total)
     return jnp.clip(where, 0, step.h)
-
-
-def _late_exit(threshold: FloatArray, step: SeenStep) -> FloatArray:
-    """When ``|v_rel|`` rises to the threshold, if the mass is released in this step or before; else meaningless.
-
-    After the release, where the needed friction equals the largest, the excess force grows linearly with time and the
-    relative velocity with its square.
-    """
-    here = (step.need < jnp.minimum(step.end_need, 1)) & (
-        step.end_need > 1 - _AT_LIMIT
-    )  # a step may end at the release
-    gain = jnp.where(here, step.end_need - step.need, 1)
-    released = step.h * jnp.clip((1 - step.need) / gain, 0, 1)
-    rest, rise = step.h - released, _sign(step.relative.end) * step.relative.end_slope
-    usable = here & (rise > 0) & (rest > 0)
-    resolved = crossing(threshold, step, entering=False)
-    while_creeping = jnp.sqrt(jnp.where(usable, 2 * threshold * rest / jnp.where(usable, rise, 1), 1))
-    return jnp.where(here, released + jnp.where(usable, jnp.minimum(while_creeping, rest), 0), resolved)
 
 
 def _sign(value: FloatArray) -> FloatArray:

@@ -168,6 +168,20 @@ def test_a_short_pulse_is_not_stepped_over(fixed, delta):
         np.testing.assert_allclose(blind.ys[np.sum(np.isfinite(blind.ts)) - 1], calm.final_state, atol=1e-7)
 
 
+@pytest.mark.parametrize("shape", ["linear", "tanh", "arctan"])
+def test_steps_that_do_not_resolve_the_width_end_sticks_where_short_ones_do(shape):
+    """A mass is released within a step that is ten times as long as it takes to leave the band."""
+    for mu, frequency, speed in ((0.5, 0.8, 1.0), (0.3, 0.5, 1.0), (0.7, 0.7, 1.5)):
+        system, belt = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(mu)), ss.Harmonic(speed, frequency)
+        ends = []
+        for step in (5e-4, 1e-2):
+            method = ss.Regularized(1e-3, shape, step=step)
+            found = ss.simulate(system, belt, t1=30.0, y0=(0.3, 0.2), method=method).sticks
+            ends.append(np.asarray(found.end)[found.mask & (found.ending == ss.Ending.RELEASED)])
+        assert len(ends[0]) > 0
+        np.testing.assert_allclose(ends[1], ends[0], atol=0.2 * step)
+
+
 @pytest.mark.parametrize("fixed", [False, True])
 def test_sticks_are_what_evaluate_shows(fixed):
     """They begin and end at the threshold, and last for the shortest duration, by default of the documented size."""
