@@ -26,7 +26,7 @@ DOCUMENTS = {
     "docs/howto/nonlinear.md": 8,
     "docs/howto/outputs.md": 2,
     "docs/howto/own_force.md": 3,
-    "docs/howto/own_friction.md": 5,
+    "docs/howto/own_friction.md": 6,
     "docs/howto/own_law.md": 4,
     "docs/howto/own_system.md": 3,
     "docs/howto/posteriors.md": 3,

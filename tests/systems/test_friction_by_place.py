@@ -377,3 +377,61 @@ def test_the_other_half_of_the_symmetry(on):
 def test_smoothed_friction_is_refused():
     with pytest.raises(ValueError, match=r"must be Exact\(\.\.\.\) for friction that jumps from place to place"):
         ss.simulate(SYSTEM, ss.Constant(0.3), 20.0, method=ss.Regularized(1e-3))
+
+
+class WavyBelt(ss.SwitchedSystem):
+    """1 kg on a spring and on a belt, along which the friction coefficient is a wave."""
+
+    stiffness: float
+    mu: float
+    share: float
+    wavelength: float
+    state_names = ("position in m", "velocity in m/s", "place on the belt in m")
+
+    def limit(self, place, module=jnp):
+        return 9.81 * self.mu * (1 + self.share * module.cos(2 * math.pi * place / self.wavelength))
+
+    def rates(self, t, y, base, friction):
+        return y[1], -self.stiffness * y[0] - friction * self.limit(y[2]), y[1] - base.velocity
+
+    def relative_velocity(self, t, y, base):
+        return y[1] - base.velocity
+
+    @property
+    def shortest_time(self):
+        return 2 * jnp.pi / self.stiffness**0.5
+
+
+def test_smooth_friction_by_place_is_a_system_of_ones_own():
+    """On a belt of constant speed the mass never passes it: it slips back, and a stick ends by its formula."""
+    system, speed, t1 = WavyBelt(40.0, 0.3, 0.5, 0.2), 0.2, 20.0
+
+    def rates(t, y):
+        return y[1], -40 * y[0] + system.limit(y[2], np), y[1] - speed
+
+    def caught(t, y):
+        return y[1] - speed
+
+    caught.terminal, caught.direction = True, 1
+    t, y, expected = 0.0, [0.0, 0.0, 0.0], []
+    while True:
+        slip = integrate.solve_ivp(rates, (t, t1), y, "DOP853", events=caught, rtol=1e-12, atol=1e-13)
+        t, (x, _, place) = slip.t[-1], slip.y[:, -1]
+        if slip.status == 0:
+            break
+        assert 40 * abs(x) < system.limit(place, np)
+        end = t + (system.limit(place, np) / 40 - x) / speed
+        expected.append((t, min(end, t1)))
+        if end >= t1:
+            break
+        t, y = end, [x + speed * (end - t), speed - 1e-300, place]
+    one = ss.simulate(system, ss.Constant(speed), t1)
+    found = np.stack([one.sticks.start, one.sticks.end], axis=1)[np.asarray(one.sticks.mask)]
+    assert len(expected) == 20
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+
+    def stick_time(share):
+        return ss.simulate(WavyBelt(40.0, 0.3, share, 0.2), ss.Constant(speed), t1).stick_time
+
+    slope = (stick_time(0.50001) - stick_time(0.49999)) / 2e-5
+    assert float(jax.grad(stick_time)(0.5)) == pytest.approx(float(slope), abs=1e-7)
