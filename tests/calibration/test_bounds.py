@@ -207,8 +207,9 @@ def test_static_friction_as_large_as_kinetic_friction():
     ],
 )  # fmt: skip
 def test_limits_hold_the_truth(case, truth):
-    """In 95 % of 100 records or more, each: with 5 % at most 14 miss, but once in 2,500 times; with 20 % more than 14 do
-    in 92 of 100 runs.
+    """In 95 % of 100 records or more, each: with 5 % at most 14 miss, but once in 2,500 times.
+
+    With 20 % more than 14 miss in 92 of 100 runs.
     """
     most = stats.binom.isf(4e-4, SETS, 0.05)
     assert stats.binom.sf(most, SETS, 0.2) > 0.9

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, optimize
 
 import stickslip_jax as ss
 
@@ -103,20 +103,32 @@ class Reference:
             force = -sign * mu * self.n - self.c * y[1] - self.k * y[0]
             return y[1], force / self.m, y[1] - self.base.velocity(t)
 
-        def rest(t, y):
+        def left(t, y):
             return sign * (y[1] - self.base.velocity(t))
 
-        rest.direction = -1
+        def rest(t, y):  # a slip that begins there has left it, though round-off may deny it for a moment
+            return 1.0 if t - self.t < 1e-7 else left(t, y)
+
+        def turn(t, y):  # where it slips slowest; it may have passed rest twice within the step
+            return 1.0 if t - begin < 1e-7 else sign * (rates(t, y)[1] - self.base.acceleration(t))
+
         low, high = (lambda t, y, end=end: self.place(y) - end for end in ends)
-        low.direction, high.direction = -1, 1
-        events = [rest, *(one for one, end in ((low, ends[0]), (high, ends[1])) if math.isfinite(end))]
+        rest.direction, turn.direction, low.direction, high.direction = -1, 1, -1, 1
+        events = [rest, turn, *(one for one, end in ((low, ends[0]), (high, ends[1])) if math.isfinite(end))]
         for one in events:
             one.terminal = True
-        found = integrate.solve_ivp(
-            rates, (self.t, t1), self.y, "DOP853", events=events, rtol=1e-13, atol=1e-14, max_step=0.05
-        )
-        which = next((at for at, times in enumerate(found.t_events) if len(times)), None)
-        return (found.t[-1], found.y[:, -1]), None if which is None else "rest" if which == 0 else "place"
+        begin, y = self.t, self.y
+        while True:
+            found = integrate.solve_ivp(
+                rates, (begin, t1), y, "DOP853", dense_output=True, events=events, rtol=1e-13, atol=1e-14, max_step=0.05
+            )
+            which = next((at for at, times in enumerate(found.t_events) if len(times)), None)
+            begin, y = found.t[-1], found.y[:, -1]
+            if which == 1 and left(begin, y) < -1e-11:  # not only by round-off, as after a release on a steady belt
+                begin = optimize.brentq(lambda t, at=found.sol: left(t, at(t)), found.t[-2], begin, xtol=1e-14)
+                return (begin, found.sol(begin)), "rest"
+            if which != 1:
+                return (begin, y), None if which is None else "rest" if which == 0 else "place"
 
     def stick(self, t1, sign, region, ends):
         _, static = self.coefficients(region)
@@ -218,7 +230,7 @@ def test_two_hundred_set_ups():
         check(one, reference)
         sticks += len(reference.sticks)
         regions += len(reference.law.laws)
-    assert sticks > 500
+    assert sticks > 300
     assert regions > 500
 
 
