@@ -32,12 +32,12 @@ SEEDS = 7
 RARE = ("steps", "record and jumps", "stribeck", "hump", "sums", "undamped")
 
 
-def assert_agrees(case: Case, tolerance=CLOSED, near_grazing_count=0, **method) -> tuple[int, int]:
+def assert_agrees(case: Case, tolerance=CLOSED, **method) -> tuple[int, int]:
     """The same sticks, endings and crossings, as exactly as demanded; how many sticks and crossings there were."""
     run, followed = case.reference(), case.follow(**method)
     errors = errors_against(run, case, followed)
     assert max(errors) < tolerance, errors
-    assert int(followed.simulation.near_grazing_count) == near_grazing_count
+    assert int(followed.simulation.near_grazing_count) == 0
     return len(run.sticks), len(run.crossings)
 
 
@@ -70,8 +70,7 @@ def test_random_set_ups(kind):
 def test_many_random_set_ups(kind):
     for seed in range(100, 145):
         case = random_case(kind, seed)
-        # One arrival of some 3,000 is so shallow that 2e-8 m/s decide, of velocities up to 23 m/s.
-        assert_agrees(case, near_grazing_count=int((kind, seed) == ("stribeck", 119)), **demanded(kind, case))
+        assert_agrees(case, **demanded(kind, case))
 
 
 @pytest.mark.slow
