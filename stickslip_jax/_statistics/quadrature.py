@@ -24,6 +24,7 @@ FOLLOWING: dict[str, tuple[str, ...]] = {
 """What follows the end of a stick, or of a slip, in order of time."""
 
 _DIMENSIONS = 24  # of the sequence: later draws, of few motions, are random
+_TIED = 1e-12  # of the edge: on a lattice of instants masses come to rest there but for round-off
 _ALL_BY, _MOST_JUMPS = 200, 10_000  # of the base in a slip: after which none, or not every motion, has stuck again
 
 
@@ -122,21 +123,23 @@ class _Walk:
         """
         x, v, beta, passed = x.copy(), v / self.omega, base / self.omega, np.zeros(len(x))
         side = np.where(v == beta, np.sign(x), np.sign(beta - v))
-        met, moving = np.full(len(x), np.inf), np.arange(len(x))
+        edge, tied = self.edge * (1 + _TIED), self.edge * _TIED
+        met = np.where((beta == 0) & (np.abs(v) <= tied) & (np.abs(x) <= edge), 0.0, np.inf)  # at rest with it at once
+        moving = np.flatnonzero(met)
         while len(moving):
             s, b, left = side[moving], beta[moving], until[moving] - passed[moving]
             about = x[moving] - s * self.edge
             rho, phi = np.hypot(about, v[moving]), np.arctan2(about, v[moving])
             height = rho**2 - b**2
             meets = height > 1e-9 * rho**2  # one that was released here touches the base velocity only
-            angle = (-s * np.arccos(np.clip(b / rho, -1, 1)) - phi) % (2 * np.pi)
+            angle = (-s * np.arccos(np.clip(b / np.maximum(rho, tied), -1, 1)) - phi) % (2 * np.pi)
             turned = np.where(meets, angle / self.omega, np.inf)
             is_met = turned <= left
             theta = self.omega * np.where(is_met, turned, left) + phi
             x[moving] = s * self.edge + np.where(is_met, -s * np.sqrt(np.maximum(height, 0)), rho * np.sin(theta))
             v[moving] = np.where(is_met, b, rho * np.cos(theta))
             passed[moving] += np.where(is_met, turned, left)
-            stuck = is_met & (np.abs(x[moving]) <= self.edge)
+            stuck = is_met & (np.abs(x[moving]) <= edge)
             met[moving[stuck]] = passed[moving[stuck]]
             moving = moving[is_met & ~stuck]
             side[moving] *= -1
