@@ -223,7 +223,7 @@ def test_against_an_integration_of_its_own(number):
 
 @pytest.mark.slow
 def test_two_hundred_set_ups():
-    """Of each: times and positions of all sticks, and the last state, to 1e-8."""
+    """Of each: times and positions of all sticks, and the last state, to 1e-9."""
     sticks = regions = 0
     for number in range(200):
         one, reference = compare(number)
@@ -239,8 +239,8 @@ def check(one, reference):
     found = np.array([one.sticks.start, one.sticks.end, one.sticks.position])[:, np.asarray(one.sticks.mask)].T
     expected = np.array([stick for stick in reference.sticks if stick[1] - stick[0] > 1e-9]).reshape(-1, 3)
     assert found.shape == expected.shape
-    np.testing.assert_allclose(found, expected, atol=1e-8)
-    np.testing.assert_allclose(one.final_state[:2], reference.y[:2], atol=1e-8)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    np.testing.assert_allclose(one.final_state[:2], reference.y[:2], atol=1e-9)
     if reference.law.on == "base":
         np.testing.assert_allclose(one.final_state[2], reference.y[2], atol=1e-8)
 
