@@ -24,7 +24,7 @@ FOLLOWING: dict[str, tuple[str, ...]] = {
 """What follows the end of a stick, or of a slip, in order of time."""
 
 _DIMENSIONS = 24  # of the sequence: later draws, of few motions, are random
-_TIED = 1e-12  # of the edge: on a lattice of instants masses come to rest there but for round-off
+_TIED = 1e-12  # on a lattice of instants, what comes at once or to an edge does so but for so much round-off
 _ALL_BY, _MOST_JUMPS = 200, 10_000  # of the base in a slip: after which none, or not every motion, has stuck again
 
 
@@ -84,8 +84,12 @@ class _Walk:
         return np.sum(self.uniform(which)[:, None] > self.up_to[level], axis=1).clip(max=len(self.levels) - 1)
 
     def passed(self, phase: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """The phase so much later, s."""
-        return (phase + time) % float(self.law.interval) if isinstance(self.law, RandomSteps) else phase
+        """The phase so much later, s; where the base could have jumped just then, it has not."""
+        if not isinstance(self.law, RandomSteps):
+            return phase
+        interval = float(self.law.interval)
+        later = (phase + time) % interval
+        return np.where(interval - later <= self.instant(time), 0.0, later)
 
     def slip(self, x: np.ndarray, level: np.ndarray, released: np.ndarray, phase: np.ndarray) -> tuple:
         """From the end of a stick to the next: how long the slip takes, where it ends, level and phase of the base."""
@@ -123,8 +127,8 @@ class _Walk:
         """
         x, v, beta, passed = x.copy(), v / self.omega, base / self.omega, np.zeros(len(x))
         side = np.where(v == beta, np.sign(x), np.sign(beta - v))
-        edge, tied = self.edge * (1 + _TIED), self.edge * _TIED
-        met = np.where((beta == 0) & (np.abs(v) <= tied) & (np.abs(x) <= edge), 0.0, np.inf)  # at rest with it at once
+        tied = self.edge * _TIED
+        met = np.where((np.abs(v - beta) <= tied) & self.holds(x, base), 0.0, np.inf)
         moving = np.flatnonzero(met)
         while len(moving):
             s, b, left = side[moving], beta[moving], until[moving] - passed[moving]
@@ -134,16 +138,25 @@ class _Walk:
             meets = height > 1e-9 * rho**2  # one that was released here touches the base velocity only
             angle = (-s * np.arccos(np.clip(b / np.maximum(rho, tied), -1, 1)) - phi) % (2 * np.pi)
             turned = np.where(meets, angle / self.omega, np.inf)
-            is_met = turned <= left
+            is_met = turned < left - self.instant(until[moving])  # a stick of no length is none
             theta = self.omega * np.where(is_met, turned, left) + phi
             x[moving] = s * self.edge + np.where(is_met, -s * np.sqrt(np.maximum(height, 0)), rho * np.sin(theta))
             v[moving] = np.where(is_met, b, rho * np.cos(theta))
             passed[moving] += np.where(is_met, turned, left)
-            stuck = is_met & (np.abs(x[moving]) <= edge)
+            stuck = is_met & self.holds(x[moving], base[moving])
             met[moving[stuck]] = passed[moving[stuck]]
             moving = moving[is_met & ~stuck]
-            side[moving] *= -1
+            side[moving] = np.sign(x[moving])  # of what the spring pulls through
         return met, x, v * self.omega
+
+    def holds(self, x: np.ndarray, base: np.ndarray) -> np.ndarray:
+        """Whether friction holds the mass on the base: not on an edge to which the base carries it."""
+        tied = self.edge * _TIED
+        return np.abs(x) <= np.where(base * x > 0, self.edge - tied, self.edge + tied)
+
+    def instant(self, time: np.ndarray) -> np.ndarray:
+        """What is shorter is round-off of so long a time, s."""
+        return _TIED * (time + 1 / self.omega)
 
     def stick(self, x: np.ndarray, level: np.ndarray, phase: np.ndarray) -> tuple:
         """From the begin of a stick: how long it lasts, where it ends, if by a release, and the phase of the base."""
@@ -151,7 +164,7 @@ class _Walk:
         with np.errstate(divide="ignore"):
             release = np.where(speed == 0, np.inf, (self.edge - np.sign(speed) * x) / np.abs(speed))
         jump = self.until_jump(np.arange(len(x)), level, phase)
-        duration, released = np.minimum(release, jump), release < jump
+        duration, released = np.minimum(release, jump), release < jump - self.instant(jump)
         end = np.where(released, np.sign(speed) * self.edge, x + speed * duration)
         return duration, end, released, np.where(released, self.passed(phase, duration), 0.0)
 

@@ -122,28 +122,45 @@ def followed(law, kernel, after):
     return of, of | {"base_velocity": walk.levels[level], "phase": phase}
 
 
+def paired_deviations(law, found, after):
+    """Of each number, the standardised differences of its counts in bins, cell by cell: from the same states, so that
+    they differ by chance alone. An atom may stand on the edge of a cell or a bin: its round-off decides nothing here.
+    """
+    exact, next_state = followed(law, found, after)
+    rounded = [
+        {name: np.round(one[name], 7) for name in found.state} for one in (found.state, found.next_state, next_state)
+    ]
+    cells = Cells.of(rounded[0], 16)
+    cell, *next_cells = map(cells.cell_of, rounded)
+    for name in (*exact, "next cell"):
+        if name == "next cell":
+            places, bins = next_cells, cells.number
+        else:
+            both = [np.round(one[name], 7) for one in (found.following, exact)]
+            edges = np.unique(np.quantile(both[0], np.arange(1, 12) / 12)) + 5e-8
+            places, bins = [np.searchsorted(edges, one) for one in both], len(edges) + 1
+        counted, closed = (np.bincount(cell * bins + one, minlength=cells.number * bins) for one in places)
+        many = counted + closed > 50
+        assert many.sum() > 20
+        yield name, np.max(np.abs(counted - closed)[many] / np.sqrt((counted + closed)[many]))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("after", ["stick", "slip"])
 @pytest.mark.parametrize("law", [POISSON, STEPS], ids=["poisson", "steps"])
 def test_ten_million_sticks_follow_the_quadrature(law, after):
-    """From the same states, so that each count of a cell and a bin differs by chance alone."""
     found = simulated(law, 90_000 if law is POISSON else 130_000, t1=400.0, after=after, ends_before=380.0)
     assert found.number > 9_000_000
-    exact, next_state = followed(law, found, after)
-    cells = Cells.of(found.state, 16)
-    cell = cells.cell_of(found.state)
-    for name in (*exact, "next cell"):
-        if name == "next cell":
-            # An atom may stand on the edge of a cell: its round-off decides nothing here.
-            rounded = ({of: np.round(one[of], 9) for of in found.state} for one in (found.next_state, next_state))
-            places, bins = [cells.cell_of(one) for one in rounded], cells.number
-        else:
-            edges = np.unique(np.quantile(found.following[name], np.arange(1, 12) / 12)) + 1e-9  # beside atoms
-            places, bins = [np.searchsorted(edges, one[name]) for one in (found.following, exact)], len(edges) + 1
-        counted, closed = (np.bincount(cell * bins + one, minlength=cells.number * bins) for one in places)
-        many = counted + closed > 50
-        assert many.sum() > 40
-        assert np.max(np.abs(counted - closed)[many] / np.sqrt((counted + closed)[many])) < 5, name
+    for name, deviation in paired_deviations(law, found, after):
+        assert deviation < 5, name
+
+
+def test_a_base_that_jumps_just_when_the_mass_meets_its_velocity():
+    """Every half natural period: what meets the base as it jumps away does not stick, what it jumps to does."""
+    law = ss.RandomSteps(speed=1.0, interval=math.pi / 2, levels=(-1.0, 0.0, 1.0))
+    found = simulated(law, 500, t1=400.0, after="slip", ends_before=300.0)
+    for name, deviation in paired_deviations(law, found, "slip"):
+        assert deviation < 5, name
 
 
 def test_a_mass_that_friction_holds_at_the_edge_sticks_to_a_base_at_rest():

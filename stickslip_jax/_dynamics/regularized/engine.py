@@ -74,15 +74,16 @@ _ULPS = 16
 _NEAR = 0.98  # of a step: a passage that soon is at its end
 
 
-def shortened(step: SeenStep, band: FloatArray) -> tuple[BoolArray, FloatArray]:
+def shortened(step: SeenStep, band: FloatArray, need: FloatArray, end_need: FloatArray) -> tuple[BoolArray, FloatArray]:
     """Whether the step must be tried again, and its new length, s.
 
-    `band`: the relative speed below which static friction can hold the mass, m/s.
+    `band`: the relative speed below which static friction can hold the mass, m/s. `need`, `end_need`: friction that
+    does, over the largest friction.
     """
     r0, slope, r1, end_slope = step.relative
     before, after = _side(r0, band), _side(r1, band)
     # Bounded measures of the needed friction, 1/2 at its limit.
-    holds, held = 1 / (1 + step.need) - 0.5, 1 / (1 + step.end_need) - 0.5
+    holds, held = 1 / (1 + need) - 0.5, 1 / (1 + end_need) - 0.5
     least = _SAME * jnp.abs(holds - held) + _ULPS * jnp.finfo(step.h.dtype).eps
     released = (before == 0) & (holds > least) & (held < -least)
     # While less than static friction is needed, no mass leaves the band.
@@ -194,7 +195,8 @@ def _advance_fixed(
             change = jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)
         again, length = inaccurate, lax.stop_gradient(h * change)
         if band is not None:
-            passes, until = shortened(seen, band)
+            needs = field.need(forcing, 0 * h, lane.y), field.need(forcing, h, y)
+            passes, until = shortened(seen, band, *needs)
             again, length = inaccurate | passes, jnp.where(inaccurate, length, until)
         accepted = live & ~again
         stays = lane._replace(steps=lane.steps + 1, limit=length)

@@ -308,13 +308,6 @@ class AnyField(eqx.Module):
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         """The time derivative of the state."""
 
-    def need(self, forcing: Any, tau: FloatArray, y: State, velocity: FloatArray) -> FloatArray:
-        """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction.
-
-        It is asked only of steps that do not resolve a stick. `velocity`: the relative one in this state.
-        """
-        return jnp.zeros_like(velocity)
-
     def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
         """How far each contact can slip while bristles only bend."""
         return jnp.zeros_like(velocity)
@@ -340,11 +333,11 @@ class AnyField(eqx.Module):
                 where, ones = np.array(self.model.varying), jnp.ones(self.model.contacts, tau.dtype)
                 value, slope = _with_slope(self.model.varying_normal_forces, forcing, tau, y, rates)
                 normal = ones.at[where].set(value), (0 * ones).at[where].set(slope)
-            return rates, self.need(forcing, tau, y, velocity[0]), velocity, position, normal
+            return rates, velocity, position, normal
 
-        (rates, need, *begin), (end_rates, end_need, *end) = at(0 * h, before), at(h, after)
+        (rates, *begin), (end_rates, *end) = at(0 * h, before), at(h, after)
         relative, position, *normal = (Cubic(*a, *b) for a, b in zip(begin, end, strict=True) if a)
-        return SeenStep(t, h, relative, position, need, end_need, *normal), rates, end_rates
+        return SeenStep(t, h, relative, position, *normal), rates, end_rates
 
     def at_contact(self, forcing: Any, t: FloatArray, y: State) -> AtContact:
         """What sticks are found by, at the time `t` of the `forcing`."""
@@ -417,6 +410,13 @@ class SteppedField(AnyField):
         None where static friction does not exceed kinetic friction; with several contacts fixed steps take no other.
         """
         return None
+
+    def need(self, forcing: Any, tau: FloatArray, y: State) -> FloatArray:
+        """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction.
+
+        It is asked only where there is a `band`.
+        """
+        return jnp.zeros_like(tau)
 
     @abc.abstractmethod
     def free(self, forcing: Any, tau: FloatArray, y: State) -> State:
@@ -495,7 +495,7 @@ class Field(SteppedField):
         speed = self.model.relative_velocity(forcing, tau, y)
         return self.model.rates_under(forcing, tau, y, self.switch.coefficient(self.model.friction_at(y), speed))
 
-    def need(self, forcing: Any, tau: FloatArray, y: State, velocity: FloatArray) -> FloatArray:
+    def need(self, forcing: Any, tau: FloatArray, y: State) -> FloatArray:
         free, held = self._accelerations(forcing, tau, y)
         return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
 

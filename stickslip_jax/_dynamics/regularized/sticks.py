@@ -80,17 +80,14 @@ class Cubic(NamedTuple):
 class SeenStep(NamedTuple):
     """One step from `t` to ``t + h`` as the detector reads it.
 
-    `relative`: velocity, before a jump of the base. `need`, `end_need`: friction that holds the one contact, over the
-    largest friction. Of several contacts they are arrays: the positions of each and of all at once, everything else of
-    each, with the `normal` forces.
+    `relative`: velocity, before a jump of the base. Of several contacts they are arrays: the positions of each and of
+    all at once, everything else of each, with the `normal` forces.
     """
 
     t: FloatArray
     h: FloatArray
     relative: Cubic
     position: Cubic
-    need: FloatArray
-    end_need: FloatArray
     normal: Cubic | None = None
 
     @property

@@ -67,7 +67,7 @@ def detected(t, velocity, slope, normal, normal_slope):
         j = jnp.minimum(i + 1, STEPS)
         forces = Cubic(normal[i], normal_slope[i], normal[j], normal_slope[j])
         relative = Cubic(velocity[i], slope[i], velocity[j], slope[j])
-        step = SeenStep(t[i], t[j] - t[i], relative, Cubic(none, none, none, none), none[:2], none[:2], forces)
+        step = SeenStep(t[i], t[j] - t[i], relative, Cubic(none, none, none, none), forces)
         last = j == STEPS
         return detect_joined(criterion, detector, step, jumped=jnp.zeros((), bool), after=seen(j), last=last)
 
