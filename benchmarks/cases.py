@@ -360,8 +360,8 @@ def _forecasts(sizes: Sizes) -> Run:
     kernel = ss.transition_kernel(system(0.8), LAW, transitions=sizes.samples)
 
     def run(number: int) -> Work:
-        for place in np.random.default_rng(number).uniform(-0.3, 0.3, 100):
-            state = {"end_position": place, "base_velocity": SPEED, "ending": ss.Ending.BASE_SWITCHED}
+        for which in np.random.default_rng(number).integers(kernel.number, size=100):
+            state = {name: kernel.state[name][which] for name in kernel.given}
             found = ss.forecast(kernel, state)
             assert found.distribution("slip_before").quantile(0.9).value > 0
             assert found.hazard().rate.size == 30

@@ -782,7 +782,7 @@ def require_law(name: str, value: object, may_remember: bool = True, may_differ_
     if not may_remember and value.inner_state is not None:
         raise checks.refused(name, "be a friction law without an inner state, such as Coulomb(mu=0.3)", value)
     if not may_differ_by_place and value.differs_by_place:
-        hint = "a MassSpring with a constant normal force takes friction that differs by place"
+        hint = "a MassSpring with a constant normal force and a MotorCart take friction that differs by place"
         raise checks.refused(name, "be a friction law that is the same everywhere", value, hint)
 
 

@@ -34,6 +34,7 @@ from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .friction import AtAge, Coulomb, FrictionLaw, require_law, times_of_slips
 from .layouts import motor_and_cart
 from .memory_models import AgeingContact, InnerStates, inner_laws_of, with_ages
+from .places import FrictionByPlace, PlacedContact
 from .switched_model import EnergyModel, FloatPair, Powers, Segments, Terms
 from .system import (
     AGE,
@@ -243,6 +244,9 @@ class CartModel(EnergyModel[FloatScalar]):
         law = self.friction
         return OnPin(law, jnp.sin(y[0])) if law.depends_on_direction or not law.constant else law
 
+    def position(self, y: State) -> FloatScalar:
+        return self.system.eccentricity * jnp.cos(y[0])
+
     def to_inner_law(self, y: State) -> FloatPair:
         # The law is that of the cart, which moves with -sin(alpha) times the velocity of the pin.
         return -jnp.sin(y[0]), -self.heading(y)
@@ -351,11 +355,12 @@ class MotorCart(System):
         inductance: H, positive.
         equation: "physical" as above (the default), or "printed": as printed in the paper (equation 2), whose term
             ``m d^2 sin cos`` multiplies ``alpha'`` and not its square, so that its units do not match.
-        friction: A friction law in place of mu, such as `Coulomb` with another static coefficient, `Directional` or
-            `Ageing`.
+        friction: A friction law in place of mu, such as `Coulomb` with another static coefficient, `Directional`,
+            `Ageing`, or a `FrictionByPlace` of places on the rail (``on="ground"``).
 
     Raises:
-        ValueError: For numbers out of range, for another `equation`, and if both `mu` and `friction` are given.
+        ValueError: For numbers out of range, for another `equation`, if both `mu` and `friction` are given, and for
+            friction by place on the base.
     """
 
     # None stands for 0.2, which `__post_init__` puts there unless a law is given.
@@ -382,7 +387,11 @@ class MotorCart(System):
             return
         if not isinstance(self.friction, FrictionLaw):
             raise checks.refused("friction", "be a friction law such as Coulomb(mu=0.3), or None", self.friction)
-        require_law("friction", self.friction)
+        require_law("friction", self.friction, may_differ_by_place=True)
+        if isinstance(self.friction, FrictionByPlace) and self.friction.on != "ground":
+            raise checks.refused(
+                "friction", 'have its places on="ground", which is the rail of a MotorCart', self.friction
+            )
         if self.mu is not None:
             raise ValueError(
                 f"Argument mu must be None where a law gives the friction, but mu={checks.show(self.mu)} and "
@@ -397,7 +406,8 @@ class MotorCart(System):
 
     @property
     def traits(self) -> Traits:
-        return Traits(stops_are_unstable=True)  # friction holds the less, the nearer to dead centre
+        # Friction holds the less, the nearer to dead centre.
+        return Traits(stops_are_unstable=True, jumps_at_places=isinstance(self.friction, FrictionByPlace))
 
     @property
     def static_exceeds_kinetic(self) -> bool:
@@ -419,6 +429,14 @@ class MotorCart(System):
         if self.friction is None:
             return self.largest_friction_torque
         return self.cart_mass * self.gravity * self.eccentricity
+
+    def at_angle(self, angle: FloatScalar) -> "MotorCart":
+        """The same with the friction law of the place where the cart is."""
+        law = self.friction
+        if not isinstance(law, FrictionByPlace):
+            return self
+        region = law.region_of(self.eccentricity * jnp.cos(angle))
+        return eqx.tree_at(lambda cart: cart.friction, self, law.in_region(region))
 
     def held_torques(self, sine: FloatScalar, age: FloatScalar | None = None) -> tuple[Scalar, Scalar]:
         """The largest torques, N m at ``|sin alpha| = 1``, that friction can hold in a stick.
@@ -484,10 +502,14 @@ class MotorCart(System):
     def stick_position(self) -> Coordinate:
         return Coordinate("motor angle during the stick", "rad", r"\alpha", 2 * math.pi)
 
-    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> CartModel | AgeingContact:
+    def switched_model(
+        self, smooth: Signal | None, solver: ExplicitSolver | None
+    ) -> CartModel | AgeingContact | PlacedContact:
         assert isinstance(smooth, SourceVoltage)
         _require_sine(smooth)  # a realisation of a random law, say
         model = CartModel(self, smooth)
+        if isinstance(self.friction, FrictionByPlace):
+            return PlacedContact(model, self.friction)
         return model if self.friction is None else with_ages(model, 3, self.friction.grows, self.friction.growth_time)
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
@@ -558,7 +580,7 @@ class MotorCart(System):
         """Currents with ``|motor_constant c| <= mu m gravity d |sin alpha|``, A, of a stick of the age in the state."""
         sine = jnp.sin(state[0])
         ages = state[3] if self.memory.ages else jnp.zeros_like(sine)
-        held = jax.vmap(self.held_torques)(sine, ages)
+        held = jax.vmap(lambda angle, age: self.at_angle(angle).held_torques(jnp.sin(angle), age))(state[0], ages)
         backward, forward = (torque / self.motor_constant * jnp.abs(sine) for torque in held)
         return -backward, forward
 
@@ -611,9 +633,10 @@ def stick_duration_bound(system: MotorCart, voltage: SourceVoltage, angle: AnyAr
             f"{checks.show(system)} and {checks.show(voltage)} were given."
         )
     checks.numeric("angle", angle, ndim=None)
-    sine = jnp.sin(jnp.asarray(angle, float))
+    angles = jnp.asarray(angle, float)
+    sine, for_ever = jnp.sin(angles), jnp.asarray(_FOR_EVER, angles.dtype)
     # Of sticks that have lasted for ever, which may have grown without a limit.
-    torques = jax.vmap(lambda one: system.held_torques(one, jnp.asarray(_FOR_EVER, one.dtype)))(sine.reshape(-1))
+    torques = jax.vmap(lambda one: system.at_angle(one).held_torques(jnp.sin(one), for_ever))(angles.reshape(-1))
     torques = [jnp.nan_to_num(torque, nan=_ENDLESS, posinf=_ENDLESS).reshape(sine.shape) for torque in torques]
     held = [torque * jnp.abs(sine) / system.motor_constant for torque in torques]
     reactance = system.inductance * voltage.angular_frequency

@@ -31,8 +31,8 @@ class FrictionByPlace(FrictionLaw):
 
     Args:
         places: Where the friction jumps, m, increasing.
-        laws: The friction laws of the regions between them, all of one kind, such as `Coulomb`: one more than there
-            are places, or with a `period` as many, each from its place to the next.
+        laws: The friction laws of the regions between them, all of one kind with the same numbers given, such as
+            `Coulomb`: one more than there are places, or with a `period` as many, each from its place to the next.
         period: After which the regions repeat themselves, m, larger than the last place less the first; None: not.
         on: "base" (the default) or "ground".
 
@@ -68,7 +68,11 @@ class FrictionByPlace(FrictionLaw):
             raise checks.refused("laws", f"hold {regions} laws, one for each region", self.laws)
         kinds = {(type(law), *(name for name, held in vars(law).items() if held is None)) for law in self.laws}
         if len(kinds) > 1 or any(law.grows or law.depends_on_direction for law in self.laws):
-            raise checks.refused("laws", "be of one kind, alike in both directions, without ageing", self.laws)
+            raise checks.refused(
+                "laws",
+                "be of one kind with the same numbers given, alike in both directions, without ageing",
+                self.laws,
+            )
 
     def check_relations(self) -> None:
         known = [place for place in self.places if not checks.is_traced(place)]
@@ -150,7 +154,7 @@ class PlacedContact(SwitchedModel[F]):
     Its state is that of `inner`, and with places of the base the place.
     """
 
-    inner: Any  # a OneContactModel with a system and two numbers in its state
+    inner: Any  # a OneContactModel with a system
     law: FrictionByPlace
     steps_may_be_long: ClassVar[bool] = False
 
@@ -183,38 +187,43 @@ class PlacedContact(SwitchedModel[F]):
 
     def without_memory(self, y: State) -> tuple[OneContactModel[F], State]:
         """The model in the region of the state `y`, and its state."""
-        return (self.within(self.law.region_of(self.place(y)) + _OFFSET), y[:2]) if y else (self.inner, y)
+        return (self.within(self.law.region_of(self.place(y)) + _OFFSET), self._own(y)) if y else (self.inner, y)
+
+    def _own(self, y: State) -> State:
+        """The state of the `inner` model."""
+        return y[:-1] if self.law.on == "base" else y
 
     def place(self, y: State) -> FloatArray:
         """Where the mass is: on the base, or on the ground."""
-        return y[2] if self.law.on == "base" else y[0]
+        return y[-1] if self.law.on == "base" else self.inner.position(y)
 
     def _place_rate(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> FloatArray:
         if self.law.on == "ground":
-            return self.inner.rates(forcing, tau, y[:2], sign[0])[0]
-        return jnp.where(sign[0] == 0, 0, self.inner.relative_velocity(forcing, tau, y[:2]))
+            return jax.jvp(self.inner.position, (y,), (self.inner.rates(forcing, tau, y, sign[0]),))[1]
+        return jnp.where(sign[0] == 0, 0, self.inner.relative_velocity(forcing, tau, self._own(y)))
 
     def flow_and_error(
         self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
     ) -> tuple[State, FloatScalar | None]:
-        reached, error = self.within(sign[1]).flow_and_error(forcing, y[:2], h, sign[0])
+        own = self._own(y)
+        reached, error = self.within(sign[1]).flow_and_error(forcing, own, h, sign[0])
         if self.law.on == "ground":
             return reached, error
-        carried = self.inner.stick(forcing, y[:2], h)[0][0] - y[0]
-        return (*reached, jnp.where(sign[0] == 0, y[2], y[2] + (reached[0] - y[0]) - carried)), error
+        carried = self.inner.stick(forcing, own, h)[0][0] - y[0]
+        return (*reached, jnp.where(sign[0] == 0, y[-1], y[-1] + (reached[0] - y[0]) - carried)), error
 
     def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
-        own = self.within(sign[1]).rates(forcing, tau, y[:2], sign[0])
+        own = self.within(sign[1]).rates(forcing, tau, self._own(y), sign[0])
         return own if self.law.on == "ground" else (*own, self._place_rate(forcing, tau, y, sign))
 
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:
-        return self.inner.relative_velocity(forcing, tau, y[:2])
+        return self.inner.relative_velocity(forcing, tau, self._own(y))
 
     def at_rest(self, forcing: F, y: State, times: float = 1.0) -> BoolArray:
-        return _with(self.inner.at_rest(forcing, y[:2], times), False)
+        return _with(self.inner.at_rest(forcing, self._own(y), times), False)
 
     def slip_sign(self, forcing: F, y: State) -> FloatArray:
-        none, slips = jnp.zeros_like(y[0]), self.inner.slip_sign(forcing, y[:2])
+        none, slips = jnp.zeros_like(y[0]), self.inner.slip_sign(forcing, self._own(y))
         return _with(slips, self._region(y, self._place_rate(forcing, none, y, jnp.stack([slips, slips]))))
 
     def _region(self, y: State, direction: FloatArray) -> FloatArray:
@@ -228,17 +237,20 @@ class PlacedContact(SwitchedModel[F]):
         self, forcing: F, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
     ) -> tuple[FloatArray, BoolArray, BoolArray]:
         next_one = sign[1] + landed[2].astype(y[0].dtype) - landed[1].astype(y[0].dtype)
-        # A stick on a border is in the region to which it would break.
-        direction = y[1]
-        if self.law.on == "base":
-            direction = jnp.where(sign[0] == 0, self.inner.release_sign(forcing, y[:2]), sign[0])
+        # A stick on a border that does not carry the mass along is in the region to which it would break.
+        own = self._own(y)
+        slips = self.inner.slip_direction(own, jnp.where(sign[0] == 0, self.inner.release_sign(forcing, own), sign[0]))
+        direction = slips * self.inner.to_inner_law(own)[0]
+        if self.law.on == "ground":
+            moves = self._place_rate(forcing, jnp.zeros_like(y[0]), y, sign)
+            direction = jnp.where(moves == 0, direction, moves)
         region = jnp.where(landed[0] | ended, self._region(y, direction), next_one)
         # What a stick can hold, and the force in a slip, is another there: the contact is asked.
         moved = region != sign[1]
         return _with(sign[0], region), _with(landed[0] & ~moved, False), _with(moved, False)
 
     def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
-        guard, rate = self.within(sign[1]).guard(forcing, tau, y[:2], sign[0])
+        guard, rate = self.within(sign[1]).guard(forcing, tau, self._own(y), sign[0])
         low, high = self.law.ends_of(jnp.floor(sign[1]))
         place, moves = self.place(y), self._place_rate(forcing, tau, y, sign)
         guards, rates = [guard], [rate]
@@ -249,24 +261,26 @@ class PlacedContact(SwitchedModel[F]):
         return jnp.stack(guards), jnp.stack(rates)
 
     def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
-        own = self.within(sign[1]).guard_scale(forcing, y[:2], sign[0])
+        own = self._own(y)
         ends = (jnp.where(jnp.isfinite(end), end, 0) for end in self.law.ends_of(jnp.floor(sign[1])))
-        sizes = [jnp.abs(end) + jnp.abs(self.place(y)) + jnp.abs(y[0]) for end in ends]
-        return jnp.stack([own, *sizes])
+        at = sum(jnp.abs(slope * number) for slope, number in zip(jax.grad(self.inner.position)(own), own, strict=True))
+        sizes = [jnp.abs(end) + jnp.abs(self.place(y)) + at for end in ends]
+        return jnp.stack([self.within(sign[1]).guard_scale(forcing, own, sign[0]), *sizes])
 
     def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
-        return *self.inner.at_base_velocity(forcing, y[:2], resting[0]), *y[2:]
+        own = self._own(y)
+        return *self.inner.at_base_velocity(forcing, own, resting[0]), *y[len(own) :]
 
     def decided(self, forcing: F, y: State, question: Question) -> Decision:
         region = question.sign[1]
-        found = self.within(region).decided(forcing, y[:2], Question(*(own[0] for own in question)))
+        found = self.within(region).decided(forcing, self._own(y), Question(*(own[0] for own in question)))
         return Decision(
             _with(found.holds, False), _with(found.release_sign, region), _with(found.guard, jnp.inf),
             _with(found.guard_rate, 0.0),
         )  # fmt: skip
 
     def step_limit(self, age: FloatArray, step: FloatScalar, y: State, sign: FloatArray) -> FloatScalar:
-        return self.inner.step_limit(age[0] if age.ndim else age, step, y[:2], sign[0])
+        return self.inner.step_limit(age[0] if age.ndim else age, step, self._own(y), sign[0])
 
 
 def _with(own: Any, region: Any) -> Any:

@@ -326,6 +326,10 @@ class OneContactModel(SwitchedModel[F]):
         """The friction law by the `relative_velocity` in the state `y`, of which it may depend on the position."""
         return self.friction
 
+    def position(self, y: State) -> FloatScalar:
+        """Where the mass is on the ground, m."""
+        return y[0]
+
     def to_inner_law(self, y: State) -> FloatPair | tuple[float, float]:
         """What a law with an inner state, of this contact, takes and gives, by what the engines do.
 

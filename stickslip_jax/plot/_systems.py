@@ -12,6 +12,7 @@ from .._dynamics.common.method import check_fixed, state_of
 from .._foundation import checks
 from .._foundation.types import InitialState
 from .._systems.friction import FrictionLaw, require_law
+from .._systems.places import FrictionByPlace
 from .._systems.system import System, require_system
 from . import _style
 from ._animations import draw_mechanism, make_equal, mechanism_of
@@ -58,10 +59,11 @@ def friction_law(
     against the relative velocity. Draw several laws into the same axes to compare them.
 
     Args:
-        law: Such as ``Coulomb(0.3)`` or ``Stribeck(...)``. Of one with an inner state, the coefficient of steady slips.
+        law: Such as ``Coulomb(0.3)`` or ``Stribeck(...)``. Of one with an inner state, the coefficient of steady slips;
+            of one that differs by place, a curve for each region.
         speed: The largest relative speed, m/s, positive; by default six times that over which the coefficient changes,
             or 1.
-        label: In the legend; by default how the law is written.
+        label: In the legend; by default how the law is written, and where it holds.
         ax: Axes to draw into; by default those of a new figure.
 
     Returns:
@@ -70,7 +72,7 @@ def friction_law(
     Raises:
         ValueError: For what is no friction law, one whose numbers are uncertain, and a speed that is not positive.
     """
-    require_law("law", law)
+    require_law("law", law, may_differ_by_place=True)
     check_fixed(law=law)
     if speed is None:
         scale = law.speed_scale
@@ -78,6 +80,13 @@ def friction_law(
         speed = _SCALES * float(cast(Any, scale)) if known else 1.0
     checks.positive("speed", speed, "m/s")
     ax = _style.axes_or_new(ax, (5.6, 3.6))
+    if isinstance(law, FrictionByPlace):
+        for number, own in enumerate(law.laws):
+            low, high = (f"{float(end):.6g}" for end in law.ends_of(jnp.asarray(float(number))))
+            where = f"below {high}" if low == "-inf" else f"above {low}" if high == "inf" else f"{low} to {high}"
+            every = "" if law.period is None else f", every {float(law.period):.6g} m"
+            friction_law(own, speed=speed, label=f"{label or repr(own)}, {where} m{every}", ax=ax)
+        return ax
     x, y = [], []
     for sign in (-1.0, 1.0):
         own = law.in_direction(jnp.asarray(sign))

@@ -461,6 +461,23 @@ def test_characteristic_of_a_friction_law(law):
     plt.close(ax.figure)
 
 
+@pytest.mark.parametrize(
+    ("period", "labels"),
+    [
+        (None, ["below 0 m", "0 to 0.25 m", "above 0.25 m"]),
+        (1.0, ["0 to 0.25 m, every 1 m", "0.25 to 1 m, every 1 m"]),
+    ],
+)
+def test_characteristic_of_each_region(period, labels):
+    laws = tuple(ss.Coulomb(0.1 + 0.1 * number) for number in range(len(labels)))
+    ax = plot.friction_law(ss.FrictionByPlace((0.0, 0.25), laws, period))
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts == [f"{law!r}, {label}" for law, label in zip(laws, labels, strict=True)]
+    drawn = [line.get_ydata()[-1] for line in ax.lines if len(line.get_ydata()) > 2]
+    assert drawn == pytest.approx([law.mu for law in laws])
+    plt.close(ax.figure)
+
+
 def test_usual_speeds_of_a_characteristic():
     ax = plot.friction_law(ss.Stribeck(mu=0.3, mu_static=0.5, stribeck_speed=0.1))
     scale = float(ss.Stribeck(mu=0.3, mu_static=0.5, stribeck_speed=0.1).speed_scale)

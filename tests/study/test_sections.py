@@ -48,6 +48,11 @@ SYSTEMS = {
         '[system.friction.growth]\nlaw = "LogarithmicGrowth"\namount = 0.1\ntime = 2',
         mass_spring(ss.Ageing(ss.Coulomb(0.3, 0.4), ss.LogarithmicGrowth(0.1, 2.0))),
     ),
+    "FrictionByPlace": (
+        '[system.friction]\nlaw = "FrictionByPlace"\nplaces = [0, 0.3]\nperiod = 1\n'
+        "[[system.friction.laws]]\nmu = 0.3\n[[system.friction.laws]]\nmu = 0.4",
+        mass_spring(ss.FrictionByPlace((0.0, 0.3), (ss.Coulomb(0.3), ss.Coulomb(0.4)), 1.0)),
+    ),
     "LuGre": (
         '[system.friction]\nlaw = "LuGre"\nmu = 0.3\nmu_static = 0.4\nstribeck_speed = 0.1\nstiffness = 1e3\n'
         "damping = 2",
@@ -89,6 +94,11 @@ SYSTEMS = {
         mass_spring(force=ss.Recorded(TIMES, 2 * VALUES)),
     ),
     "MotorCart": ('[system]\nmodel = "MotorCart"', ss.MotorCart()),
+    "MotorCart on places": (
+        '[system]\nmodel = "MotorCart"\n[system.friction]\nlaw = "FrictionByPlace"\nplaces = [0]\non = "ground"\n'
+        "[[system.friction.laws]]\nmu = 0.3\n[[system.friction.laws]]\nmu = 0.4",
+        ss.MotorCart(friction=ss.FrictionByPlace((0.0,), (ss.Coulomb(0.3), ss.Coulomb(0.4)), on="ground")),
+    ),
     "other MotorCart": (
         '[system]\nmodel = "MotorCart"\nmu = 0.5\ninductance = 1e-4\nequation = "printed"',
         ss.MotorCart(mu=0.5, inductance=1e-4, equation="printed"),
