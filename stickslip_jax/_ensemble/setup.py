@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple, get_args
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from jaxtyping import Array, PyTree
 
 from .._compiler.native import Layout, packed
 from .._compiler.programs import kept_jit
-from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, with_leaves
+from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, lane_size, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
 from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines, solve_chunk
 from .._dynamics.regularized.engine import ADAPTIVE_STEPS, MORE, AdaptiveBatch, FixedEngine, numbers_as_arrays
@@ -27,7 +28,7 @@ from .._dynamics.sticks import ALL, StickCollector, StickStream
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._foundation import checks
 from .._foundation.extras import progress_bar
-from .._foundation.processes import cores
+from .._foundation.processes import lanes_at_once, usual_threads
 from .._foundation.types import AnyArray, DType, Status
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
@@ -323,12 +324,13 @@ def found_by(
     `accumulators`: of each track, one where there is one contact. They are given as many samples as they lack.
     """
     samples = accumulators[0].missing
-    threads = checks.whole_number("threads", threads) if threads is not None else cores()
-    tasks, started = _Tasks.of(setup, samples, threads, chunk), time.perf_counter()
+    threads = checks.whole_number("threads", threads) if threads is not None else usual_threads()
+    is_recorded = accumulators[0].keep != "totals"
+    tasks, started = _Tasks.of(setup, samples, threads, chunk, is_recorded), time.perf_counter()
     numbers_of, simulate = runner_for(setup, outputs), _simulator(setup, tasks, accumulators)
     # Compiled before the threads start, so that not each of them compiles the same code.
     with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
-        prepared = pool.submit(prepare, setup.dtype) if accumulators[0].keep != "totals" else None
+        prepared = pool.submit(prepare, setup.dtype) if is_recorded else None
         simulate(0, 0)
         if prepared is not None:
             prepared.result()
@@ -352,7 +354,8 @@ def found_here(
     `fewest`.
     """
     size = (fewest, 1, None) if isinstance(setup.engine, AdaptiveBatch) else (_ONE_SIZE, 1, _ONE_SIZE)
-    tasks, started, samples = _Tasks.of(setup, *size), time.perf_counter(), accumulator.missing
+    tasks = _Tasks.of(setup, *size, accumulator.keep != "totals")
+    started, samples = time.perf_counter(), accumulator.missing
     numbers_of, simulate = runner_for(setup, outputs), _simulator(setup, tasks, (accumulator,))
     done = itertools.starmap(simulate, tasks.of_samples(first, samples))
     _add_all((accumulator,), first, done, lambda number: None, numbers_of, 1)
@@ -386,7 +389,7 @@ class _Tasks(NamedTuple):
     threads: int
 
     @classmethod
-    def of(cls, setup: EnsembleSetup, samples: int, threads: int, chunk: int | None) -> "_Tasks":
+    def of(cls, setup: EnsembleSetup, samples: int, threads: int, chunk: int | None, is_recorded: bool) -> "_Tasks":
         if chunk is not None:
             chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
         if isinstance(setup.engine, AdaptiveBatch):
@@ -396,7 +399,9 @@ class _Tasks(NamedTuple):
             most = -(-samples // threads) if chunk is None else chunk
             return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
         # The arrays of 256 lanes stay in the cache (benchmarks/README.md).
-        lanes, rows = 256, 32
+        rows, useful = 32, samples if chunk is None else min(samples, chunk)
+        size = partial(lane_size, dtype=setup.dtype, rows=rows, is_recorded=is_recorded)
+        lanes = lanes_at_once(256, useful, lambda: size(setup.job(0, 1, 1)))
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(chunk, max(samples, 4096))

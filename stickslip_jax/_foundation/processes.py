@@ -1,8 +1,12 @@
-"""The processor that this process runs on, and its memory."""
+"""The processor that this process runs on, its memory, and the device that JAX computes on."""
 
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
+
+import jax
+import jax.numpy as jnp
 
 _LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
 
@@ -10,6 +14,35 @@ _LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
 def cores() -> int:
     """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def device() -> jax.Device:
+    """The device that JAX computes on by default."""
+    return next(iter(jnp.zeros(()).devices()))
+
+
+def usual_threads() -> int:
+    """One for each core; for another device than a CPU one thread keeps it busy."""
+    return cores() if device().platform == "cpu" else 1
+
+
+_MOST_LANES = 2**20
+
+
+def lanes_at_once(usual: int, useful: int, size: Callable[[], float]) -> int:
+    """How many lanes to simulate side by side.
+
+    On a CPU the `usual` number, whose arrays stay in its cache. A GPU is idle with so few, and needs hundreds of
+    thousands: on other devices as many as are `useful`, up to a million, a power of two, that take at most half of its
+    free memory, each `size()` bytes of it.
+    """
+    here = device()
+    if here.platform == "cpu":
+        return usual
+    known = here.memory_stats() or {}
+    free = known.get("bytes_limit", float("inf")) - known.get("bytes_in_use", 0)
+    fits = int(min(_MOST_LANES, 0.5 * free / size()))
+    return max(usual, min(1 << (useful - 1).bit_length(), 1 << max(fits.bit_length() - 1, 0)))
 
 
 def available_memory() -> float:

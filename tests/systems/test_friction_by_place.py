@@ -120,7 +120,15 @@ class Reference:
         begin, y = self.t, self.y
         while True:
             found = integrate.solve_ivp(
-                rates, (begin, t1), y, "DOP853", dense_output=True, events=events, rtol=1e-13, atol=1e-14, max_step=0.05
+                rates,
+                (begin, t1),
+                y,
+                "DOP853",
+                dense_output=True,
+                events=events,
+                rtol=1e-13,
+                atol=1e-14,
+                max_step=0.005,
             )
             which = next((at for at, times in enumerate(found.t_events) if len(times)), None)
             begin, y = found.t[-1], found.y[:, -1]

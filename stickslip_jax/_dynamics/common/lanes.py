@@ -336,6 +336,22 @@ class Job(NamedTuple):
         return self._replace(varying=self.engine.columns(self.varying))
 
 
+def lane_size(job: Job, dtype, *, rows: int, is_recorded: bool) -> int:
+    """About how many bytes a lane of the job takes: what it carries from step to step, as that is read, written and
+    begun anew; the numbers that it draws in a block; its results in `rows`; and the records of a block.
+    """
+    now = jax.eval_shape(partial(lanes_at_start, job, 1, dtype))
+    drawn = jax.eval_shape(
+        jax.vmap(lambda sample, number: job.engine.draw(sample, number, dtype)), now.sample, now.number
+    )
+    results = jax.eval_shape(partial(_results, job.engine), now)
+    of_block = (len(NUMBERS) * jnp.dtype(dtype).itemsize + 1) * (job.engine.tracks or 1) if is_recorded else 0
+    carried, each, noted = (
+        sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(part)) for part in (now, drawn, results)
+    )
+    return 4 * carried + BLOCK * (each + of_block) + rows * noted
+
+
 def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
     """Simulate the whole job; returns the engine's results, arrays (rows, lanes). `job.used_rows` is at most `rows`.
 
