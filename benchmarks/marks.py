@@ -2,9 +2,11 @@
 
 from typing import Any
 
-from .parts import composed, intervals
+from .parts import composed, intervals, motor_cart
 
 ENGINE = "stickslip_jax, "
+NEEDED = {"intervals", "composed", "motor cart", "sensitivity"}
+"""The parts that the marks are read from."""
 
 
 def table(parts: dict[str, list[dict[str, Any]]]) -> list[str]:
@@ -32,4 +34,20 @@ def table(parts: dict[str, list[dict[str, Any]]]) -> list[str]:
     ):
         both = [vmapped[case][threads][key] for threads in composed.CORES]
         add(f"{case}, {key.replace('_', ' ')}; one and two cores", asked, *both)
+    carts = {row["label"]: row["speed"] for row in parts["motor cart"]}
+    both = [carts[f"{ENGINE}totals, {threads}"] for threads in composed.CORES]
+    add(f"motor and cart, totals, times as fast as {motor_cart.BESIDE}; one and two threads", "10", *both)
+    derivatives = {row["label"]: row for row in parts["sensitivity"]}
+    for motion, error, cost in (
+        ("", 2, 4),
+        ("harmonic base of random phase: ", 2, 5),
+        ("damped, Poisson switching: ", 2, 5),
+    ):
+        row = derivatives[f"{motion}corrected derivative"]
+        reached = 100 * row["relative_error"], row["times_value"]
+        add(
+            f"{motion}corrected derivative, relative standard error in % and times the value",
+            f"{error} and {cost}",
+            *reached,
+        )
     return lines
