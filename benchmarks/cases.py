@@ -361,7 +361,7 @@ def _forecasts(sizes: Sizes) -> Run:
 
     def run(number: int) -> Work:
         for which in np.random.default_rng(number).integers(kernel.number, size=100):
-            state = {name: kernel.state[name][which] for name in kernel.given}
+            state = {name: float(kernel.state[name][which]) for name in kernel.given}
             found = ss.forecast(kernel, state)
             assert found.distribution("slip_before").quantile(0.9).value > 0
             assert found.hazard().rate.size == 30

@@ -4,8 +4,8 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 _LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
@@ -16,8 +16,8 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def device() -> jax.Device:
-    """The device that JAX computes on by default."""
+def device() -> Any:
+    """The `jax.Device` that JAX computes on by default."""
     return next(iter(jnp.zeros(()).devices()))
 
 
