@@ -230,7 +230,7 @@ class PlacedContact(SwitchedModel[F]):
         """What stands for the region of a state: on a border, within its round-off, that to which the mass moves."""
         place = self.place(y)
         size = jnp.max(jnp.abs(jnp.stack([jnp.asarray(one, place.dtype) for one in (0.0, *self.law.places)])))
-        few = NOISE_ULPS * jnp.finfo(place.dtype).eps * (size + jnp.abs(place))
+        few = NOISE_ULPS * jnp.finfo(place.dtype).eps * (size + self._terms(y))
         return self.law.region_of(place + few * jnp.sign(direction)) + _OFFSET
 
     def after(
@@ -261,11 +261,16 @@ class PlacedContact(SwitchedModel[F]):
         return jnp.stack(guards), jnp.stack(rates)
 
     def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
-        own = self._own(y)
         ends = (jnp.where(jnp.isfinite(end), end, 0) for end in self.law.ends_of(jnp.floor(sign[1])))
-        at = sum(jnp.abs(slope * number) for slope, number in zip(jax.grad(self.inner.position)(own), own, strict=True))
-        sizes = [jnp.abs(end) + jnp.abs(self.place(y)) + at for end in ends]
-        return jnp.stack([self.within(sign[1]).guard_scale(forcing, own, sign[0]), *sizes])
+        sizes = [jnp.abs(end) + self._terms(y) for end in ends]
+        return jnp.stack([self.within(sign[1]).guard_scale(forcing, self._own(y), sign[0]), *sizes])
+
+    def _terms(self, y: State) -> FloatArray:
+        """The size of what the place is made of: the scale of its round-off."""
+        own = self._own(y)
+        slopes = jax.grad(self.inner.position)(own)
+        at = (jnp.abs(slope * number) for slope, number in zip(slopes, own, strict=True))
+        return jnp.abs(self.place(y)) + sum(at, jnp.zeros_like(y[0]))
 
     def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
         own = self._own(y)
