@@ -86,6 +86,7 @@ def friction_law(
             where = f"below {high}" if low == "-inf" else f"above {low}" if high == "inf" else f"{low} to {high}"
             every = "" if law.period is None else f", every {float(law.period):.6g} m"
             friction_law(own, speed=speed, label=f"{label or repr(own)}, {where} m{every}", ax=ax)
+        _style.legend_above(ax, columns=1)  # one label is as long as the axes
         return ax
     x, y = [], []
     for sign in (-1.0, 1.0):
