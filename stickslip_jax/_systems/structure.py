@@ -619,7 +619,8 @@ class LinearStructure(WithContacts):
 
     @property
     def traits(self) -> Traits:
-        return Traits(compiles_natively=max(self.size, len(self.contacts)) <= WRITTEN_OUT)
+        # Of eight contacts some operation is so large that XLA gives it to several threads, and refuses the loop.
+        return Traits(compiles_natively=self.size <= WRITTEN_OUT and len(self.contacts) < WRITTEN_OUT)
 
     @property
     def fastest(self) -> FloatScalar:
