@@ -521,14 +521,7 @@ class ContactsModel(SwitchedModel[Forcing]):
         numbers = jnp.finfo(size.dtype)
         # Far from a pulse that is a power of e there are no smaller numbers: it would close the contact by a jump.
         least = math.sqrt(float(numbers.tiny))
-        return self._of_all(least + _TOUCH_ULPS * numbers.eps * size)
-
-    def _of_all(self, of_varying: Array) -> Array:
-        """What is given of those whose normal forces vary, among all contacts, (contacts,); zero or False of others."""
-        # Read, not written at their places: XLA makes no native loop of what scatters.
-        places = np.full(self.contacts or 0, len(self.varying))
-        places[list(self.varying)] = np.arange(len(self.varying))
-        return jnp.append(of_varying, jnp.zeros((), of_varying.dtype))[places]
+        return self.among_all(least + _TOUCH_ULPS * numbers.eps * size, 0)
 
     def _own(self, of_modes: Array) -> Array:
         """Of the modes, those of the contacts."""
@@ -544,7 +537,7 @@ class ContactsModel(SwitchedModel[Forcing]):
     def _is_open(self, sign: FloatArray) -> BoolArray:
         """Which contacts are open, (contacts,)."""
         own = self._own(sign)
-        return self._of_all(sign[len(own) :] < 0) if self.varying else jnp.zeros(own.shape, bool)
+        return self.among_all(sign[len(own) :] < 0, False) if self.varying else jnp.zeros(own.shape, bool)
 
     def stuck(self, sign: FloatArray) -> BoolArray:
         is_open = self._is_open(sign)
@@ -658,7 +651,7 @@ class ContactsModel(SwitchedModel[Forcing]):
         of_normal = landed[len(own) :]
         now = jnp.where(ended, self._normal_sign(forcing, y), jnp.where(of_normal, -before, before))
         # What ends an open contact's mode is its closing alone; then all is asked anew.
-        changed = self._of_all(now != before)
+        changed = self.among_all(now != before, False)
         contacts = self._own(landed) & ~changed
         return self._with_normal(own, now), self._with_normal(contacts, False), self._with_normal(changed, False)
 

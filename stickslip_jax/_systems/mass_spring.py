@@ -549,4 +549,4 @@ def _over(value: Number, stiffness: Number) -> Any:
 
 
 def _is_zero(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and value == 0
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(value == 0)  # of NumPy's floats too

@@ -5,6 +5,8 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
 
 from .._excitation.motion import Signal
 from .._excitation.segments import Segment, added
@@ -150,6 +152,13 @@ class SwitchedModel(eqx.Module, Generic[F]):
     def varying(self) -> tuple[int, ...]:
         """The contacts of a list whose normal forces vary."""
         return ()
+
+    def among_all(self, of_varying: Array, others: Number | bool) -> Array:
+        """What is given of the `varying` contacts, among all, (contacts,); `others`: that of the rest."""
+        # Read, not written at their places: XLA makes no native loop of what scatters.
+        places = np.full(self.contacts or 0, len(self.varying))
+        places[list(self.varying)] = np.arange(len(self.varying))
+        return jnp.append(of_varying, jnp.asarray(others, of_varying.dtype))[places]
 
     @property
     def time_scales_are_known(self) -> bool:

@@ -247,6 +247,17 @@ def test_numbers_that_jax_traces():
     assert np.allclose(many, alone, rtol=1e-12, atol=0)
 
 
+def test_a_structure_enclosed_in_a_function_needs_no_number_of_steps():
+    """What nobody traces is known under jax.jit, as the shortest natural period is."""
+    system = ss.LinearStructure([1.0, 1.0], PAIR, None, (contact(1.0, 0.0),))
+
+    def end(x):
+        return ss.simulate(system, ss.Constant(0.2), t1=2.0, y0=(x, 0.0, 0.0, 0.0)).final_state[0]
+
+    np.testing.assert_allclose(jax.jit(end)(0.1), end(0.1), rtol=1e-12)
+    assert np.isfinite(jax.jit(jax.grad(end))(0.1))
+
+
 @pytest.mark.slow
 def test_ensembles_of_a_chain_move_it_by_bands():
     """As single trajectories, which use whole matrices; with dampers between the blocks, too."""

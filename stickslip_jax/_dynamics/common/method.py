@@ -14,14 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..._compiler.programs import is_compiling
 from ..._excitation.excitation import BaseMotion, Excitation, excitation_of, motion_of, realisation_of
 from ..._excitation.motion import SEEN_IN_STEPS
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
 from ..._foundation.fields import Module
-from ..._foundation.types import AnyArray, InitialState, Number, Scalar
+from ..._foundation.types import AnyArray, InitialState, Number, Scalar, Solver
 from ..._numerics.derivatives import NotKnown, largest, primal_of, smallest
-from ..._systems.system import SHORTEST_TIME, StepCount, System, require_system
+from ..._systems.system import SHORTEST_TIME, StepCount, System, TimeScales, require_system
 from ..._uncertainty.inputs import varying
 from ..._uncertainty.numbers import shown
 from .path import padded_length
@@ -161,13 +162,27 @@ _USUAL = StepCount(1.0, 1.0)
 _ACCURATE = 6  # times as many steps as a time scale needs at least: fixed steps are then hardly ever shortened
 
 
+def time_scales_of(system: System, excitation: Excitation, solver: Solver | None = None) -> TimeScales:
+    """The time scales of a system, plain numbers where JAX traces none of what they follow from: in a function under
+    ``jax.jit`` that encloses the system, too, how many steps there are is then known.
+    """
+    if is_compiling() and not checks.holds_traced(system, excitation):
+        # What a user's function encloses may be traced unseen.
+        with suppress(Exception), jax.ensure_compile_time_eval():
+            found = system.time_scales(excitation, solver)
+            return jax.tree.map(
+                lambda time: float(time) if isinstance(time, jax.Array) and not time.ndim else time, found
+            )
+    return system.time_scales(excitation, solver)
+
+
 def step_for(system: System, excitation: Excitation, method: Exact | Regularized) -> Scalar:
     """The time step (s) of `method`, checked; by default a fraction of the shortest time scale.
 
     Raises ValueError for a step that is too long for a time scale, and where `method` gives none although a time scale
     is not known.
     """
-    found = system.time_scales(excitation, method.solver)
+    found = time_scales_of(system, excitation, method.solver)
     scales = {name: (primal_of(of.time), of.steps) for name, of in found.scales.items()}
     if isinstance(method, Regularized):  # whose fixed steps are not shortened where the motion is fast
         scales["time scale of the fastest motion"] = primal_of(found.usual_step), _USUAL
@@ -201,7 +216,7 @@ def longest_step(system: System, excitation: Excitation) -> Scalar:
 
     Steps end at the points of records and at jumps in any case. Raises ValueError where a shortest period is not known.
     """
-    times = {name: primal_of(time) for name, time in system.time_scales(excitation, None).driving.items()}
+    times = {name: primal_of(time) for name, time in time_scales_of(system, excitation).driving.items()}
     unknown = [name for name, time in times.items() if time is None]
     if unknown:
         fixed = "" if system.memory.laws else ", or choose a fixed step, Regularized(width, step=...)"
@@ -224,7 +239,7 @@ def _shortest(times: list[Any]) -> Scalar:
 
 def accurate_step(system: System, excitation: Excitation, step: float) -> float:
     """The fixed `step` (s), or if shorter that to which the time scales that are known let it be shortened."""
-    scales = system.time_scales(excitation, None).scales.values()
+    scales = time_scales_of(system, excitation).scales.values()
     longest = _known([of.time / of.steps.least for of in scales if of.time is not None])
     return min([step, *(time / _ACCURATE for time in longest)])
 
@@ -232,7 +247,7 @@ def accurate_step(system: System, excitation: Excitation, step: float) -> float:
 def max_steps_advice(system: System, excitation: Excitation, method: Exact | Regularized, t1: Scalar) -> str:
     """A message that proposes `max_steps` where JAX traces `t1` or a time scale, from the numbers that are known."""
     horizon = min(_known([t1]), default=100.0)
-    scales = system.time_scales(excitation, method.solver).scales.values()
+    scales = time_scales_of(system, excitation, method.solver).scales.values()
     lengths = [of.time / of.steps.default for of in scales if of.time is not None]
     if method.step is not None:
         lengths = [method.step]
@@ -253,7 +268,7 @@ def _known(numbers: list[Any]) -> list[float]:
 
 def slowest_time(system: System, base: BaseMotion) -> float:
     """The slowest known time scale of a system, s; 1 where none is known."""
-    scales = system.time_scales(excitation_of(base), None).scales.values()
+    scales = time_scales_of(system, excitation_of(base)).scales.values()
     return max((float(scale.time) for scale in scales if scale.time is not None and scale.time < math.inf), default=1.0)
 
 

@@ -28,7 +28,7 @@ from ..._numerics.matrices import any_of
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
 from ..common.lanes import SampleTotals, with_leaves
-from ..common.method import Regularized, accurate_step, longest_step, max_steps_advice, step_for
+from ..common.method import Regularized, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
 from ..common.path import (
     MotionPath,
     Parts,
@@ -568,7 +568,7 @@ def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1:
         shortest = smallest(step)
     except NotKnown:
         shortest = smallest(method.step)
-    found = system.time_scales(excitation, None)
+    found = time_scales_of(system, excitation)
     suits = found.are_all and all(of.time is not None for of in found.scales.values())
     if not suits:
         shortest = accurate_step(system, excitation, shortest)

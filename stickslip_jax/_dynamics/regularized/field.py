@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
@@ -330,9 +329,8 @@ class AnyField(eqx.Module):
             normal = ()
             if self.model.varying:
                 # The normal forces and their slopes, 1 where they do not vary.
-                where, ones = np.array(self.model.varying), jnp.ones(self.model.contacts, tau.dtype)
                 value, slope = _with_slope(self.model.varying_normal_forces, forcing, tau, y, rates)
-                normal = ones.at[where].set(value), (0 * ones).at[where].set(slope)
+                normal = self.model.among_all(value, 1), self.model.among_all(slope, 0)
             return rates, velocity, position, normal
 
         (rates, *begin), (end_rates, *end) = at(0 * h, before), at(h, after)
@@ -345,7 +343,7 @@ class AnyField(eqx.Module):
         velocity = self.model.relative_velocity(forcing, zero, y)
         closed = jnp.ones(velocity.shape, bool)
         if self.model.varying:
-            closed = closed.at[np.array(self.model.varying)].set(self.model.varying_normal_forces(forcing, zero, y) > 0)
+            closed = self.model.among_all(self.model.varying_normal_forces(forcing, zero, y) > 0, True)
         return AtContact(velocity, closed, self.elastic_slip(velocity, y))
 
 

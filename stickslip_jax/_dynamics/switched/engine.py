@@ -27,7 +27,7 @@ from ..._numerics.steps import look_ahead
 from ..._systems.switched_model import NOISE_ULPS, Question, Segments, State, SwitchedModel, chosen_state
 from ..._systems.system import System
 from ..common.lanes import SampleTotals
-from ..common.method import Arguments, Exact, max_steps_advice
+from ..common.method import Arguments, Exact, max_steps_advice, time_scales_of
 from ..common.path import (
     MotionPath,
     Run,
@@ -592,14 +592,14 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, 
             raise NotKnown from None
         return padded_length((_PER_SEGMENT + 2) * segments + _ROOM)
     try:
-        shortest = min(shortest, smallest(system.time_scales(excitation, None).usual_step))
+        shortest = min(shortest, smallest(time_scales_of(system, excitation).usual_step))
     except NotKnown:
         shortest /= _SPARE
     segments = sum(law.segments(horizon) for law in laws)
     steps = 1.5 * (horizon / shortest) + 2 * segments + _ROOM
     if steps > MOST_STEPS:
         known = {math.inf: ""}
-        for which, of in system.time_scales(excitation, None).scales.items():
+        for which, of in time_scales_of(system, excitation).scales.items():
             with suppress(NotKnown):
                 time = smallest(math.inf if of.time is None else of.time)
                 known.setdefault(time, f"; the {which} is {time:.3g} s")
