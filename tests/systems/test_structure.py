@@ -248,14 +248,14 @@ def test_numbers_that_jax_traces():
 
 
 def test_a_structure_enclosed_in_a_function_needs_no_number_of_steps():
-    """What nobody traces is known under jax.jit, as the shortest natural period is."""
-    system = ss.LinearStructure([1.0, 1.0], PAIR, None, (contact(1.0, 0.0),))
+    """What follows from no traced number is known under jax.jit, as the shortest natural period is."""
 
-    def end(x):
+    def end(x, mu):
+        system = ss.LinearStructure([1.0, 1.0], PAIR, None, (ss.Contact([1.0, 0.0], 1.0, ss.Coulomb(mu)),))
         return ss.simulate(system, ss.Constant(0.2), t1=2.0, y0=(x, 0.0, 0.0, 0.0)).final_state[0]
 
-    np.testing.assert_allclose(jax.jit(end)(0.1), end(0.1), rtol=1e-12)
-    assert np.isfinite(jax.jit(jax.grad(end))(0.1))
+    np.testing.assert_allclose(jax.jit(end)(0.1, 0.3), end(0.1, 0.3), rtol=1e-12)
+    assert np.isfinite(jax.jit(jax.grad(end, 1))(0.1, 0.3))
 
 
 @pytest.mark.slow

@@ -163,17 +163,17 @@ _ACCURATE = 6  # times as many steps as a time scale needs at least: fixed steps
 
 
 def time_scales_of(system: System, excitation: Excitation, solver: Solver | None = None) -> TimeScales:
-    """The time scales of a system, plain numbers where JAX traces none of what they follow from: in a function under
-    ``jax.jit`` that encloses the system, too, how many steps there are is then known.
+    """The time scales of a system; those that follow from no traced number are plain numbers. So a function under
+    ``jax.jit`` that encloses a system knows how many steps there are.
     """
-    if is_compiling() and not checks.holds_traced(system, excitation):
-        # What a user's function encloses may be traced unseen.
-        with suppress(Exception), jax.ensure_compile_time_eval():
-            found = system.time_scales(excitation, solver)
-            return jax.tree.map(
-                lambda time: float(time) if isinstance(time, jax.Array) and not time.ndim else time, found
-            )
-    return system.time_scales(excitation, solver)
+    if not is_compiling():
+        return system.time_scales(excitation, solver)
+
+    def plain(time: Any) -> Any:
+        return float(time) if isinstance(time, jax.Array) and not checks.is_traced(time) and not time.ndim else time
+
+    with jax.ensure_compile_time_eval():
+        return jax.tree.map(plain, system.time_scales(excitation, solver))
 
 
 def step_for(system: System, excitation: Excitation, method: Exact | Regularized) -> Scalar:
