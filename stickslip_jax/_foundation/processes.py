@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 
 _LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container
 
@@ -18,7 +18,7 @@ def cores() -> int:
 
 def device() -> Any:
     """The `jax.Device` that JAX computes on by default."""
-    return next(iter(jnp.zeros(()).devices()))
+    return next(iter(jax.device_put(0.0).devices()))
 
 
 def usual_threads() -> int:
