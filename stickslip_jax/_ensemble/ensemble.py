@@ -153,7 +153,7 @@ class Ensemble(EnsembleData):
 
         Args:
             samples: How many more.
-            threads: Worker threads (default: all cores).
+            threads: Worker threads (default: all cores; on another device than a CPU one).
             chunk: Samples simulated per call (default: chosen for speed).
             progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
 
@@ -477,7 +477,7 @@ def simulate_ensemble(
             memory that does not grow with `samples`; "sticks" keeps every stick and the totals too.
         orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
         count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
-        threads: Worker threads (default: all cores).
+        threads: Worker threads (default: all cores; on another device than a CPU one).
         chunk: Samples simulated per call (default: chosen for speed).
         progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
         first_sample: The number i of the first, where several machines share one ensemble (see `concatenate`).
@@ -618,7 +618,7 @@ def simulate_contacts(
             says what each costs).
         orders: Statistics are made of the 1st, 2nd, ... up to this stick of a sample, at most the 1000th.
         count_initial_rest: Whether a stick that begins at t = 0, from a start at rest, counts as the 1st.
-        threads: Worker threads (default: all cores).
+        threads: Worker threads (default: all cores; on another device than a CPU one).
         chunk: Samples simulated per call (default: chosen for speed).
         progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
         first_sample: The number of the first sample, where several machines share one ensemble.
