@@ -532,7 +532,14 @@ def static_at_least(
 _AGES = np.array([1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6])  # s, at which a user's growth is looked at
 
 
-class Directional(FrictionLaw):
+class MadeOfLaws(FrictionLaw):
+    """Base class of laws made of others, which have checked themselves."""
+
+    def check_relations(self) -> None:
+        pass
+
+
+class Directional(MadeOfLaws):
     """Friction that differs between the two directions of slip, as measured devices often show.
 
     Args:
@@ -553,9 +560,6 @@ class Directional(FrictionLaw):
 
     def has_varying_parts(self) -> bool:
         return varies_within((self.forward, self.backward))
-
-    def check_relations(self) -> None:
-        """Each law has checked itself."""
 
     @property
     def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
@@ -596,15 +600,12 @@ class Directional(FrictionLaw):
         return _Chosen(self.forward.in_direction(velocity), self.backward.in_direction(velocity), velocity > 0)
 
 
-class _Chosen(FrictionLaw):
+class _Chosen(MadeOfLaws):
     """One of two laws, by a number that JAX may trace."""
 
     first: FrictionLaw
     second: FrictionLaw
     takes_first: BoolArray
-
-    def check_relations(self) -> None:
-        """Each law has checked itself."""
 
     @property
     def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
@@ -749,14 +750,11 @@ class Ageing(FrictionLaw):
         return Ageing(self.law.in_direction(velocity), self.growth) if self.depends_on_direction else self
 
 
-class AtAge(FrictionLaw):
+class AtAge(MadeOfLaws):
     """A law whose sticks have all lasted `age` (s)."""
 
     law: FrictionLaw
     age: FloatArray
-
-    def check_relations(self) -> None:
-        """The law has checked itself."""
 
     @property
     def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only

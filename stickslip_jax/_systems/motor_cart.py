@@ -31,7 +31,7 @@ from .._foundation.types import (
 from .._numerics.derivatives import without_derivatives
 from .._numerics.elementary import sincos, sincos_of_small
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .friction import AtAge, Coulomb, FrictionLaw, require_law, times_of_slips
+from .friction import AtAge, Coulomb, FrictionLaw, MadeOfLaws, require_law, times_of_slips
 from .layouts import motor_and_cart
 from .memory_models import AgeingContact, InnerStates, inner_laws_of, with_ages
 from .places import FrictionByPlace, PlacedContact
@@ -69,7 +69,7 @@ from .system import (
 LONGEST_TURN = 0.13  # of the motor in a step, in units of its `angle_scale`
 
 
-class OnPin(FrictionLaw):
+class OnPin(MadeOfLaws):
     """The friction `law` of the cart, for velocities of the pin that moves it, where sin(alpha) is `sine`.
 
     The cart has ``-sine`` times the velocity of the pin; friction on it acts on the motor by the lever ``|sine|``.
@@ -77,9 +77,6 @@ class OnPin(FrictionLaw):
 
     law: FrictionLaw
     sine: FloatArray
-
-    def check_relations(self) -> None:
-        """The law has checked itself."""
 
     @property
     def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
