@@ -283,7 +283,7 @@ def results() -> Iterator[Target]:
     kernel = ss.transition_kernel(SYSTEM, LAW, transitions=64)
     yield fields(
         ss.transition_kernel, ("ensemble", "law"), source=(SYSTEM, "system"), law=(LAW, "any"),
-        after=("stick", "never | word"), bins=(4, "whole"), transitions=(64, "whole"),
+        after=("stick", "never | word"), bins=(4, "whole"), transitions=(64, "optional whole"),
     )  # fmt: skip
     yield fields(
         lambda start, bins: kernel.joint(("duration", 1), start=start, bins=bins), ("state",),

@@ -22,7 +22,7 @@ def structures() -> Iterator[Target]:
     yield fields(
         ss.LinearStructure, ("direction",), mass=(np.eye(2), "reals"), stiffness=(np.eye(2), "reals"),
         damping=(0.1 * np.eye(2), "optional reals"), contacts=(ROW.contacts, "never"), force=(None, "optional any"),
-        uncoupled=(None, "optional truth"), rotates=(False, "truth"), drawn_as=("bars", "never"),
+        uncoupled=(None, "optional truth"), rotates=(False, "truth"), drawn_as=("bars", "optional never"),
         counted_contact=(None, "optional whole or zero"),
     )  # fmt: skip
     yield fields(

@@ -265,7 +265,10 @@ def is_of_contacts(value: Any, low: float) -> bool:
     return isinstance(value, (np.ndarray, jax.Array)) and np.size(value) > 0 and is_array(value, low)
 
 
-_OF_BASES = "sample", "velocity", "value"
+def is_motion(value: Any) -> bool:
+    return not isinstance(value, type) and any(hasattr(value, name) for name in ("sample", "velocity", "value"))
+
+
 KINDS: dict[str, Callable[[Any], bool]] = {
     "number": is_number,
     "positive": lambda value: is_number(value, 1e-100),
@@ -291,7 +294,8 @@ KINDS: dict[str, Callable[[Any], bool]] = {
     "friction": lambda value: isinstance(value, _parent(ss.Coulomb)),
     "plain friction": lambda value: takes("friction", value) and value.inner_state is None,
     "growth": lambda value: callable(value) and not isinstance(value, type),
-    "base": lambda value: not isinstance(value, type) and any(hasattr(value, name) for name in _OF_BASES),
+    # A number is a constant one, of each sample its own if there are several.
+    "base": lambda value: is_field(value) or is_motion(value),
     "distribution": lambda value: isinstance(value, ss.RandomNumber),
     "signal": lambda value: isinstance(value, (ss.Signal, ss.Recorded)),
     "method": lambda value: isinstance(value, (ss.Exact, ss.Regularized)),

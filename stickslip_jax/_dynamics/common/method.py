@@ -119,7 +119,7 @@ class Regularized(Module):
         if self.width is not None:
             checks.positive("width", self.width, "m/s")
         if not isinstance(self.shape, str) or self.shape not in SHAPES:
-            near = difflib.get_close_matches(str(self.shape), SHAPES, 1, 0.4)
+            near = difflib.get_close_matches(self.shape, SHAPES, 1, 0.4) if isinstance(self.shape, str) else []
             guess = f"did you mean {near[0]!r}?" if near else ""
             raise checks.refused("shape", f"be one of {', '.join(map(repr, SHAPES))}", self.shape, guess)
         if self.step is not None:
