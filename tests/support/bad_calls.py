@@ -321,7 +321,7 @@ def calibrations() -> Iterator[Target]:
     times, base = np.linspace(0.0, 5.0, 26), ss.Harmonic(0.8, 1.3)
     seen = np.asarray(ss.simulate(SYSTEM, base, t1=5.0, y0=(0.3, 0.0)).evaluate(times)[0]) + 1e-3 * np.cos(9 * times)
     record = {
-        "system": (SYSTEM, "system"), "base": (base, "never | signal"), "times": (times, "never"),
+        "system": (SYSTEM, "system"), "base": (base, "never | signal | number"), "times": (times, "never"),
         "measured": ({"position": seen}, "never"), "wrt": ("mu", "word"), "noise": (None, "optional nothing"),
         "y0": ((0.3, 0.0), "optional start"), "observe": (None, "optional nothing"), "method": (ss.Exact(), "method"),
     }  # fmt: skip
