@@ -7,7 +7,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from typing import Any, NamedTuple, get_args
 
 import equinox as eqx
@@ -400,8 +399,9 @@ class _Tasks(NamedTuple):
             return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
         # The arrays of 256 lanes stay in the cache (benchmarks/README.md).
         rows, useful = 32, samples if chunk is None else min(samples, chunk)
-        size = partial(lane_size, dtype=setup.dtype, rows=rows, is_recorded=is_recorded)
-        lanes = lanes_at_once(256, useful, lambda: size(setup.job(0, 1, 1)))
+        lanes = lanes_at_once(
+            256, useful, lambda: lane_size(setup.job(0, 1, 1), setup.dtype, rows=rows, is_recorded=is_recorded)
+        )
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(chunk, max(samples, 4096))
