@@ -21,17 +21,19 @@ from .._uncertainty.inputs import Inputs
 from .common import lanes
 from .common.lanes import Engine, Engines, engines_of, widest
 from .common.method import Arguments, Exact, Regularized, longest_step, with_memory
-from .common.path import Run
+from .common.path import Run, SegmentLaws
 from .interval.engine import IntervalEngine, follow_intervals
 from .regularized.engine import (
+    ADAPTIVE_STEPS,
+    MORE,
     AdaptiveBatch,
-    FixedEngine,
     fixed_steps,
     follow_regularized,
     resolved,
     solve_batch,
     table_sizes,
 )
+from .regularized.lanes import AdaptiveEngine, FixedEngine
 from .switched.engine import SwitchedEngine, follow_steps, steps_for
 
 # Compiled functions that simulate a chunk of an ensemble: what a worker thread calls.
@@ -114,6 +116,12 @@ class Choice(NamedTuple):
         system.check_excitation(excitation)
         self.arguments.check_length()
         method = resolved(system, excitation, method, dtype)
+        if method.step is None and method.solver is None:
+            horizon = largest(t1)
+            sizes = zip(SegmentLaws.of(system, excitation).base, table_sizes(system, excitation, horizon), strict=False)
+            longest, most = longest_step(system, excitation), np.int32(method.max_steps or MORE**2 * ADAPTIVE_STEPS)
+            given = system.ready(), excitation, t1, y0, longest, most, method
+            return AdaptiveEngine(*given, base_jumps=any(law.jumps and size > 1 for law, size in sizes))
         if method.step is None:
             if system.tracks.number is not None:
                 raise ValueError(

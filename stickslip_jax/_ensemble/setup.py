@@ -20,7 +20,8 @@ from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, lane_size, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
 from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines, solve_chunk
-from .._dynamics.regularized.engine import ADAPTIVE_STEPS, MORE, AdaptiveBatch, FixedEngine, numbers_as_arrays
+from .._dynamics.regularized.engine import ADAPTIVE_STEPS, MORE, AdaptiveBatch, numbers_as_arrays
+from .._dynamics.regularized.lanes import RegularizedEngine
 from .._dynamics.simulate import Output, simulate
 from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import ALL, StickCollector, StickStream
@@ -114,7 +115,7 @@ class EnsembleSetup:
         engine, leaf_numbers = lanes_for(first.system, law, method, t1, first.y0, dtype), ()
         if inputs.entries or inputs.has_sampled_law:
             engine, leaf_numbers, *_ = engines_of_all(inputs, method, t1, dtype)
-        if isinstance(engine, (FixedEngine, AdaptiveBatch)):
+        if isinstance(engine, (RegularizedEngine, AdaptiveBatch)):
             differs = object()
             marked = jax.tree.leaves(with_leaves(engine, leaf_numbers, [differs] * len(leaf_numbers)).method)
             method = method if any(leaf is differs for leaf in marked) else engine.method

@@ -112,6 +112,24 @@ def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
     return jnp.stack(solution)
 
 
+def eliminated(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> list[tuple[FloatArray, ...]]:
+    """The solutions of small linear systems with numbers as entries, by elimination.
+
+    Without pivoting, which steps shorter than the time scales do not need: the matrix is near the identity, or has a
+    large positive diagonal where a state decays fast.
+    """
+    rows = [[*line, *(side[i] for side in sides)] for i, line in enumerate(matrix)]
+    size = len(rows)
+    for i in range(size):
+        per = 1 / rows[i][i]
+        rows[i] = [value * per for value in rows[i]]
+        for j in range(size):
+            if j != i:
+                factor = rows[j][i]
+                rows[j] = [a - factor * b for a, b in zip(rows[j], rows[i], strict=True)]
+    return [tuple(rows[i][size + k] for i in range(size)) for k in range(len(sides))]
+
+
 @kept_jit
 def largest_eigenvalue(matrix: FloatArray) -> FloatScalar:
     """The largest size of an eigenvalue, where all are real: Gelfand's formula.

@@ -223,16 +223,16 @@ class InnerStates(_Remembering):
         """The state `y` with the logarithm of the relative velocity in place of the velocity."""
         return self._replaced(y, self._law.logarithm(y[-1], self.relative_velocity(forcing, jnp.zeros_like(y[0]), y)))
 
-    def without_logarithm(self, forcing: Any, y: State) -> State:
+    def without_logarithm(self, forcing: Any, tau: FloatScalar, y: State) -> State:
         """The state of which `with_logarithm` made `y`."""
         velocity = self._law.slip_velocity(y[-1], self._law.direct * y[self.speed or 0])
         still = self._replaced(y, jnp.zeros_like(velocity))
-        return self._replaced(y, velocity - self.relative_velocity(forcing, jnp.zeros_like(velocity), still))
+        return self._replaced(y, velocity - self.relative_velocity(forcing, tau, still))
 
-    def rates_with_logarithm(self, forcing: Any, y: State) -> State:
+    def rates_with_logarithm(self, forcing: Any, tau: FloatScalar, y: State) -> State:
         """The time derivative of a state `with_logarithm`."""
-        logarithm, tau = y[self.speed or 0], jnp.zeros_like(y[0])
-        coefficient, now = self._law.direct * logarithm, self.without_logarithm(forcing, y)
+        logarithm = y[self.speed or 0]
+        coefficient, now = self._law.direct * logarithm, self.without_logarithm(forcing, tau, y)
         rates = self.inner.rates_under(forcing, tau, now[:-1], coefficient)
         rates = *rates, jnp.asarray(self._law.rate(y[-1], self._law.slip_velocity(y[-1], coefficient)))
         velocity = partial(self.relative_velocity, forcing)

@@ -1,6 +1,4 @@
-"""The engine of regularised dynamics: its settings, lanes of steps of fixed length, adaptive steps by diffrax, and one
-trajectory with its states.
-"""
+"""The engine of regularised dynamics: its settings, adaptive steps by diffrax, and one trajectory with its states."""
 
 import dataclasses
 import math
@@ -14,11 +12,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ..._compiler.native import sharing
 from ..._compiler.programs import kept_jit, plain_numpy
 from ..._excitation.excitation import Excitation, excitation_of
 from ..._excitation.motion import Signal
-from ..._excitation.segments import SegmentState, SegmentTable
+from ..._excitation.segments import SegmentTable
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
 from ..._foundation.types import AnyArray, AnyInteger, BoolArray, DType, FloatArray, IntArray, Number, Scalar, Status
@@ -34,213 +31,17 @@ from ..common.path import (
     Parts,
     Run,
     SegmentLaws,
-    StepsEngine,
-    StepsShared,
-    following_segments,
     is_short,
-    is_spent,
     largest_in_steps,
     of_track,
     padded_length,
     sample_totals,
-    status_of_lane,
     stopping_scan,
-    to_digits,
 )
-from ..sticks import ALL, StickRecord, no_stick
-from .field import AnyField, InnerField, SteppedField, Switch, field_of
-from .sticks import (
-    Cubic,
-    JoiningDetector,
-    SeenStep,
-    StickDetector,
-    detect,
-    detect_joined,
-    hermite,
-    start_detector,
-    start_joining,
-)
-
-# Steps that end where static friction takes hold of the mass or lets it go.
-#
-# Where static friction exceeds kinetic friction, a step that passes such an instant goes wrong by more than its length:
-# a mass that jumps over the narrow band of relative velocities in which static friction holds it slides on for good. So
-# the step is tried again, shortened to end at that instant. The instants carry derivatives: those of the motion after a
-# release depend on when it was.
-
-
-_SAME = 1e-6  # of the change of the needed friction in a step: so near to the limit counts as there
-_ULPS = 16
-_NEAR = 0.98  # of a step: a passage that soon is at its end
-
-
-def shortened(step: SeenStep, band: FloatArray, need: FloatArray, end_need: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Whether the step must be tried again, and its new length, s.
-
-    `band`: the relative speed below which static friction can hold the mass, m/s. `need`, `end_need`: friction that
-    does, over the largest friction.
-    """
-    r0, slope, r1, end_slope = step.relative
-    before, after = _side(r0, band), _side(r1, band)
-    # Bounded measures of the needed friction, 1/2 at its limit.
-    holds, held = 1 / (1 + need) - 0.5, 1 / (1 + end_need) - 0.5
-    least = _SAME * jnp.abs(holds - held) + _ULPS * jnp.finfo(step.h.dtype).eps
-    released = (before == 0) & (holds > least) & (held < -least)
-    # While less than static friction is needed, no mass leaves the band.
-    strays = (before == 0) & (after != 0) & (held > -least) & (holds > least)
-
-    # Where it slid slowest; if it slid the other way, it was in the band.
-    falls, rises = -before * slope, before * end_slope
-    turns = (before != 0) & (before == after) & (falls > 0) & (rises > 0)
-    lowest_at = jnp.where(turns, step.h * falls / jnp.where(turns, falls + rises, 1), step.h)
-    lowest = jnp.where(turns, hermite(lowest_at, step.h, step.relative), r1)
-    crosses = (before != 0) & ((before == -after) | turns) & (before * lowest < 0)
-
-    # Where more than static friction is needed, it only passes the band.
-    soon = jnp.abs(r0) / jnp.where(falls > 0, falls, 1)
-    passes = (before != 0) & (after == 0) & (held < -least) & (falls > 0) & (soon < _NEAR * step.h)
-
-    until_release = step.h * _share(released, holds, -held)
-    until_zero = lowest_at * _share(crosses, jnp.abs(r0), jnp.abs(lowest))
-    length = jnp.where(passes, soon, jnp.where(crosses, until_zero, step.h / 2))
-    return released | strays | crosses | passes, jnp.where(released, until_release, length)
-
-
-def _side(speed: FloatArray, band: FloatArray) -> FloatArray:
-    return jnp.where(jnp.abs(speed) > band, jnp.sign(speed), 0)
-
-
-def _share(chosen: BoolArray, one: FloatArray, other: FloatArray) -> FloatArray:
-    """``one / (one + other)``."""
-    return jnp.where(chosen, one, 0) / jnp.where(chosen, one + other, 1)
-
-
-# Regularised motion in steps of fixed length.
-#
-# A step ends early where a segment of the base motion or of the load ends, so that it never crosses a jump.
-
-
-_GROWTH = 8  # of a step that was shortened, at most
-_SAFETY, _LEAST_ERROR = 0.9, 1e-3
-
-
-class FixedLane(NamedTuple):
-    """Loop state of one trajectory; `has_ended` and `status_of_lane` of the switched engine accept it too.
-
-    `limit`: of the next step, s, by the error of the last one and by what static friction holds or lets go; None where
-    all steps may be as long as the given one.
-    """
-
-    t: FloatArray
-    y: State
-    steps: IntArray
-    detector: StickDetector
-    segment_states: tuple[SegmentState, ...]
-    limit: FloatArray | None
-
-
-class PathStep(NamedTuple):
-    """Record of a step for the `CubicPath`: its beginning, the state there, and the rates at both ends."""
-
-    t: FloatArray
-    y: State
-    rates: State
-    end_rates: State
-
-
-def nothing_seen(numbers: State, contacts: int | None, quantities: tuple[str, ...]) -> tuple[StickRecord, PathStep]:
-    """The records of an idle step, for a trajectory with `numbers` of its state like these and so many contacts."""
-    none = tuple(jnp.zeros_like(value) for value in numbers)
-    stick = no_stick(none[0].dtype, quantities, () if contacts is None else (contacts + 1,))
-    return stick, PathStep(none[0], none, none, none)
-
-
-@sharing
-def _advance_fixed(
-    field: SteppedField,
-    segment_laws: SegmentLaws,
-    t1: FloatArray,
-    step: FloatArray,
-    most_steps: IntArray,
-    lane: FixedLane,
-) -> tuple[FixedLane, StickRecord, PathStep]:
-    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and its `PathStep`.
-
-    The step may be rejected, for its error or where static friction exceeds kinetic friction: the lane stays, and tries
-    a shorter one.
-    """
-    forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
-    live = (lane.t < t1) & ~is_spent(lane) & (lane.steps < most_steps) & ~any_of(jnp.isnan(lane.y[0]))
-    stop = reduce(jnp.minimum, (state.segment.end for state in lane.segment_states), t1)
-    left = jnp.where(live, stop - lane.t, 0)
-    longest = step if lane.limit is None else jnp.minimum(step, lane.limit)
-    # A little more than one step, so that no last step of a few units in the last place remains.
-    to_stop = longest * (1 + 1e-6) >= left
-    h = jnp.where(to_stop, left, to_digits(lane.t, longest))
-    band = field.band(forcing, lane.t, lane.y)
-    y, error = field.step(forcing, lane.y, h, band)
-    seen, rates, end_rates = field.seen(forcing, lane.t, h, lane.y, y)
-    y = (jnp.where(seen.hides_sticks, jnp.nan, y[0]), *y[1:])
-
-    t = jnp.where(to_stop, stop, lane.t + h)
-    segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, t < t1)
-    after = field.at_contact(field.model.forcing(t, segment_laws.segments(segment_states)), t, y)
-    detector, record = detect(field.criterion, lane.detector, seen, jumped=jumped, after=after, last=t >= t1)
-    moved = FixedLane(t, y, lane.steps + 1, detector, segment_states, lane.limit)
-    accepted = live
-    if lane.limit is not None:
-        inaccurate, change = jnp.zeros((), bool), _GROWTH
-        if error is not None:
-            inaccurate = error > 1
-            change = jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)
-        again, length = inaccurate, lax.stop_gradient(h * change)
-        if band is not None:
-            needs = field.need(forcing, 0 * h, lane.y), field.need(forcing, h, y)
-            passes, until = shortened(seen, band, *needs)
-            again, length = inaccurate | passes, jnp.where(inaccurate, length, until)
-        accepted = live & ~again
-        stays = lane._replace(steps=lane.steps + 1, limit=length)
-        moved = moved._replace(limit=jnp.minimum(lax.stop_gradient(longest * change), step))
-        moved = jax.tree.map(lambda new, old: jnp.where(again, new, old), stays, moved)
-    moved = jax.tree.map(lambda new, old: jnp.where(live, new, old), moved, lane)
-    record = record._replace(ending=jnp.where(accepted, record.ending, jnp.int8(-1)))
-    return moved, record, PathStep(lane.t, *map(field.model.numbers, (lane.y, rates, end_rates)))
-
-
-class FixedEngine(StepsEngine[FixedLane]):
-    """Fixed steps; `method`: with every option filled in (`resolved`), its step left to `step_length`."""
-
-    method: Regularized
-
-    def lane(self, smooth: Signal | None, key_data: Any, dtype) -> FixedLane:
-        segment_laws, field = SegmentLaws.of(self.system, self.excitation), self._field(smooth)
-        segment_states = segment_laws.first(self.excitation.segment_key_data(key_data), dtype)
-        y = field.model.start(tuple(jnp.asarray(value, dtype) for value in self.y0), dtype)
-        zero = jnp.zeros((), dtype)
-        forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
-        limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
-        seen, tracks = field.at_contact(forcing, zero, y), field.model.stick_position(y)
-        detector = start_detector(field.criterion, seen, tracks, self.quantities)
-        return FixedLane(zero, y, jnp.zeros((), jnp.int32), detector, segment_states, limit)
-
-    def advanced(
-        self, shared: StepsShared, smooth: Signal | None, lane: FixedLane
-    ) -> tuple[FixedLane, StickRecord, PathStep]:
-        return _advance_fixed(self._field(smooth), *shared, jnp.asarray(self.most_steps, jnp.int32), lane)
-
-    def idle(self, lane: FixedLane) -> tuple[StickRecord, PathStep]:
-        model = self._field(self.excitation.signal).model
-        return nothing_seen(model.numbers(lane.y), model.contacts, ALL)
-
-    def results(self, sample: Signal | None, motion: FixedLane) -> SampleTotals:
-        _, totals, at_start = motion.detector.found
-        return sample_totals(self.system, totals, at_start, self.status(motion), jnp.zeros((), jnp.int32))
-
-    def _field(self, smooth: Signal | None) -> SteppedField:
-        field = field_of(self.system, smooth, self.method)
-        assert isinstance(field, SteppedField)
-        return field
-
+from ..sticks import ALL, StickRecord
+from .field import AnyField, InnerField, Switch, field_of
+from .lanes import AdaptiveEngine, FixedEngine, PathStep, nothing_seen, tolerances
+from .sticks import Cubic, JoiningDetector, detect_joined, hermite, start_joining
 
 # Regularised motion of one trajectory in adaptive steps, by diffrax.
 
@@ -344,25 +145,20 @@ def solve_adaptive(
     dtype = t1.dtype
     zero = jnp.zeros((), dtype)
 
-    atol = jnp.broadcast_to(jnp.asarray(method.atol, dtype), (len(y0),))
-    start = jnp.stack([jnp.asarray(v, dtype) for v in y0])
-    in_logarithms = None
-    if isinstance(field, InnerField) and field.model.spans_decades and not tables.base_jumps:
-        in_logarithms = field.model
-        start = jnp.stack(in_logarithms.with_logarithm(in_logarithms.forcing(zero, tables.at(zero)), tuple(start)))
-        atol = atol.at[in_logarithms.speed].set(method.rtol)
+    model = field.model
+    start = field.model.start(tuple(jnp.asarray(v, dtype) for v in y0), dtype)
+    start = jnp.stack(field.solved(model.forcing(zero, tables.at(zero)), start))
+    _, atol = tolerances(field, method, len(y0), dtype)
 
     def rates(t, y, _):
-        forcing = field.model.forcing(t, tables.at(t))
-        if in_logarithms is not None:
-            return jnp.stack(in_logarithms.rates_with_logarithm(forcing, tuple(y)))
-        return jnp.stack(field.model.numbers(field.rates(forcing, zero, field.model.start(tuple(y), dtype))))
+        return jnp.stack(field.solved_rates(model.forcing(t, tables.at(t)), zero, tuple(y)))
 
     jumps = tables.times
     control = diffrax.PIDController(rtol=method.rtol, atol=atol, dtmax=jnp.asarray(longest_step, dtype))
     # The first stage of a very stiff step, computed anew from the state, would be its round-off enlarged: without jumps
     # no trajectory of a batch needs it.
-    if in_logarithms is None or jumps is not None:
+    in_logarithms = isinstance(field, InnerField) and field.in_logarithms
+    if not in_logarithms or jumps is not None:
         control = _every_stage_control()(control, jump_ts=jumps)
     end = jnp.minimum(t1, tables.end)
     solution = diffrax.diffeqsolve(
@@ -371,11 +167,11 @@ def solve_adaptive(
         adjoint=method.adjoint, throw=False,
     )  # fmt: skip
     t, y = jnp.asarray(solution.ts), jnp.asarray(solution.ys)
-    if in_logarithms is not None:
+    if in_logarithms:
 
         def plain(t: FloatArray, y: Array) -> Array:
             here = jnp.where(jnp.isfinite(t), t, 0)
-            return jnp.stack(in_logarithms.without_logarithm(in_logarithms.forcing(here, tables.at(here)), tuple(y)))
+            return jnp.stack(field.plain(model.forcing(here, tables.at(here)), zero, tuple(y)))
 
         y = jax.vmap(plain)(t, y)
     steps = jnp.sum(jnp.isfinite(t)).astype(jnp.int32) - 1
@@ -518,6 +314,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         duration = xp.where(slows, 10 * threshold / xp.where(slows, deceleration, 1), never)
         duration = duration if method.step is None else xp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
+    own = inner and method.solver is None and method.adjoint is None  # `AdaptiveEngine`, not diffrax
     scales = xp.stack([xp.asarray(size, dtype) for size in state_sizes])
     scales = xp.where(scales > 0, scales, 1)
     atol = method.rtol * scales if method.atol is None else method.atol
@@ -530,12 +327,12 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         method,
         width=width,
         step=None if adaptive else jnp.asarray(method.step, dtype),
-        solver=diffrax.Kvaerno3() if adaptive and method.solver is None else method.solver,
+        solver=diffrax.Kvaerno3() if adaptive and not own and method.solver is None else method.solver,
         rtol=jnp.asarray(method.rtol, dtype),
         atol=jnp.asarray(atol, dtype),
         threshold=jnp.asarray(threshold, dtype),
         minimum_duration=jnp.asarray(duration, dtype),
-        adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and method.adjoint is None else method.adjoint,
+        adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and not own and not method.adjoint else method.adjoint,
     )
 
 
@@ -633,7 +430,8 @@ def solve_batch(
         smooth = jax.tree.map(partial(jnp.asarray, dtype=dtype), here.excitation.realized(words, dtype))
         tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
         y0, until = tuple(jnp.asarray(value, dtype) for value in here.y0), jnp.where(place < used, t1, 0)
-        given = field_of(here.system, smooth, here.method), tables, until, y0, here.method, here.longest_step
+        field = field_of(here.system, smooth, here.method, base_jumps=tables.base_jumps)
+        given = field, tables, until, y0, here.method, here.longest_step
         solution, detector, records = follow_adaptive(
             *given, most, ALL if keep else (), lambda record, _: of_track(record, here.system) if keep else None
         )
@@ -665,6 +463,7 @@ class CubicPath(MotionPath):
     y: State
     rates: State
     end_rates: State
+    middles: State | None
 
     @classmethod
     def of(
@@ -677,7 +476,7 @@ class CubicPath(MotionPath):
             return jnp.append(jnp.where(live, values, end), end)
 
         y = tuple(closed(values, end) for values, end in zip(passages.y, final, strict=True))
-        return cls(smooth, tables, closed(passages.t, last), y, passages.rates, passages.end_rates)
+        return cls(smooth, tables, closed(passages.t, last), y, *passages[2:])
 
     @property
     def times(self) -> Array:
@@ -686,14 +485,17 @@ class CubicPath(MotionPath):
     def state(self, time: FloatArray) -> State:
         index = jnp.clip(jnp.searchsorted(self.t, time, side="right") - 1, 0, len(self.t) - 2)
         tau, h = time - self.t[index], self.t[index + 1] - self.t[index]
-        return tuple(
-            hermite(tau, h, Cubic(y[index], rate[index], y[index + 1], end_rate[index]))
-            for y, rate, end_rate in zip(self.y, self.rates, self.end_rates, strict=True)
-        )
+        return tuple(hermite(tau, h, self._cubic(number, index, index + 1, h)) for number in range(len(self.y)))
+
+    def _cubic(self, number: int, begin: Any, end: Any, h: FloatArray) -> Cubic:
+        """One number of the state in the steps of length `h` from places `begin` to places `end`."""
+        y = self.y[number]
+        cubic = Cubic(y[begin], self.rates[number][begin], y[end], self.end_rates[number][begin])
+        return cubic if self.middles is None else cubic.through(h, self.middles[number][begin])
 
     def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
-        y, lengths = self.y[number], jnp.diff(self.t)
-        cubics = Cubic(y[:-1], self.rates[number], y[1:], self.end_rates[number])
+        lengths, places = jnp.diff(self.t), np.arange(len(self.t) - 1)
+        cubics = self._cubic(number, places, places + 1, lengths)
 
         def inside(step: tuple[Cubic, FloatArray], tau: FloatArray) -> tuple[FloatArray, FloatArray]:
             return with_slope(lambda tau: sign * hermite(tau, step[1], step[0]), tau)
@@ -750,8 +552,8 @@ def _follow(
     sizes: tuple[int, ...],
 ) -> Run:
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
-    if method.step is None:
-        field = field_of(system, excitation.signal, method)
+    if method.solver is not None:
+        field = field_of(system, excitation.signal, method, base_jumps=tables.base_jumps)
         solution, detector, kept = follow_adaptive(
             field, tables, t1, y0, method, longest, steps, ALL, lambda *found: found
         )
@@ -760,11 +562,17 @@ def _follow(
     else:
         # Tolerances are for adaptive steps, and the shortest duration only decides: neither has a derivative.
         shortest = lax.stop_gradient(method.minimum_duration)
-        fixed = dataclasses.replace(method, step=None, atol=None, minimum_duration=shortest)
-        engine = FixedEngine(system, excitation, t1, y0, method.step, steps, fixed, quantities=ALL)
+        plain = dataclasses.replace(method, step=None, minimum_duration=shortest)
+        if method.step is None:
+            plain = dataclasses.replace(plain, rtol=lax.stop_gradient(plain.rtol), atol=lax.stop_gradient(plain.atol))
+            given = system, excitation, t1, y0, lax.stop_gradient(longest), steps, plain
+            engine = AdaptiveEngine(*given, quantities=ALL, base_jumps=tables.base_jumps)
+        else:
+            plain = dataclasses.replace(plain, atol=None)
+            engine = FixedEngine(system, excitation, t1, y0, method.step, steps, plain, quantities=ALL)
         lane, kept = with_slopes(lambda engine: engine.follow(t1.dtype), engine, most=_MOST_SLOPES)
-        final = system.switched_model(excitation.signal, None).numbers(lane.y)
-        detector, end, status = lane.detector, (lane.steps, lane.t, final), status_of_lane(lane, t1)
+        detector, status = lane.detector, engine.status(lane)
+        end = lane.steps, lane.t, engine.numbers(lane)
     records, passages = kept
     path = CubicPath.of(excitation.signal, tables, passages, *end)
     return Run.of(system, records, detector.found.totals, status, *end[1:], jnp.zeros((), jnp.int32), path)

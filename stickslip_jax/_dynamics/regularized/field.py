@@ -19,7 +19,7 @@ from ..._excitation.motion import Signal
 from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Scalar
 from ..._numerics.derivatives import root_of, with_slope, without_derivatives
 from ..._numerics.elementary import angle_of
-from ..._numerics.matrices import largest_of, linear_solve, times
+from ..._numerics.matrices import eliminated, largest_of, linear_solve, times
 from ..._systems.contacts import ContactsModel
 from ..._systems.friction import FrictionLaw
 from ..._systems.memory_models import InnerStates
@@ -317,10 +317,25 @@ class AnyField(eqx.Module):
         """The relative velocity, m/s, and its time derivative where the state changes with `rates`."""
         return _with_slope(self.model.relative_velocity, forcing, tau, y, rates)
 
+    def solved(self, forcing: Any, y: State) -> State:
+        """What adaptive steps follow in place of the state `y`: its numbers."""
+        return self.model.numbers(y)
+
+    def plain(self, forcing: Any, tau: FloatArray, numbers: State) -> State:
+        """The state of which `solved` made these `numbers`."""
+        return self.model.start(numbers, tau.dtype)
+
+    def solved_rates(self, forcing: Any, tau: FloatArray, numbers: State) -> State:
+        """The time derivatives of what is `solved`."""
+        return self.model.numbers(self.rates(forcing, tau, self.plain(forcing, tau, numbers)))
+
     def seen(
-        self, forcing: Any, t: FloatArray, h: FloatArray, before: State, after: State
+        self, forcing: Any, t: FloatArray, h: FloatArray, before: State, after: State, middle: State | None = None
     ) -> tuple[SeenStep, State, State]:
-        """The step from `t` to ``t + h`` as the stick detectors read it, and the rates at both ends."""
+        """The step from `t` to ``t + h`` as the stick detectors read it, and the rates at both ends.
+
+        `middle`: the state at ``t + h / 2``, if it is known.
+        """
 
         def at(tau: FloatArray, y: State) -> tuple[Any, ...]:
             rates = self.rates(forcing, tau, y)
@@ -334,8 +349,13 @@ class AnyField(eqx.Module):
             return rates, velocity, position, normal
 
         (rates, *begin), (end_rates, *end) = at(0 * h, before), at(h, after)
-        relative, position, *normal = (Cubic(*a, *b) for a, b in zip(begin, end, strict=True) if a)
-        return SeenStep(t, h, relative, position, *normal), rates, end_rates
+        cubics = [Cubic(*a, *b) for a, b in zip(begin, end, strict=True) if a]
+        if middle is not None:
+            values = [self.model.relative_velocity(forcing, h / 2, middle), self.model.stick_position(middle)]
+            if self.model.varying:
+                values.append(self.model.among_all(self.model.varying_normal_forces(forcing, h / 2, middle), 1))
+            cubics = [cubic.through(h, value) for cubic, value in zip(cubics, values, strict=True)]
+        return SeenStep(t, h, *cubics), rates, end_rates
 
     def at_contact(self, forcing: Any, t: FloatArray, y: State) -> AtContact:
         """What sticks are found by, at the time `t` of the `forcing`."""
@@ -536,7 +556,7 @@ class Field(SteppedField):
         jacobian, size = jax.jacfwd(free)(expected), len(base)
         matrix = [[(i == j) - weight * jacobian[i][j] for j in range(size)] for i in range(size)]
         missing = [b - e + weight * r for b, e, r in zip(base, expected, rates, strict=True)]
-        without, per_unit = _solve(matrix, [missing, [weight * value for value in by_friction]])
+        without, per_unit = eliminated(matrix, [missing, [weight * value for value in by_friction]])
         reached, velocity = moved(expected, 1.0, without), partial(model.relative_velocity, forcing, tau)
         speed, gain = jax.jvp(velocity, (reached,), (per_unit,))
         coefficient, slides = balance(self.switch, model.friction_at(expected), speed, -gain, held)
@@ -559,24 +579,6 @@ class Field(SteppedField):
         held = jnp.abs(self.model.friction.static)
         kink = (held * sum(jnp.abs(j * f) for j, f in zip(row, by_friction, strict=True)) for row in jacobian)
         return gross, tuple(kink)
-
-
-def _solve(matrix: list[list[FloatArray]], sides: list[list[FloatArray]]) -> list[State]:
-    """Solve small linear systems by elimination.
-
-    Without pivoting, which steps shorter than the time scales do not need: the matrix is near the identity, or has a
-    large positive diagonal where a state decays fast.
-    """
-    rows = [[*line, *(side[i] for side in sides)] for i, line in enumerate(matrix)]
-    size = len(rows)
-    for i in range(size):
-        per = 1 / rows[i][i]
-        rows[i] = [value * per for value in rows[i]]
-        for j in range(size):
-            if j != i:
-                factor = rows[j][i]
-                rows[j] = [a - factor * b for a, b in zip(rows[j], rows[i], strict=True)]
-    return [tuple(rows[i][size + k] for i in range(size)) for k in range(len(sides))]
 
 
 class FrictionAt(ForceLaw):
@@ -670,26 +672,45 @@ def _of_all(columns: FloatArray, force: FloatArray) -> FloatArray:
 
 
 class InnerField(AnyField):
-    """A system whose friction has inner states and is smooth by itself."""
+    """A system whose friction has inner states and is smooth by itself.
+
+    `in_logarithms`: whether adaptive steps follow the logarithm of the relative velocity.
+    """
 
     model: InnerStates
     criterion: Criterion
+    in_logarithms: bool = eqx.field(static=True, default=False)
 
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         return self.model.rates(forcing, tau, y)
+
+    def solved(self, forcing: Any, y: State) -> State:
+        return self.model.with_logarithm(forcing, y) if self.in_logarithms else super().solved(forcing, y)
+
+    def plain(self, forcing: Any, tau: FloatArray, numbers: State) -> State:
+        if self.in_logarithms:
+            return self.model.without_logarithm(forcing, tau, numbers)
+        return super().plain(forcing, tau, numbers)
+
+    def solved_rates(self, forcing: Any, tau: FloatArray, numbers: State) -> State:
+        if self.in_logarithms:
+            return self.model.rates_with_logarithm(forcing, tau, numbers)
+        return super().solved_rates(forcing, tau, numbers)
 
     def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
         slips = jnp.stack([jnp.asarray(law.elastic_slip, velocity.dtype) for law in self.model.laws])
         return slips if self.model.contacts else slips[0] / self.model.slip_of_law(y)
 
 
-def field_of(system: System, smooth: Signal | None, method: Regularized) -> AnyField:
-    """The field of `system` under a realised smooth excitation; `method`: with every option filled in."""
+def field_of(system: System, smooth: Signal | None, method: Regularized, *, base_jumps: bool) -> AnyField:
+    """The field of `system` under a realised smooth excitation; `method`: with every option filled in. `base_jumps`:
+    whether the velocity of the base may jump.
+    """
     assert method.threshold is not None
     assert method.minimum_duration is not None
     criterion, inner = Criterion(method.threshold, method.minimum_duration), system.inner_model(smooth)
     if inner is not None:
-        return InnerField(inner, criterion)
+        return InnerField(inner, criterion, in_logarithms=inner.spans_decades and not base_jumps)
     assert method.width is not None
     model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
     if isinstance(model, ContactsModel):

@@ -69,12 +69,19 @@ class StickDetector(NamedTuple):
 
 
 class Cubic(NamedTuple):
-    """A number in a step, by its values and slopes at both ends: it is a cubic in between."""
+    """A number in a step, by its values and slopes at both ends: it is a cubic in between, or a quartic, by the value
+    in the middle too, less that of the cubic (`bulge`).
+    """
 
     begin: FloatArray
     slope: FloatArray
     end: FloatArray
     end_slope: FloatArray
+    bulge: FloatArray | None = None
+
+    def through(self, h: FloatArray, middle: FloatArray) -> "Cubic":
+        """That with this value in the middle of a step of length `h`."""
+        return self._replace(bulge=middle - (self.begin + self.end) / 2 - h * (self.slope - self.end_slope) / 8)
 
 
 class SeenStep(NamedTuple):
@@ -222,21 +229,20 @@ def crossing(threshold: FloatArray, step: SeenStep, *, entering: bool) -> FloatA
     # Positive before the crossing and negative after it.
     turn = sign if entering else -sign
     shift = threshold if entering else -threshold
-    r0, slope, r1, end_slope = (turn * number for number in step.relative)
-    return fall_in(step.h, Cubic(r0 - shift, slope, r1 - shift, end_slope))
+    turned: Cubic = jax.tree.map(lambda number: turn * number, step.relative)
+    return fall_in(step.h, turned._replace(begin=turned.begin - shift, end=turned.end - shift))
 
 
 def fall_in(h: FloatArray, cubic: Cubic) -> FloatArray:
     """When the `cubic` of a step of length `h` falls through zero; meaningless where it does not."""
-    s0, d0, s1, d1 = cubic.begin, cubic.slope * h, cubic.end, cubic.end_slope * h
-    falls = (s0 > 0) & (s1 < 0)
-    s0, s1 = jnp.where(falls, s0, 1), jnp.where(falls, s1, -1)
-    u = look_ahead(s0, d0, s1, d1, jnp.zeros_like(s0)).where
-    # One more Newton step.
-    cubic = Cubic(s0, d0, s1, d1)
-    value, slope = hermite(u, jnp.ones_like(u), cubic), _slope_of_cubic(u, cubic)
-    usable = falls & (slope < 0)
-    u = lax.stop_gradient(jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1))
+    falls = (cubic.begin > 0) & (cubic.end < 0)
+    s0, s1 = jnp.where(falls, cubic.begin, 1), jnp.where(falls, cubic.end, -1)
+    cubic = Cubic(s0, cubic.slope * h, s1, cubic.end_slope * h, cubic.bulge)
+    u = look_ahead(*cubic[:4], jnp.zeros_like(s0)).where
+    for _ in range(1 if cubic.bulge is None else 3):  # Newton steps
+        value, slope = hermite(u, jnp.ones_like(u), cubic), _slope_of_cubic(u, cubic)
+        usable = falls & (slope < 0)
+        u = lax.stop_gradient(jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1))
     return h * _root(cubic, usable, u)[0]
 
 
@@ -250,13 +256,14 @@ _root = root_of(lambda cubic, _, u: hermite(u, jnp.ones_like(u), cubic), _root_c
 
 
 def _slope_of_cubic(u: FloatArray, cubic: Cubic) -> FloatArray:
-    s0, d0, s1, d1 = cubic
-    return 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
+    s0, d0, s1, d1, bulge = cubic
+    slope = 6 * u * (1 - u) * (s1 - s0) + d0 * (1 - u) * (1 - 3 * u) + d1 * u * (3 * u - 2)
+    return slope if bulge is None else slope + 32 * bulge * u * (1 - u) * (1 - 2 * u)
 
 
 def _straight_entry(threshold: FloatArray, step: SeenStep) -> FloatArray:
     """When ``|v_rel|`` falls to the threshold, by its slope at the beginning, or by the chord if it rises there."""
-    size, rise, end, _ = (_sign(step.relative.begin) * number for number in step.relative)
+    size, rise, end, _ = (_sign(step.relative.begin) * number for number in step.relative[:4])
     above = jnp.maximum(size - threshold, 0)
     total = jnp.maximum(size - end, threshold)
     where = jnp.where(rise < 0, above / jnp.where(rise < 0, -rise, 1), step.h * above / total)
@@ -269,11 +276,12 @@ def _sign(value: FloatArray) -> FloatArray:
 
 def hermite(tau: FloatArray, h: FloatArray, cubic: Cubic) -> FloatArray:
     """The `cubic` of a step of length `h`, `tau` after it began; its first value for a step of no length."""
-    x0, v0, x1, v1 = cubic
+    x0, v0, x1, v1, bulge = cubic
     u = jnp.where(h > 0, tau / jnp.where(h > 0, h, 1), 0)
     bend = (1 - u) * (1 - u)
     values = x0 * bend * (1 + 2 * u) + x1 * u * u * (3 - 2 * u)
-    return values + h * (v0 * u * bend - v1 * u * u * (1 - u))
+    values = values + h * (v0 * u * bend - v1 * u * u * (1 - u))
+    return values if bulge is None else values + 16 * bulge * u * u * bend
 
 
 def _passage(
@@ -520,13 +528,16 @@ def _at(step: SeenStep, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _slip(step: SeenStep, first: FloatArray, last: FloatArray) -> FloatArray:
     """How far the contacts slip between two instants of a step, by the cubic of the relative velocity."""
-    h, (begin, slope, end, end_slope) = jnp.where(step.h > 0, step.h, 1), step.relative
+    h, (begin, slope, end, end_slope, bulge) = jnp.where(step.h > 0, step.h, 1), step.relative
 
     def until(tau: FloatArray) -> FloatArray:
         u = tau / h
         early, late = u * u * u * (u - 2) / 2 + u, u * u * u * (2 - u) / 2
         slopes = slope * u * u * (6 - 8 * u + 3 * u * u) + end_slope * u * u * u * (3 * u - 4)
-        return h * (begin * early + end * late + h * slopes / 12)
+        area = begin * early + end * late + h * slopes / 12
+        if bulge is not None:
+            area = area + bulge * u * u * u * (16 / 3 - 8 * u + 16 / 5 * u * u)
+        return h * area
 
     return lax.stop_gradient(jnp.abs(until(last) - until(first)))
 
