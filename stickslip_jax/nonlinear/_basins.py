@@ -200,22 +200,22 @@ def basins(
     cases = cases_of(system, base, starts, None, period, method)
     with kept_in(folder, cases, {"function": "basins", "transient": transient, "kept": kept}) as stored:
         seen, found, _ = settled(cases, lasted, RECURS, progress, stored)
-    states, finished = np.asarray(seen.states), seen.status == int(Status.FINISHED)
-    times = seen.stick_time.reshape(len(states), kept, -1)
-    lasting = np.asarray(cases.cycle.duration)[:, None, None]
-    stuck = np.all(times >= lasting * (1 - 1e-9), axis=(1, 2))
+        states, finished = np.asarray(seen.states), seen.status == int(Status.FINISHED)
+        times = seen.stick_time.reshape(len(states), kept, -1)
+        lasting = np.asarray(cases.cycle.duration)[:, None, None]
+        stuck = np.all(times >= lasting * (1 - 1e-9), axis=(1, 2))
 
-    def points_of(case: int) -> np.ndarray:
-        if not cases.driven:
-            return _curve(cases, states[case, 0], kept, tolerance)
-        if found[case]:
-            return states[case]
-        # Many returns of an irregular motion: the region in which it stays.
-        own = cases.of(np.array([case]), states[case, None, -1])
-        return np.asarray(follow(own, 0, _IRREGULAR, progress=False).states)[0]
+        def points_of(case: int) -> np.ndarray:
+            if not cases.driven:
+                return _curve(cases, states[case, 0], kept, tolerance)
+            if found[case]:
+                return states[case]
+            # Many returns of an irregular motion: the region in which it stays.
+            own = cases.of(np.array([case]), states[case, None, -1])
+            return np.asarray(follow(own, 0, _IRREGULAR, False, stored, name=f"irregular-{case:06}").states)[0]
 
-    sizes = np.asarray(seen.sizes)
-    labels, attractors = matched(states, sizes, found, stuck, points_of, cases.turns, tolerance, most)
+        sizes = np.asarray(seen.sizes)
+        labels, attractors = matched(states, sizes, found, stuck, points_of, cases.turns, tolerance, most)
     none = np.sum((labels < 0) & finished)
     if none:
         checks.warn(

@@ -315,19 +315,19 @@ def _along(
 
 def follow(
     cases: Cases, transient: int, kept: int, progress: bool | None = None, stored: Kept | None = None,
-    direction: Direction = "start",
+    direction: Direction = "start", name: str = "block",
 ) -> SeenCases:  # fmt: skip
     """What is seen of the cases in the `kept` periods after the `transient` ones, as arrays of NumPy.
 
     `direction`: whether each case begins from its start, or each value of the first parameter from where the one before
-    it ended, in the order of the values ("up") or backwards ("down").
+    it ended, in the order of the values ("up") or backwards ("down"). `name`: of what is stored.
     """
     numbers = cases.starts.shape[1] + 3 * (cases.system.tracks.contacts or 1)
     require_memory("kept", 8.0 * cases.number * kept * numbers, "the states at the ends of so many periods")
     if direction != "start":
         return _along(cases, transient, kept, progress, stored or Kept(), direction)
     run = partial(_follow, transient=jnp.asarray(transient, jnp.int32), kept=kept)
-    return in_blocks(cases, run, SeenCases, progress, stored or Kept())
+    return in_blocks(cases, run, SeenCases, progress, stored or Kept(), name=name)
 
 
 def block_size(number: int, stored: Kept) -> int:

@@ -14,7 +14,7 @@ from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Status
 from ..._numerics.derivatives import without_derivatives
-from ..._numerics.matrices import any_of
+from ..._numerics.matrices import any_of, largest_of
 from ..._numerics.steps import rosenbrock_step
 from ..._systems.switched_model import State
 from ..common.lanes import SampleTotals
@@ -35,6 +35,7 @@ from .sticks import (
     JoiningDetector,
     SeenStep,
     StickDetector,
+    crossing,
     detect,
     detect_joined,
     hermite,
@@ -248,18 +249,22 @@ class FixedEngine(RegularizedEngine[FixedLane]):
 
 # Regularised motion in adaptive steps, of friction that is smooth by itself, but may be stiff: bristles, asperities.
 #
-# Each lane chooses its steps by the error of the last one: `rosenbrock_step`. The lengths carry no derivative, but for
-# the ends of segments and the horizon: what is differentiated is the sequence of steps that were taken.
+# Each lane chooses its steps by the error of the last one: `rosenbrock_step`. Where the relative velocity of a contact
+# passes zero, the rates have a kink (``|v|`` in the laws): a step that passes it is tried again, to end there. So each
+# step is smooth, and its order that of the method. The instants carry derivatives, as those of segments' ends do, and
+# no other length does: what is differentiated is the sequence of steps that were taken. Derivatives of the second order
+# need that: across a kink the sequence alone would miss what the jump of the first one adds, however short the steps.
 
 
 _ORDER = 5
 _LEAST_CHANGE, _MOST_CHANGE = 0.1, 6.0  # of a step
 _FIRST = 0.1  # of the time in which the state would change by itself, times a power of the tolerance: the first step
+_AT_END = 1e-3  # of a step: a passage through zero so near to an end is there
 _TOO_SHORT = 4  # units in the last place of the time
 
 
 class AdaptiveLane(NamedTuple):
-    """Loop state of one trajectory; `numbers`: what is `AnyField.solved`.
+    """Loop state of one trajectory; `y`: what is `AnyField.solved`.
 
     `limit`: of the next step, s; 0 where none is short enough. `closed`: whether a step of no length has followed the
     last: see `detect_joined`.
@@ -283,12 +288,33 @@ def tolerances(field: AnyField, method: Regularized, numbers: int, dtype) -> tup
     return rtol, atol
 
 
-def _share_of_tolerance(tolerance: tuple[FloatArray, FloatArray], error: State, *states: State) -> FloatArray:
-    """The root mean square of the `error`, each number over what is allowed where the largest of the `states` is."""
+def _share_of_tolerance(
+    field: AnyField,
+    forcing: Any,
+    h: FloatArray,
+    tolerance: tuple[FloatArray, FloatArray],
+    error: State,
+    before: State,
+    after: State,
+) -> FloatArray:
+    """The `error` of a step of length `h` over what is allowed: the root mean square of all numbers, or if larger that
+    of the relative velocity of a contact.
+
+    A contact's is allowed `rtol` of itself, and where it is below the threshold of sticks, of that: an error that is
+    small beside the velocities of a slip would shift the beginnings and ends of sticks by far more.
+    """
     rtol, atol = tolerance
-    sizes = (reduce(jnp.maximum, map(jnp.abs, of_each)) for of_each in zip(*states, strict=True))
+    sizes = (jnp.maximum(jnp.abs(begin), jnp.abs(end)) for begin, end in zip(before, after, strict=True))
     shares = [wrong / (rtol * size + atol[i]) for i, (wrong, size) in enumerate(zip(error, sizes, strict=True))]
-    return jnp.sqrt(sum((share * share for share in shares), jnp.zeros_like(shares[0])) / len(shares))
+    share = jnp.sqrt(sum((share * share for share in shares), jnp.zeros_like(h)) / len(shares))
+
+    def relative_velocity(tau: FloatArray, numbers: State) -> FloatArray:
+        return field.model.relative_velocity(forcing, tau, field.plain(forcing, tau, numbers))
+
+    first = relative_velocity(jnp.zeros_like(h), before)
+    last, wrong = jax.jvp(partial(relative_velocity, h), (after,), (error,))
+    size = jnp.maximum(jnp.maximum(jnp.abs(first), jnp.abs(last)), field.criterion.threshold)
+    return jnp.maximum(share, largest_of(jnp.abs(wrong) / (rtol * size)))
 
 
 @sharing
@@ -316,14 +342,19 @@ def _advance_adaptive(
         tuple(jnp.where(moves, new, old) for new, old in zip(part, still, strict=True))
         for part, still in zip(found, (lane.y, lane.y, tuple(map(jnp.zeros_like, lane.y))), strict=True)
     )
-    share = _share_of_tolerance(*without_derivatives((tolerance, error, lane.y, numbers)))
+    share = _share_of_tolerance(*without_derivatives((field, forcing, h, tolerance, error, lane.y, numbers)))
     share = jnp.where(share < 1e10, share, 1e10)  # NaN too
     change = jnp.clip(_SAFETY * jnp.maximum(share, 1e-10) ** (-1 / _ORDER), _LEAST_CHANGE, _MOST_CHANGE)
-    again = live & (share > 1)
+    inaccurate = share > 1
 
     states = (field.plain(forcing, tau, part) for tau, part in ((0 * h, lane.y), (h, numbers), (h / 2, middle)))
     before, y, middle = states
     seen, rates, end_rates = field.seen(forcing, lane.t, h, before, y, middle)
+    until = crossing(jnp.zeros_like(h), seen, entering=True)
+    passes = (seen.relative.begin * seen.relative.end < 0) & (until > _AT_END * h) & (until < (1 - _AT_END) * h)
+    until = -largest_of(jnp.where(passes, -until, -jnp.inf))
+    passes = any_of(passes) & ~inaccurate
+    again = live & (inaccurate | passes)
     numbers = (jnp.where(seen.hides_sticks, jnp.nan, numbers[0]), *numbers[1:])
     t = jnp.where(to_stop & moves, stop, lane.t + h)
     segment_states, jumped = following_segments(segment_laws, lane.segment_states, t, moves & (t < t1))
@@ -333,7 +364,8 @@ def _advance_adaptive(
     # A step that was cut short says little of how long the next may be.
     following = jnp.where(to_stop, jnp.maximum(h * change, lane.limit), h * change)
     shorter = jnp.where(h > _TOO_SHORT * jnp.finfo(t.dtype).eps * lane.t, h * jnp.minimum(change, _SAFETY), 0)
-    limit, steps = lax.stop_gradient(jnp.where(again, shorter, following)), lane.steps + 1
+    limit, steps = lax.stop_gradient(jnp.where(inaccurate, shorter, following)), lane.steps + 1
+    limit = jnp.where(passes, until, limit)
     moved = AdaptiveLane(t, numbers, steps, detector, segment_states, limit, is_over)
     stays = lane._replace(steps=steps, limit=limit)
     moved = jax.tree.map(lambda new, old: jnp.where(again, old, new), moved, stays)
@@ -357,9 +389,9 @@ class AdaptiveEngine(RegularizedEngine[AdaptiveLane]):
         forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
         numbers = field.solved(forcing, y)
         rtol, atol = tolerances(field, self.method, len(numbers), dtype)
-        # Every number by no more than itself, or than what is small of it.
-        rates = field.solved_rates(forcing, zero, numbers)
-        fastest = _share_of_tolerance((jnp.ones_like(rtol), atol / rtol), rates, numbers)
+        # The rates over every number, or over what is small of it.
+        rates = zip(field.solved_rates(forcing, zero, numbers), numbers, atol, strict=True)
+        fastest = reduce(jnp.maximum, (jnp.abs(rate) / (jnp.abs(of) + least / rtol) for rate, of, least in rates))
         limit = lax.stop_gradient(_FIRST * rtol ** (1 / _ORDER) / jnp.where(fastest > 0, fastest, 1))
         detector = start_joining(
             field.criterion, field.at_contact(forcing, zero, y), field.model.stick_position(y), self.quantities
