@@ -314,7 +314,7 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         duration = xp.where(slows, 10 * threshold / xp.where(slows, deceleration, 1), never)
         duration = duration if method.step is None else xp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
-    own = inner and method.solver is None and method.adjoint is None  # `AdaptiveEngine`, not diffrax
+    own = method.solver is None and method.adjoint is None  # `AdaptiveEngine`, not diffrax
     scales = xp.stack([xp.asarray(size, dtype) for size in state_sizes])
     scales = xp.where(scales > 0, scales, 1)
     atol = method.rtol * scales if method.atol is None else method.atol

@@ -307,6 +307,11 @@ class AnyField(eqx.Module):
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         """The time derivative of the state."""
 
+    @property
+    @abc.abstractmethod
+    def kinks(self) -> tuple[Scalar, ...]:
+        """The relative velocities (m/s) at which the derivatives of the rates jump."""
+
     def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
         """How far each contact can slip while bristles only bend."""
         return jnp.zeros_like(velocity)
@@ -418,6 +423,16 @@ class SteppedField(AnyField):
     switch: eqx.AbstractVar[Switch]
 
     @property
+    def kinks(self) -> tuple[Scalar, ...]:
+        has_corners = self.switch.shape == "linear" or self.static_exceeds_kinetic
+        return (self.switch.width, -self.switch.width) if has_corners else ()
+
+    @property
+    @abc.abstractmethod
+    def static_exceeds_kinetic(self) -> bool:
+        """Whether static friction does, of any contact."""
+
+    @property
     def may_be_short(self) -> bool:
         """Whether fixed steps may have to be shortened."""
         return not self.model.time_scales_are_known
@@ -525,11 +540,15 @@ class Field(SteppedField):
         return velocity, self.model.relative_acceleration(forcing, tau, y, rates)
 
     @property
+    def static_exceeds_kinetic(self) -> bool:
+        return self.model.friction.static_exceeds_kinetic
+
+    @property
     def may_be_short(self) -> bool:
-        return self.model.friction.static_exceeds_kinetic or super().may_be_short
+        return self.static_exceeds_kinetic or super().may_be_short
 
     def band(self, forcing: Any, t: FloatArray, y: State) -> FloatArray | None:
-        if not self.model.friction.static_exceeds_kinetic:
+        if not self.static_exceeds_kinetic:
             return None
         _, held = self._accelerations(forcing, jnp.zeros_like(t), y)
         scale = NOISE_ULPS * self.model.guard_scale(forcing, y, jnp.ones_like(t)) + _TIME_ULPS * t * held
@@ -613,7 +632,11 @@ class ContactsField(SteppedField):
     model: ContactsModel
     criterion: Criterion
     switch: Switch
-    static_exceeds_kinetic: bool = eqx.field(static=True)
+    static_exceeds: bool = eqx.field(static=True)
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return self.static_exceeds
 
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         now = self.model.instant(forcing, tau, y)
@@ -683,6 +706,10 @@ class InnerField(AnyField):
 
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         return self.model.rates(forcing, tau, y)
+
+    @property
+    def kinks(self) -> tuple[Scalar, ...]:
+        return () if self.in_logarithms else (0.0,)
 
     def solved(self, forcing: Any, y: State) -> State:
         return self.model.with_logarithm(forcing, y) if self.in_logarithms else super().solved(forcing, y)

@@ -35,9 +35,9 @@ from .sticks import (
     JoiningDetector,
     SeenStep,
     StickDetector,
-    crossing,
     detect,
     detect_joined,
+    fall_in,
     hermite,
     start_detector,
     start_joining,
@@ -249,11 +249,12 @@ class FixedEngine(RegularizedEngine[FixedLane]):
 
 # Regularised motion in adaptive steps, of friction that is smooth by itself, but may be stiff: bristles, asperities.
 #
-# Each lane chooses its steps by the error of the last one: `rosenbrock_step`. Where the relative velocity of a contact
-# passes zero, the rates have a kink (``|v|`` in the laws): a step that passes it is tried again, to end there. So each
-# step is smooth, and its order that of the method. The instants carry derivatives, as those of segments' ends do, and
-# no other length does: what is differentiated is the sequence of steps that were taken. Derivatives of the second order
-# need that: across a kink the sequence alone would miss what the jump of the first one adds, however short the steps.
+# Each lane chooses its steps by the error of the last one: `rosenbrock_step`. Where the rates have a kink (`kinks`: of
+# bristles, where the relative velocity of a contact passes zero), a step that passes it is tried again, to end there.
+# So each step is smooth, and its order that of the method. The instants carry derivatives, as those of segments' ends
+# do, and no other length does: what is differentiated is the sequence of steps that were taken. Derivatives of the
+# second order need that: across a kink the sequence alone would miss what the jump of the first one adds, however short
+# the steps.
 
 
 _ORDER = 5
@@ -317,6 +318,16 @@ def _share_of_tolerance(
     return jnp.maximum(share, largest_of(jnp.abs(wrong) / (rtol * size)))
 
 
+def _passed(seen: SeenStep, velocity: FloatArray | float) -> FloatArray:
+    """When the relative velocity of a contact first passes this value inside the step, s after it began; infinity if it
+    does not.
+    """
+    h, above = seen.h, seen.relative._replace(begin=seen.relative.begin - velocity, end=seen.relative.end - velocity)
+    until = fall_in(h, jax.tree.map(lambda number: jnp.where(above.begin < 0, -1, 1) * number, above))
+    inside = (above.begin * above.end < 0) & (until > _AT_END * h) & (until < (1 - _AT_END) * h)
+    return -largest_of(jnp.where(inside, -until, -jnp.inf))
+
+
 @sharing
 def _advance_adaptive(
     field: AnyField,
@@ -350,10 +361,8 @@ def _advance_adaptive(
     states = (field.plain(forcing, tau, part) for tau, part in ((0 * h, lane.y), (h, numbers), (h / 2, middle)))
     before, y, middle = states
     seen, rates, end_rates = field.seen(forcing, lane.t, h, before, y, middle)
-    until = crossing(jnp.zeros_like(h), seen, entering=True)
-    passes = (seen.relative.begin * seen.relative.end < 0) & (until > _AT_END * h) & (until < (1 - _AT_END) * h)
-    until = -largest_of(jnp.where(passes, -until, -jnp.inf))
-    passes = any_of(passes) & ~inaccurate
+    until = reduce(jnp.minimum, (_passed(seen, kink) for kink in field.kinks), jnp.full_like(h, jnp.inf))
+    passes = (until < h) & ~inaccurate
     again = live & (inaccurate | passes)
     numbers = (jnp.where(seen.hides_sticks, jnp.nan, numbers[0]), *numbers[1:])
     t = jnp.where(to_stop & moves, stop, lane.t + h)
