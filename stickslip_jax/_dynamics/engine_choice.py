@@ -13,6 +13,7 @@ from .._compiler.native import COMPILED_QUICKLY, WIDE_VECTORS, CompiledNatively
 from .._compiler.programs import kept_jit
 from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
+from .._foundation import checks
 from .._foundation.types import AnyArray, DType, Number, Scalar
 from .._numerics.derivatives import largest
 from .._systems.mass_spring import MassSpring
@@ -26,11 +27,9 @@ from .interval.engine import IntervalEngine, follow_intervals
 from .regularized.engine import (
     ADAPTIVE_STEPS,
     MORE,
-    AdaptiveBatch,
     fixed_steps,
     follow_regularized,
     resolved,
-    solve_batch,
     table_sizes,
 )
 from .regularized.lanes import AdaptiveEngine, FixedEngine
@@ -56,10 +55,6 @@ def compiled_for(engine: Engine, *, with_records: bool = False) -> CompiledLanes
     arrays, which are too large for native loops.
     """
     return _COMPILED[is_built_in(engine) and engine.compiles_natively and not with_records]
-
-
-# filter_jit, because a diffrax solver holds more than arrays. Plain numbers must be passed as arrays.
-solve_chunk = kept_jit(solve_batch, filtered=True)
 
 
 def _compiled(is_built_in: bool) -> CompiledLanes:
@@ -99,7 +94,7 @@ class Choice(NamedTuple):
             return method, follow_intervals(system, base, t1, y0, dtype)
         return method, follow_steps(system, base, method, t1, y0, dtype)
 
-    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> Engine | AdaptiveBatch:
+    def lanes(self, y0: tuple[Number, ...], dtype: DType) -> Engine:
         """The engine that simulates samples of the law."""
         system, base, method, t1 = self.arguments
         if self.by_intervals:
@@ -116,21 +111,15 @@ class Choice(NamedTuple):
         system.check_excitation(excitation)
         self.arguments.check_length()
         method = resolved(system, excitation, method, dtype)
-        if method.step is None and method.solver is None:
+        if method.step is None:
+            if method.solver is not None:
+                wanted = "leave the steps of many samples to the package, without a solver and an adjoint"
+                raise checks.refused("method", wanted, type(method.solver), "simulate follows one sample by a solver")
             horizon = largest(t1)
             sizes = zip(SegmentLaws.of(system, excitation).base, table_sizes(system, excitation, horizon), strict=False)
             longest, most = longest_step(system, excitation), np.int32(method.max_steps or MORE**2 * ADAPTIVE_STEPS)
             given = system.ready(), excitation, t1, y0, longest, most, method
             return AdaptiveEngine(*given, base_jumps=any(law.jumps and size > 1 for law, size in sizes))
-        if method.step is None:
-            if system.tracks.number is not None:
-                raise ValueError(
-                    "Argument method must give a step, Regularized(width, step=...), for the sticks of every contact "
-                    "of many samples; with adaptive steps take system.of_contact(number) or system.of_all_contacts()."
-                )
-            sizes = table_sizes(system, excitation, largest(t1))
-            longest = longest_step(system, excitation)
-            return AdaptiveBatch(system, excitation, method, t1, y0, longest, tuple(np.int32(size) for size in sizes))
         # Twice the expected number, for samples with many jumps. `fixed_steps` also rejects a step that is too long.
         expected = 2 * fixed_steps(system, excitation, method, t1)
         most = np.int32(min(method.max_steps or expected, _MOST_COUNTED))
@@ -158,7 +147,7 @@ def engine_for(arguments: Arguments) -> Choice:
 
 def lanes_for(
     system: System, law: BaseMotion, method: Exact | Regularized, t1: float, y0: tuple[Number, ...], dtype: DType
-) -> Engine | AdaptiveBatch:
+) -> Engine:
     """The engine that simulates samples of `law`, with its arguments checked."""
     if isinstance(law, PiecewiseConstantLaw):
         law.checked_capacity(t1)
@@ -170,7 +159,7 @@ def sample_engines(
 ) -> Engines:
     """The engines of samples ``first .. first + number - 1``, whose `inputs` differ."""
 
-    def build(values: tuple[AnyArray, ...], base: BaseMotion | None) -> Engine | AdaptiveBatch:
+    def build(values: tuple[AnyArray, ...], base: BaseMotion | None) -> Engine:
         system, law, y0 = inputs.filled(values)
         arguments = Arguments(system, law if base is None else base, method, t1)
         return engine_for(arguments).lanes(with_memory(system, y0), dtype)

@@ -512,15 +512,14 @@ def simulate_ensemble(
 
 
 def simulate_batch(
-    setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int, fewest: int,
+    setup: EnsembleSetup, first: int, samples: int, keep: Keep, *, retained: int,
     outputs: Mapping[str, Output] = NO_OUTPUTS,
 ) -> Ensemble:  # fmt: skip
     """Samples `first`, ``first + 1``, ... of a larger whole, simulated in this thread.
 
-    `retained`: the most sticks that are retained for standard errors. `fewest`: of samples that any batch of the whole
-    has; programs compiled for one batch fit all others with the same `fewest`.
+    `retained`: the most sticks that are retained for standard errors.
     """
-    found = found_here(setup, first, EnsembleAccumulator(samples, keep, retained), fewest, outputs)
+    found = found_here(setup, first, EnsembleAccumulator(samples, keep, retained), outputs)
     return Ensemble(**setup.fields(), samples=samples, first_sample=first, **found, **fields_of_outputs(outputs))
 
 

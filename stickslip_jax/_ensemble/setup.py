@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple, get_args
 
 import equinox as eqx
@@ -19,8 +20,7 @@ from .._compiler.native import Layout, packed
 from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, lane_size, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
-from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines, solve_chunk
-from .._dynamics.regularized.engine import ADAPTIVE_STEPS, MORE, AdaptiveBatch, numbers_as_arrays
+from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines
 from .._dynamics.regularized.lanes import RegularizedEngine
 from .._dynamics.simulate import Output, simulate
 from .._dynamics.simulation import Simulation
@@ -52,7 +52,7 @@ class EnsembleSetup:
     - `inputs`: the numbers that differ, as they were given.
     """
 
-    engine: Engine | AdaptiveBatch
+    engine: Engine
     leaf_numbers: tuple[int, ...]
     inputs: Inputs
     method: Exact | Regularized
@@ -115,13 +115,13 @@ class EnsembleSetup:
         engine, leaf_numbers = lanes_for(first.system, law, method, t1, first.y0, dtype), ()
         if inputs.entries or inputs.has_sampled_law:
             engine, leaf_numbers, *_ = engines_of_all(inputs, method, t1, dtype)
-        if isinstance(engine, (RegularizedEngine, AdaptiveBatch)):
+        if isinstance(engine, RegularizedEngine):
             differs = object()
             marked = jax.tree.leaves(with_leaves(engine, leaf_numbers, [differs] * len(leaf_numbers)).method)
             method = method if any(leaf is differs for leaf in marked) else engine.method
-        if leaf_numbers and isinstance(engine, Engine):
+        if leaf_numbers:
             engine = VaryingEngine(engine, leaf_numbers)
-        if keep != "totals" and isinstance(engine, Engine):
+        if keep != "totals":
             engine = engine.asked(ALL)
         key_data, period = key_data_for(first.law, key), first.system.stick_position.period
         setup = cls(engine, leaf_numbers, inputs, method, key_data, random, dtype, float(t1), numbering, period)
@@ -136,7 +136,7 @@ class EnsembleSetup:
     @property
     def tracks(self) -> tuple[int | None, ...]:
         """What sticks are counted of: every contact, and last all at once; (None,) where it is one thing."""
-        tracks = self.engine.tracks if isinstance(self.engine, Engine) else None
+        tracks = self.engine.tracks
         return (None,) if tracks is None else tuple(range(tracks))
 
     def fields(self) -> Fields:
@@ -160,7 +160,6 @@ class EnsembleSetup:
 
     def job(self, first: int, used_rows: int, most_samples: int) -> Job:
         """The job for samples `first`, ``first + 1``, ... in `used_rows` rows of lanes, at most `most_samples`."""
-        assert isinstance(self.engine, Engine)
         varying = self.varying_leaves(first, most_samples)
         realization = None
         if not self.inputs.has_own_realizations:
@@ -310,7 +309,6 @@ _Simulate = Callable[[int, int], _Parts]
 """Of samples ``first .. first + number - 1``: their parts."""
 _Run = Callable[[int, int], tuple[SampleTotals, StickStream | None]]
 """Of the same samples: their totals, and, unless only these are kept, their sticks, each track as a sample."""
-_ADAPTIVE_LANES = 64  # of a batch, always: idle ones take time too, and each needs memory for all of its steps
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
 
@@ -346,15 +344,10 @@ def found_by(
 
 
 def found_here(
-    setup: EnsembleSetup, first: int, accumulator: EnsembleAccumulator, fewest: int, outputs: Mapping[str, Output]
+    setup: EnsembleSetup, first: int, accumulator: EnsembleAccumulator, outputs: Mapping[str, Output]
 ) -> Fields:
-    """As `found_by`, simulated in this thread.
-
-    `fewest`: of samples that any batch of the whole has; programs compiled for one batch fit all others with the same
-    `fewest`.
-    """
-    size = (fewest, 1, None) if isinstance(setup.engine, AdaptiveBatch) else (_ONE_SIZE, 1, _ONE_SIZE)
-    tasks = _Tasks.of(setup, *size, accumulator.keep != "totals")
+    """As `found_by`, simulated in this thread."""
+    tasks = _Tasks.of(setup, _ONE_SIZE, 1, _ONE_SIZE, accumulator.keep != "totals")
     started, samples = time.perf_counter(), accumulator.missing
     numbers_of, simulate = runner_for(setup, outputs), _simulator(setup, tasks, (accumulator,))
     done = itertools.starmap(simulate, tasks.of_samples(first, samples))
@@ -392,17 +385,9 @@ class _Tasks(NamedTuple):
     def of(cls, setup: EnsembleSetup, samples: int, threads: int, chunk: int | None, is_recorded: bool) -> "_Tasks":
         if chunk is not None:
             chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
-        if isinstance(setup.engine, AdaptiveBatch):
-            # Every sample of a task has its own lane. The number of lanes is always the same, though some may be idle:
-            # how the compiler orders the operations of a lane, and so the last digits, depends on it, and errors of
-            # adaptive steps grow from there.
-            most = -(-samples // threads) if chunk is None else chunk
-            return cls(_ADAPTIVE_LANES, 1, min(_ADAPTIVE_LANES, most), threads)
-        # The arrays of 256 lanes stay in the cache (benchmarks/README.md).
         rows, useful = 32, samples if chunk is None else min(samples, chunk)
-        lanes = lanes_at_once(
-            256, useful, lambda: lane_size(setup.job(0, 1, 1), setup.dtype, rows=rows, is_recorded=is_recorded)
-        )
+        of_lane = partial(lane_size, setup.job(0, 1, 1), setup.dtype, rows=rows, is_recorded=is_recorded)
+        lanes = lanes_at_once(setup.engine.lanes, useful, of_lane)
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(chunk, max(samples, 4096))
@@ -421,10 +406,7 @@ class _Tasks(NamedTuple):
 def _simulator(setup: EnsembleSetup, tasks: _Tasks, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
     """A function that simulates samples ``first .. first + number - 1`` and records what the `accumulators` keep."""
     keeps_sticks = accumulators[0].keep != "totals"
-    if isinstance(setup.engine, AdaptiveBatch):
-        run = _solver(setup, setup.engine, tasks, keeps_sticks)
-    else:
-        run = _recorder(setup, tasks) if keeps_sticks else _summarizer(setup, tasks)
+    run = _recorder(setup, tasks) if keeps_sticks else _summarizer(setup, tasks)
 
     def simulate(first: int, number: int) -> _Parts:
         totals, sticks = run(first, number)
@@ -443,7 +425,6 @@ def _simulator(setup: EnsembleSetup, tasks: _Tasks, accumulators: Sequence[Ensem
 
 def _summarizer(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     """Simulates samples, of which only the totals are kept."""
-    assert isinstance(setup.engine, Engine)
     summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
 
     def run(first: int, number: int) -> tuple[SampleTotals, None]:
@@ -454,41 +435,8 @@ def _summarizer(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     return run
 
 
-def _solver(setup: EnsembleSetup, batch: AdaptiveBatch, tasks: _Tasks, keeps_sticks: bool) -> _Run:
-    """Simulates samples by adaptive steps."""
-    dtype, sizes = setup.dtype, tuple(int(size) for size in batch.sizes)
-    arrays = numbers_as_arrays(batch._replace(sizes=()), dtype)._replace(method=batch.method)
-    how = {"samples": tasks.lanes, "leaf_numbers": setup.leaf_numbers, "sizes": sizes,
-           "keep": keeps_sticks, "dtype": dtype}  # fmt: skip
-
-    def run(first: int, number: int) -> tuple[SampleTotals, StickStream | None]:
-        varying = tuple(jnp.asarray(column) for column in setup.varying_leaves(first, tasks.lanes))
-        numbers = jnp.asarray(setup.inputs.realization_numbers(first, tasks.lanes))
-        given, lanes = (varying, setup.key_data, numbers, jnp.uint32(number)), np.arange(tasks.lanes)
-        results, records = solve_chunk(arrays, *given, **how, most=batch.method.max_steps or ADAPTIVE_STEPS)
-        results, kept = SampleTotals(*map(np.asarray, results)), [(records, lanes >= 0)]
-        short = (results.status == Status.OUT_OF_STEPS) & (lanes < number)
-        if batch.method.max_steps is None and np.any(short):  # the others stay as they are
-            more, records = solve_chunk(arrays, *given, **how, most=MORE * ADAPTIVE_STEPS)
-            results = SampleTotals(*(np.where(short, new, old) for new, old in zip(more, results, strict=True)))
-            kept = [(kept[0][0], ~short), (records, short)]
-        results = SampleTotals(*(leaf[:number] for leaf in results))
-        if records is None:
-            return results, None
-        sticks = StickCollector()
-        sticks.restart(number)
-        for found, of_lanes in kept:
-            assert found is not None
-            values = np.stack([np.asarray(column).T for column in found.columns.values()], axis=1)
-            sticks.add(values, np.where(of_lanes, np.asarray(found.ending).T, np.int8(-1)), lanes[None, :])
-        return results, sticks.sticks
-
-    return run
-
-
 def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     """Simulates samples, with every stick recorded."""
-    assert isinstance(setup.engine, Engine)
     _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
     of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * tasks.lanes)), setup.dtype

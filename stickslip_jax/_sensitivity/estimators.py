@@ -473,7 +473,7 @@ def _values_of_ensemble(problem: SensitivityProblem, model: StochasticModel) -> 
         return values_of_outputs
 
     def values(first: int, number: int) -> _Values:
-        many = simulate_batch(setup, first, number, "sticks", retained=RETAINED, fewest=problem.samples)
+        many = simulate_batch(setup, first, number, "sticks", retained=RETAINED)
         if problem.is_counted:
             return _values_of_totals(problem, many.totals)
         flat_sticks, status = many.require_sticks(), np.asarray(many.totals.status).astype(int)

@@ -291,12 +291,11 @@ _SUMS = ("moments", "accumulator", "near_grazing_samples")
 def perform(plan: Plan, task: Task) -> bytes:
     """Do the work of `task` in this thread. Raises ValueError for a point that cannot be simulated."""
     if task.derivative is None:
-        fewest = min(plan.samples, plan.batch)
         # Joined, the batches keep the first sticks of the point, whatever the size of a batch; each sample has one or
         # more.
         setup, retained = plan.run_at(task.point), max(0, RETAINED - task.first)
         own = (task.first, task.samples, plan.keep)
-        return packed(simulate_batch(setup, *own, retained=retained, fewest=fewest, outputs=plan.outputs))
+        return packed(simulate_batch(setup, *own, retained=retained, outputs=plan.outputs))
     name, wrt = plan.derivatives[task.derivative]
     statistic = next(one for one in DIFFERENTIABLE if one.name == name)
     setting, started = plan.setting_at(task.point), time.perf_counter()

@@ -28,7 +28,7 @@ LAWS = {
     "stribeck": (ss.Stribeck(0.5, 0.7, 0.4, 2.0, 0.05), lambda r: 0.5 + 0.2 * np.exp(-6.25 * r**2) + 0.05 * r, None),
 }
 TSIT = diffrax.Tsit5()
-SOLVERS = {"tanh": TSIT, "linear": None, "arctan": TSIT, "rational": None}
+SOLVERS = {"tanh": None, "linear": None, "arctan": TSIT, "rational": None}
 
 
 def coefficient(shape, law, r, width):

@@ -70,6 +70,11 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
         """Whether its steps can be compiled into native loops."""
         return True
 
+    @property
+    def lanes(self) -> int:
+        """How many lanes move in lock step on a CPU: the arrays of so many stay in the cache (benchmarks/README.md)."""
+        return 256
+
     def asked(self, quantities: tuple[str, ...]) -> "Engine":
         """The same engine, whose records hold these `quantities` of each stick; without them it computes none."""
         return dataclasses.replace(self, quantities=quantities)
@@ -142,6 +147,10 @@ class VaryingEngine(Engine):
     @property
     def compiles_natively(self) -> bool:
         return self.template.compiles_natively
+
+    @property
+    def lanes(self) -> int:
+        return self.template.lanes
 
     def asked(self, quantities: tuple[str, ...]) -> "VaryingEngine":
         return VaryingEngine(self.template.asked(quantities), self.leaf_numbers)

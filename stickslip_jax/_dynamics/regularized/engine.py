@@ -2,8 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
-from functools import cache, partial, reduce
+from functools import cache, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -18,13 +17,11 @@ from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentTable
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
-from ..._foundation.types import AnyArray, AnyInteger, BoolArray, DType, FloatArray, IntArray, Number, Scalar, Status
+from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar, Status
 from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, with_slopes
-from ..._numerics.elementary import random_words
 from ..._numerics.matrices import any_of
 from ..._systems.switched_model import Segments, State
 from ..._systems.system import System
-from ..common.lanes import SampleTotals, with_leaves
 from ..common.method import Regularized, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
 from ..common.path import (
     MotionPath,
@@ -33,9 +30,7 @@ from ..common.path import (
     SegmentLaws,
     is_short,
     largest_in_steps,
-    of_track,
     padded_length,
-    sample_totals,
     stopping_scan,
 )
 from ..sticks import ALL, StickRecord
@@ -192,28 +187,23 @@ def follow_adaptive(
     method: Regularized,
     longest_step: Scalar,
     max_steps: int,
-    quantities: tuple[str, ...],
-    kept: Callable[[StickRecord, PathStep], Any],
-) -> tuple[Solution, JoiningDetector, Any]:
-    """Solve one trajectory (`solve_adaptive`) and find its sticks; also what is `kept` of each step.
-
-    `quantities` of each stick: those that are asked for.
-    """
+) -> tuple[Solution, JoiningDetector, tuple[StickRecord, PathStep]]:
+    """Solve one trajectory (`solve_adaptive`) and find its sticks; also what is kept of each step."""
     solution = solve_adaptive(field, tables, t1, y0, method, longest_step, max_steps)
     model, zero = field.model, jnp.zeros((), t1.dtype)
     start = model.start(tuple(solution.y[0]), t1.dtype)
     seen, tracks = field.at_contact(model.forcing(zero, tables.at(zero)), zero, start), model.stick_position(start)
 
-    def one_step(detector: JoiningDetector, index: IntArray) -> tuple[JoiningDetector, Any]:
-        detector, record, passage = _detect_in_step(field, tables, t1, solution, detector, index)
-        return detector, kept(record, passage)
+    def one_step(detector: JoiningDetector, index: IntArray) -> tuple[JoiningDetector, tuple[StickRecord, PathStep]]:
+        detector, *kept = _detect_in_step(field, tables, t1, solution, detector, index)
+        return detector, (kept[0], kept[1])
 
     detector, found = stopping_scan(
         one_step,
-        start_joining(field.criterion, seen, tracks, quantities),
+        start_joining(field.criterion, seen, tracks, ALL),
         max_steps + _CLOSING,
         lambda _, index: index >= solution.seen_steps,
-        lambda _: kept(*nothing_seen(tuple(solution.y[0]), model.contacts, quantities)),
+        lambda _: nothing_seen(tuple(solution.y[0]), model.contacts, ALL),
     )
     return solution, detector, found
 
@@ -382,68 +372,6 @@ def numbers_as_arrays(tree: Any, dtype) -> Any:
     return jax.tree.map(convert, tree)
 
 
-# Many trajectories of regularised dynamics in adaptive steps: whole batches.
-
-
-class AdaptiveBatch(NamedTuple):
-    """Samples of any system under any excitation that diffrax solves together, each in its own steps.
-
-    `method`: with every option filled in. `longest_step`: of any sample, s (`method.py`). `sizes`: number
-    of segments to draw for each part of the excitation (`table_sizes`). The slowest sample determines the time of the
-    batch.
-    """
-
-    system: System
-    excitation: Excitation
-    method: Regularized
-    t1: Scalar
-    y0: tuple[Number, ...]
-    longest_step: Scalar
-    sizes: tuple[AnyInteger, ...]
-
-
-def solve_batch(
-    batch: AdaptiveBatch,
-    varying: tuple[AnyArray, ...],
-    key_data: Array,
-    realization: AnyArray,
-    used: AnyInteger,
-    *,
-    samples: int,
-    leaf_numbers: tuple[int, ...],
-    sizes: tuple[int, ...],
-    most: int,
-    keep: bool,
-    dtype: DType,
-) -> tuple[SampleTotals, StickRecord | None]:
-    """Solve samples of a key; with `keep`, also a `StickRecord` (samples, steps).
-
-    `realization` (samples,): the number that each draws its excitation by. `used`: number of samples that are needed;
-    the others end at once. `most`: the largest number of steps of each. `varying`, `leaf_numbers`: the leaves of the
-    batch that differ from sample to sample, arrays (samples, ...), and which these are. `sizes`: those of the batch.
-    """
-    t1 = jnp.asarray(batch.t1, dtype)
-
-    def one(place, number, varying):
-        words = random_words(key_data, number)
-        here = with_leaves(batch, leaf_numbers, varying)
-        smooth = jax.tree.map(partial(jnp.asarray, dtype=dtype), here.excitation.realized(words, dtype))
-        tables = Tables.of(here.system, here.excitation, words, sizes, dtype)
-        y0, until = tuple(jnp.asarray(value, dtype) for value in here.y0), jnp.where(place < used, t1, 0)
-        field = field_of(here.system, smooth, here.method, base_jumps=tables.base_jumps)
-        given = field, tables, until, y0, here.method, here.longest_step
-        solution, detector, records = follow_adaptive(
-            *given, most, ALL if keep else (), lambda record, _: of_track(record, here.system) if keep else None
-        )
-        return detector.found, status_of(solution, detector), records
-
-    found, statuses, records = jax.vmap(one)(
-        jnp.arange(samples, dtype=jnp.uint32), jnp.asarray(realization, jnp.uint32), varying
-    )
-    near = jnp.zeros(statuses.shape, jnp.int32)
-    return sample_totals(batch.system, found.totals, found.at_start, statuses, near), records
-
-
 # One trajectory of regularised dynamics, in fixed or adaptive steps, and the state along it.
 
 
@@ -554,9 +482,7 @@ def _follow(
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
     if method.solver is not None:
         field = field_of(system, excitation.signal, method, base_jumps=tables.base_jumps)
-        solution, detector, kept = follow_adaptive(
-            field, tables, t1, y0, method, longest, steps, ALL, lambda *found: found
-        )
+        solution, detector, kept = follow_adaptive(field, tables, t1, y0, method, longest, steps)
         end = solution.steps, solution.t[solution.steps], tuple(solution.y[solution.steps])
         status = status_of(solution, detector)
     else:

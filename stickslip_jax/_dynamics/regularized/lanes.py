@@ -14,7 +14,7 @@ from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Status
 from ..._numerics.derivatives import without_derivatives
-from ..._numerics.matrices import any_of, largest_of
+from ..._numerics.matrices import WRITTEN_OUT, any_of, largest_of
 from ..._numerics.steps import rosenbrock_step
 from ..._systems.switched_model import State
 from ..common.lanes import SampleTotals
@@ -390,6 +390,17 @@ class AdaptiveEngine(RegularizedEngine[AdaptiveLane]):
     method: Regularized
     base_jumps: bool = eqx.field(static=True, kw_only=True)
 
+    # Of more lanes of several contacts, and of more numbers, some operation is so large that XLA gives it to several
+    # threads, and refuses the native loop.
+
+    @property
+    def lanes(self) -> int:
+        return super().lanes if self.system.tracks.contacts is None else 64
+
+    @property
+    def compiles_natively(self) -> bool:
+        return super().compiles_natively and len(self.y0) <= WRITTEN_OUT
+
     def lane(self, smooth: Signal | None, key_data: Any, dtype) -> AdaptiveLane:
         segment_laws, field = SegmentLaws.of(self.system, self.excitation), self.field(smooth)
         segment_states = segment_laws.first(self.excitation.segment_key_data(key_data), dtype)
@@ -419,8 +430,10 @@ class AdaptiveEngine(RegularizedEngine[AdaptiveLane]):
         return stick, step._replace(middle=step.y)
 
     def ended(self, motion: Any, before: Any) -> BoolArray:
-        cannot = has_ended(motion, jnp.inf, jnp.asarray(self.most_steps, jnp.int32)) & ~is_spent(motion)
-        return motion.closed | cannot | ~(motion.limit > 0)
+        # What a step of no length must follow is not over yet, though it has reached the end.
+        never, most = jnp.full_like(motion.t, jnp.inf), jnp.asarray(self.most_steps, jnp.int32)
+        fails = has_ended(motion, never, most) & ~is_spent(motion)
+        return motion.closed | fails | ~(motion.limit > 0)
 
     def status(self, motion: Any) -> IntArray:
         found = super().status(motion)

@@ -238,7 +238,7 @@ def fall_in(h: FloatArray, cubic: Cubic) -> FloatArray:
     falls = (cubic.begin > 0) & (cubic.end < 0)
     s0, s1 = jnp.where(falls, cubic.begin, 1), jnp.where(falls, cubic.end, -1)
     cubic = Cubic(s0, cubic.slope * h, s1, cubic.end_slope * h, cubic.bulge)
-    u = look_ahead(*cubic[:4], jnp.zeros_like(s0)).where
+    u, usable = look_ahead(*cubic[:4], jnp.zeros_like(s0)).where, falls
     for _ in range(1 if cubic.bulge is None else 3):  # Newton steps
         value, slope = hermite(u, jnp.ones_like(u), cubic), _slope_of_cubic(u, cubic)
         usable = falls & (slope < 0)

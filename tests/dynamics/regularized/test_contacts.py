@@ -336,10 +336,8 @@ def test_bad_input_is_told(call, message):
         call(run)
 
 
-def test_what_needs_a_step_or_a_number_is_told():
+def test_what_needs_a_number_is_told():
     law = ss.PoissonSwitching(speed=0.3, rate=1.0)
-    with pytest.raises(ValueError, match="Argument method must give a step"):
-        ss.simulate_contacts(chain(), law, t1=1.0, samples=2, key=jax.random.key(0), method=ss.Regularized(1e-2))
     with pytest.raises(ValueError, match="must be one number, but an array"):
         ss.simulate(
             ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5)), law.sample(jax.random.key(0), 1.0), t1=1.0,

@@ -1,6 +1,5 @@
 """Regularised dynamics approach the exact ones in the orders that ``docs/regularized_table.md`` derives."""
 
-import diffrax
 import numpy as np
 import pytest
 from support.scripts import loaded
@@ -28,7 +27,7 @@ def test_errors_fall_with_the_width(study, shape):
     On the moving base, where no two errors of opposite signs meet, as they do under the square wave.
     """
     widths = (1e-2, 1e-3)
-    wide, narrow = study.measure("moving base", shape, widths, solver=diffrax.Tsit5())
+    wide, narrow = study.measure("moving base", shape, widths)
     assert wide.missed == wide.invented == narrow.missed == narrow.invented == 0
     assert wide.paired == narrow.paired == 2
     for kind in ("trajectory", "entry"):
