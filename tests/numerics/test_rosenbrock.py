@@ -55,15 +55,17 @@ def test_orders_of_one_step():
 
 
 def test_what_decays_fast_is_gone_after_a_long_step():
-    """L-stable: ``y' = -s (y - cos t) - sin t`` with s h from 1e2 to 1e12 comes to its slow solution ``cos t``."""
+    """L-stable: ``y' = -s (y - cos t) - sin t`` with s h from 1e2 to 1e12 comes to its slow solution ``cos t``,
+    but for 13 / (s h): the stability function falls as 12.5 over that.
+    """
     for fast in 10.0 ** np.arange(3, 13):
         (reached,), _, (error,) = rosenbrock_step(
             lambda tau, y, fast=fast: (-fast * (y[0] - jnp.cos(tau)) - jnp.sin(tau),),
             (jnp.asarray(2.0),),
             jnp.asarray(0.1),
         )
-        assert abs(reached - np.cos(0.1)) < 100 / fast + 1e-7
-        assert abs(error) < 100 / fast + 1e-5
+        assert abs(reached - np.cos(0.1)) < 13 / (fast * 0.1)
+        assert abs(error) < 13 / (fast * 0.1)
 
 
 @pytest.mark.parametrize("number", [8, 9, 20])
