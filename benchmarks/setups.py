@@ -93,7 +93,7 @@ ON_HARMONIC = ss.MassSpring(1.0, 1.0, 1.0, ss.Coulomb(0.3), damping=0.05)
 ON_BRISTLES = ss.MassSpring(
     1.0, 4.0, 1.0, ss.LuGre(0.3, 0.4, stribeck_speed=0.01, stiffness=1e4, damping=100.0)
 )  # fmt: skip
-INNER_TOLERANCES = (1e-4, 1e-5, 1e-6)
+INNER_TOLERANCES = (1e-3, 1e-5, 1e-6)
 BESIDE_BRISTLES = ss.Constant(0.1)
 """The mass and the belt of the baseline `scipy_lugre`."""
 

@@ -60,7 +60,7 @@ FULL = Sizes(
     diagrams=(200, 400),
     basins=(150, 300),
     scipy_periods=30,
-    inner_states=512,
+    inner_states=4096,
     inner_t1=20.0,
 )
 TINY = Sizes(

@@ -77,51 +77,6 @@ class Regularized(Module):
     - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Of a `MotorCart`, a
       system of your own, and where a time scale is not known, shortened where its estimated error without friction
       exceeds 1e-4 of what the terms of the equations change in it, about what 45 steps in a period have; of all, where
-      static friction above kinetic friction takes hold of the mass or lets it go. Without `step`, steps follow the
-      tolerances, at most a quarter of the shortest period of what drives the system, so that none passes over a pulse;
-      the period of a signal of your own must be known then (`shortest_period`). They are linearly implicit and of fifth
-      order (Rodas5P, Steinebach 2023, BIT Numer. Math. 63, 27), and end where friction has a kink: each step is smooth.
-    - `rtol`, `atol`: tolerances of adaptive steps. `atol`: a number, or one for each state; by default `rtol` times
-      the scale of each state. The relative velocity of a contact is known to `rtol` of itself too, or of the threshold
-      of sticks where it is slower, so that beginnings and ends of sticks are as exact as the rest.
-    - `solver`: a solver of diffrax, which then chooses the steps of one trajectory: for comparison, such as
-      ``Kvaerno3()``, which is implicit and works for any width, or ``Tsit5()``, which is explicit. The instants of
-      sticks are then interpolated in steps that do not end at kinks: where they matter, take an `rtol` far below the
-      width over the system's velocities. Not for many samples.
-    - `max_steps`: the largest number of steps of one trajectory, rejected trial steps (about three per event) included.
-      By default estimated, and doubled while too few. Needed under ``jit`` or ``grad`` when `t1` is traced.
-    - `solver`: an explicit Runge-Kutta solver of diffrax for slips. By default slips follow closed forms where these
-      exist; a `MassSpring` without them uses ``diffrax.Dopri8()``.
-
-    Raises ValueError for a step that is not positive, a number of steps below 1, or another kind of solver.
-    """
-
-    step: Scalar | None = None
-    max_steps: int | None = eqx.field(static=True, default=None, converter=_as_max_steps)
-    solver: Any = None
-
-    def __check_init__(self):
-        if self.step is not None:
-            checks.positive("step", self.step, "s")
-        if self.solver is not None and not isinstance(self.solver, diffrax.AbstractERK):
-            raise checks.refused("solver", "be an explicit Runge-Kutta solver such as diffrax.Tsit5()", self.solver)
-
-
-class Regularized(Module):
-    """Regularised dynamics: the sign of the relative velocity ``v_rel`` in the friction force becomes a smooth switch.
-
-    The mass then creeps where it would stick, and a stick is a time in which it creeps slowly. The exact method is
-    faster and has no such errors: this one is for comparison with programs and papers that regularise, and for
-    optimisers that need a smooth field. Errors and run times: ``docs/regularized.md``.
-
-    - `width`: the relative velocity over which friction changes its sign, m/s, positive. For a `MotorCart`,
-      ``eccentricity`` times angular velocity; for a `SwitchedSystem`, in the unit of its relative velocity. None for
-      friction laws with an inner state such as `LuGre`, which are smooth by themselves: ``Regularized()``.
-    - `shape`: "linear" (up to one width, then constant), "tanh", "rational" (``s/sqrt(1 + s^2)``) or "arctan"
-      (``2/pi atan``), of ``s = v_rel / width``. "linear" is the most accurate and cheapest; the others are smooth.
-    - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Of a `MotorCart`, a
-      system of your own, and where a time scale is not known, shortened where its estimated error without friction
-      exceeds 1e-4 of what the terms of the equations change in it, about what 45 steps in a period have; of all, where
       static friction above kinetic friction takes hold of the mass or lets it go. Without `step`, diffrax chooses the
       steps, at most a quarter of the shortest period of what drives the system, so that none passes over a pulse; the
       period of a signal of your own must be known then (`shortest_period`).
@@ -131,8 +86,8 @@ class Regularized(Module):
       the scale of each state. The instants of sticks are interpolated inside a step: where they matter, take an `rtol`
       far below the width over the system's velocities (for "linear", whose corners a long step misses, at most 1e-8).
     - `max_steps`: the largest number of steps of one trajectory, rejected ones included; by default 16384 adaptive
-      steps, 8 and 64 times as many where these are too few (under ``jit``, where it is not known whether they are,
-      16384; in ensembles 64 times as many at once), or as many fixed steps as fit into ``t1``, twice as many where steps may be shortened.
+      steps, 8 and 64 times as many where these are too few (in ensembles 8 times; under ``jit``, where it is not known
+      whether they are, 16384), or as many fixed steps as fit into ``t1``, twice as many where steps may be shortened.
       Needed with a fixed step under ``jit`` or ``grad`` where `t1` is traced.
     - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep velocity at which a
       mass is released: one width where static friction exceeds kinetic friction, else that or a little more
@@ -141,9 +96,9 @@ class Regularized(Module):
     - `minimum_duration`: shortest time below the threshold that counts as a stick, s; by default ten times the time in
       which friction stops a mass at the threshold (a mass that passes through takes less), at least two fixed steps. Of
       several contacts it may be an array (contacts,), as the threshold; all at once stick for the longest of them.
-    - `adjoint`: how diffrax differentiates the steps of its `solver` (by default ``Kvaerno3()`` then):
-      ``RecursiveCheckpointAdjoint()`` by default, for reverse mode (``grad``); ``ForwardMode()`` for ``jvp`` and
-      ``jacfwd``; ``DirectAdjoint()`` for both, slower. All other steps support both modes.
+    - `adjoint`: how diffrax differentiates adaptive steps: ``RecursiveCheckpointAdjoint()`` by default, for reverse
+      mode (``grad``); ``ForwardMode()`` for ``jvp`` and ``jacfwd``; ``DirectAdjoint()`` for both, slower. Fixed steps
+      support both modes.
 
     The method of a result, ``one.method``, holds the numbers that were used. Raises ValueError for numbers that are
     not positive, an unknown shape, an unsuitable solver, and options that exclude each other.
