@@ -77,18 +77,21 @@ class Regularized(Module):
     - `step`: a fixed step, s, linearly implicit and stable for any width: fast, for big batches. Of a `MotorCart`, a
       system of your own, and where a time scale is not known, shortened where its estimated error without friction
       exceeds 1e-4 of what the terms of the equations change in it, about what 45 steps in a period have; of all, where
-      static friction above kinetic friction takes hold of the mass or lets it go. Without `step`, diffrax chooses the
-      steps, at most a quarter of the shortest period of what drives the system, so that none passes over a pulse; the
-      period of a signal of your own must be known then (`shortest_period`).
-    - `solver`: diffrax solver for adaptive steps; by default ``Kvaerno3()``, which is implicit and works for any width.
-      ``Tsit5()`` is explicit: cheaper while ``width`` is at least a hundredth of the system's velocities.
+      static friction above kinetic friction takes hold of the mass or lets it go. Without `step`, steps follow the
+      tolerances, at most a quarter of the shortest period of what drives the system, so that none passes over a pulse;
+      the period of a signal of your own must be known then (`shortest_period`). They are linearly implicit and of fifth
+      order (Rodas5P, Steinebach 2023, BIT Numer. Math. 63, 27), and end where friction has a kink: each step is smooth.
     - `rtol`, `atol`: tolerances of adaptive steps. `atol`: a number, or one for each state; by default `rtol` times
-      the scale of each state. The instants of sticks are interpolated inside a step: where they matter, take an `rtol`
-      far below the width over the system's velocities (for "linear", whose corners a long step misses, at most 1e-8).
+      the scale of each state. The relative velocity of a contact is known to `rtol` of itself too, or of the threshold
+      of sticks where it is slower, so that beginnings and ends of sticks are as exact as the rest.
+    - `solver`: a solver of diffrax that chooses the steps of one trajectory instead, for comparison: ``Kvaerno3()``,
+      say, which is implicit and works for any width, or ``Tsit5()``, which is explicit. The instants of sticks are then
+      interpolated in steps that do not end at kinks: where they matter, take an `rtol` far below the width over the
+      system's velocities. Not for many samples.
     - `max_steps`: the largest number of steps of one trajectory, rejected ones included; by default 16384 adaptive
-      steps, 8 and 64 times as many where these are too few (in ensembles 8 times; under ``jit``, where it is not known
-      whether they are, 16384), or as many fixed steps as fit into ``t1``, twice as many where steps may be shortened.
-      Needed with a fixed step under ``jit`` or ``grad`` where `t1` is traced.
+      steps, 8 and 64 times as many where these are too few (in ensembles 64 times as many; under ``jit``, where it is
+      not known whether they are, 16384), or as many fixed steps as fit into ``t1``, twice as many where steps may be
+      shortened. Needed with a fixed step under ``jit`` or ``grad`` where `t1` is traced.
     - `threshold`: a stick is a time in which ``|v_rel| <= threshold`` (m/s); by default the creep velocity at which a
       mass is released: one width where static friction exceeds kinetic friction, else that or a little more
       (`Switch.creep`). Of laws with an inner state, a thousandth of what friction changes of the velocity in the time
@@ -96,9 +99,9 @@ class Regularized(Module):
     - `minimum_duration`: shortest time below the threshold that counts as a stick, s; by default ten times the time in
       which friction stops a mass at the threshold (a mass that passes through takes less), at least two fixed steps. Of
       several contacts it may be an array (contacts,), as the threshold; all at once stick for the longest of them.
-    - `adjoint`: how diffrax differentiates adaptive steps: ``RecursiveCheckpointAdjoint()`` by default, for reverse
-      mode (``grad``); ``ForwardMode()`` for ``jvp`` and ``jacfwd``; ``DirectAdjoint()`` for both, slower. Fixed steps
-      support both modes.
+    - `adjoint`: how diffrax differentiates the steps of its solver (``Kvaerno3()`` if none is given):
+      ``RecursiveCheckpointAdjoint()`` by default, for reverse mode (``grad``); ``ForwardMode()`` for ``jvp`` and
+      ``jacfwd``; ``DirectAdjoint()`` for both, slower. All other steps support both modes.
 
     The method of a result, ``one.method``, holds the numbers that were used. Raises ValueError for numbers that are
     not positive, an unknown shape, an unsuitable solver, and options that exclude each other.
