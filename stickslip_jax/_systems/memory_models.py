@@ -251,6 +251,10 @@ class InnerStates(_Remembering):
         """The normal forces that vary, N."""
         return self.inner.varying_normal_forces(forcing, tau, y[:-1])
 
+    def among_all(self, varying: Array, others: Any) -> Array:
+        """As of a `SwitchedModel`."""
+        return self.inner.among_all(varying, others)
+
     def coefficients(self, forcing: Any, tau: FloatScalar, y: State) -> Array:
         """The friction coefficient in each contact, as the rates of the `inner` model take it."""
         velocity = self.relative_velocity(forcing, tau, y)

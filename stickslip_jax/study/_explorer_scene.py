@@ -477,11 +477,14 @@ def require_little(scene: Scene) -> tuple[float, str]:
     law = inputs.realization_of(0, law, scene.t1) if inputs.has_sampled_law else law
     if engine_for(Arguments(system, law, scene.method, scene.t1)).by_intervals:
         each = float(law.capacity(scene.t1))
-    elif isinstance(scene.method, Regularized) and scene.method.step is None:
-        each = float(ADAPTIVE_STEPS)
     else:
         excitation = excitation_of(law, "law")
-        each = float(steps_for(system, excitation, scene.t1, step_for(system, excitation, scene.method)))
+        try:
+            each = float(steps_for(system, excitation, scene.t1, step_for(system, excitation, scene.method)))
+        except ValueError:  # of a time scale that is not known, which adaptive steps do not need
+            if isinstance(scene.method, Exact) or scene.method.step is not None:
+                raise
+            each = float(ADAPTIVE_STEPS)
     steps, kind = scene.samples * each, str(jax.tree.structure((scene.system, scene.law, scene.method)))
     seconds, size = steps * _seconds_of_step.get(kind, 1e-6), steps * _BYTES_OF_STEP
     if seconds > LONGEST_RUN or size > available_memory() / 2:

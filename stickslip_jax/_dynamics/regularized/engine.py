@@ -195,8 +195,8 @@ def follow_adaptive(
     seen, tracks = field.at_contact(model.forcing(zero, tables.at(zero)), zero, start), model.stick_position(start)
 
     def one_step(detector: JoiningDetector, index: IntArray) -> tuple[JoiningDetector, tuple[StickRecord, PathStep]]:
-        detector, *kept = _detect_in_step(field, tables, t1, solution, detector, index)
-        return detector, (kept[0], kept[1])
+        detector, record, passage = _detect_in_step(field, tables, t1, solution, detector, index)
+        return detector, (record, passage)
 
     detector, found = stopping_scan(
         one_step,

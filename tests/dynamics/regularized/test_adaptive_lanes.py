@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
 from stickslip_jax._dynamics.regularized.field import InnerField
@@ -120,6 +121,28 @@ def test_every_contact_of_samples(friction):
             flat, alone = many.of_contact(contact).flat_sticks, one.of_contact(contact)
             own = flat.sample == number
             np.testing.assert_allclose([flat.start[own], flat.end[own]], instants(alone), atol=1e-4)
+
+
+def test_normal_force_that_varies_on_bristles():
+    """Against scipy's Radau, of which each part of the force is a run of its own."""
+    times, newtons = [0.0, 2.0, 4.0], [1.0, 3.0, 0.5]
+    law = ss.LuGre(0.3, **BRISTLES)
+    system = ss.MassSpring(1.0, 4.0, ss.ForceSteps(times, newtons), law)
+    one = ss.simulate(system, ss.Constant(BELT), t1=6.0, y0=START, method=ss.Regularized(rtol=1e-7, threshold=1e-4))
+    state = np.array([*START, 0.0])
+    for first, last, press in zip(times, [*times[1:], 6.0], newtons, strict=True):
+
+        def rates(_, y, press=press):
+            slip = y[1] - BELT
+            limit = 0.3 + 0.1 * np.exp(-((slip / BRISTLES["stribeck_speed"]) ** 2))
+            rate = slip - BRISTLES["stiffness"] * abs(slip) * y[2] / limit
+            force = press * (BRISTLES["stiffness"] * y[2] + BRISTLES["damping"] * rate)
+            return [y[1], -4.0 * y[0] - force, rate]
+
+        state = solve_ivp(rates, (first, last), state, "Radau", rtol=1e-10, atol=1e-12).y[:, -1]
+    assert int(one.status) == ss.Status.FINISHED
+    assert one.sticks.count > 0
+    np.testing.assert_allclose(one.final_state, state, atol=1e-6)
 
 
 class RunsAway(ss.SwitchedSystem):
