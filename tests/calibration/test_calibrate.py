@@ -285,9 +285,7 @@ def test_two_coupled_blocks_whose_motion_depends_on_everything():
     times, belt = np.linspace(0, 60, 1201), ss.Constant(0.15)
     one = ss.simulate(blocks(0.5, 0.55, 1.0), belt, t1=60.0, y0=(0.3, 0.1, 0.0, 0.0))
     rng = np.random.default_rng(0)
-    seen = {
-        f"position {i}": np.asarray(one.evaluate(times)[i]) + 0.003 * rng.normal(size=len(times)) for i in (0, 1)
-    }
+    seen = {f"position {i}": np.asarray(one.evaluate(times)[i]) + 0.003 * rng.normal(size=len(times)) for i in (0, 1)}
     names = [f"contacts[{i}].friction.{kind}" for kind in ("mu", "mu_static") for i in (0, 1)]
     found = ss.calibrate(blocks(0.45, 0.45, 0.9), belt, times, seen, wrt=names)
     for name, truth in zip(names, (0.5, 0.55, 1.0, 1.0), strict=True):

@@ -137,3 +137,34 @@ def test_regularized(name):
         method=ss.Regularized(1e-2, step=1e-3),
     )  # fmt: skip
     assert (many.of_contact(0) if has_many(system) else many).finished == 16
+
+
+LUGRE = ss.LuGre(0.3, 0.4, stribeck_speed=0.05, stiffness=1e3, damping=30.0)
+SMOOTH = {
+    "LuGre": mass(LUGRE),
+    "elastoplastic": mass(ss.ElastoPlastic(0.3, 0.4, stribeck_speed=0.05, stiffness=1e3, damping=30.0)),
+    "Dahl": mass(ss.Dahl(0.3, 1e3)),
+    "Bouc and Wen": mass(ss.BoucWen(0.3, 1e3)),
+    "rate and state": mass(ss.DieterichRuina(0.6, 0.01, 0.015, length=1e-3, reference_speed=1e-3)),
+    "LuGre, pulsing normal force": mass(LUGRE, normal_force=ss.Harmonic(0.1, 2.0, offset=0.3)),
+    "two, LuGre": row(2, LUGRE),
+    "three, LuGre": row(3, LUGRE, damping=0.1 * np.eye(3)),
+    "five, LuGre": row(5, LUGRE),
+    "cart, LuGre": ss.MotorCart(friction=LUGRE),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [*SMOOTH, "static", "Stribeck", "own curve", "two", "two, static", "three, pulsing", "pendulums", "cart"]
+)
+def test_adaptive(name):
+    system = SMOOTH.get(name) or SYSTEMS[name]
+    base = VOLTAGE if isinstance(system, ss.MotorCart) else SWINGING
+    call = ss.simulate_contacts if has_many(system) else ss.simulate_ensemble
+    method = ss.Regularized(*(() if name in SMOOTH else (1e-2,)), threshold=1e-3, minimum_duration=1e-3)
+    for keep in ("totals", "sticks"):
+        many = call(
+            system, base, t1=0.5, samples=16, key=jax.random.key(0), keep=keep, threads=1, progress=False, method=method
+        )
+        assert (many.of_contact(0) if has_many(system) else many).finished == 16

@@ -310,7 +310,12 @@ class AnyField(eqx.Module):
     @property
     @abc.abstractmethod
     def kinks(self) -> tuple[Scalar, ...]:
-        """The relative velocities (m/s) at which the derivatives of the rates jump."""
+        """The relative velocities (m/s) at which the rates begin to change in another way."""
+
+    @property
+    def has_corners(self) -> bool:
+        """Whether their derivatives jump there."""
+        return True
 
     def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
         """How far each contact can slip while bristles only bend."""
@@ -424,8 +429,11 @@ class SteppedField(AnyField):
 
     @property
     def kinks(self) -> tuple[Scalar, ...]:
-        has_corners = self.switch.shape == "linear" or self.static_exceeds_kinetic
-        return (self.switch.width, -self.switch.width) if has_corners else ()
+        return self.switch.width, -self.switch.width
+
+    @property
+    def has_corners(self) -> bool:
+        return self.switch.shape == "linear" or self.static_exceeds_kinetic
 
     @property
     @abc.abstractmethod

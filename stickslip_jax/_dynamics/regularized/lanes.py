@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..._compiler.native import sharing
@@ -32,6 +33,7 @@ from ..common.path import (
 from ..sticks import ALL, StickRecord, no_stick
 from .field import AnyField, InnerField, SteppedField, field_of
 from .sticks import (
+    Cubic,
     JoiningDetector,
     SeenStep,
     StickDetector,
@@ -41,6 +43,7 @@ from .sticks import (
     hermite,
     start_detector,
     start_joining,
+    stationary,
 )
 
 # Steps that end where static friction takes hold of the mass or lets it go.
@@ -285,7 +288,7 @@ def tolerances(field: AnyField, method: Regularized, numbers: int, dtype) -> tup
     rtol = jnp.asarray(method.rtol, dtype)
     atol = jnp.broadcast_to(jnp.asarray(method.atol, dtype), (numbers,))
     if isinstance(field, InnerField) and field.in_logarithms:
-        atol = atol.at[field.model.speed].set(rtol)
+        atol = jnp.where(np.arange(numbers) == field.model.speed, rtol, atol)
     return rtol, atol
 
 
@@ -318,14 +321,24 @@ def _share_of_tolerance(
     return jnp.maximum(share, largest_of(jnp.abs(wrong) / (rtol * size)))
 
 
-def _passed(seen: SeenStep, velocity: FloatArray | float) -> FloatArray:
-    """When the relative velocity of a contact first passes this value inside the step, s after it began; infinity if it
-    does not.
+def _passed(seen: SeenStep, velocity: FloatArray | float, has_corner: bool) -> FloatArray:
+    """Where a step must end for the sake of the kink at this relative velocity, s after it began; infinity if it need
+    not.
+
+    Where a contact passes the kink, if it is a corner; and where it is farthest beyond in a step that ends on the side
+    on which it began: rates that do not change on that side would let a long step pass over what is beyond.
     """
-    h, above = seen.h, seen.relative._replace(begin=seen.relative.begin - velocity, end=seen.relative.end - velocity)
-    until = fall_in(h, jax.tree.map(lambda number: jnp.where(above.begin < 0, -1, 1) * number, above))
-    inside = (above.begin * above.end < 0) & (until > _AT_END * h) & (until < (1 - _AT_END) * h)
-    return -largest_of(jnp.where(inside, -until, -jnp.inf))
+    h, relative = seen.h, seen.relative
+    side = jnp.where(relative.begin < velocity, -1, 1).astype(h.dtype)
+    above = relative._replace(begin=relative.begin - velocity, end=relative.end - velocity)
+    above: Cubic = jax.tree.map(lambda number: side * number, above)
+    until = fall_in(h, above) if has_corner else jnp.full_like(above.begin, jnp.inf)
+    inside = (above.end < 0) & (until > _AT_END * h) & (until < (1 - _AT_END) * h)
+    turns = (above.begin > 0) & (above.end > 0) & (above.slope < 0) & (above.end_slope > 0)
+    lowest = stationary(h, above, turns)
+    dips = turns & (hermite(lowest, h, above) < 0)
+    until = jnp.where(dips, lowest, jnp.where(inside, until, jnp.inf))
+    return -largest_of(-until)
 
 
 @sharing
@@ -361,7 +374,9 @@ def _advance_adaptive(
     states = (field.plain(forcing, tau, part) for tau, part in ((0 * h, lane.y), (h, numbers), (h / 2, middle)))
     before, y, middle = states
     seen, rates, end_rates = field.seen(forcing, lane.t, h, before, y, middle)
-    until = reduce(jnp.minimum, (_passed(seen, kink) for kink in field.kinks), jnp.full_like(h, jnp.inf))
+    until = reduce(
+        jnp.minimum, (_passed(seen, kink, field.has_corners) for kink in field.kinks), jnp.full_like(h, jnp.inf)
+    )
     passes = (until < h) & ~inaccurate
     again = live & (inaccurate | passes)
     numbers = (jnp.where(seen.hides_sticks, jnp.nan, numbers[0]), *numbers[1:])
@@ -390,12 +405,12 @@ class AdaptiveEngine(RegularizedEngine[AdaptiveLane]):
     method: Regularized
     base_jumps: bool = eqx.field(static=True, kw_only=True)
 
-    # Of more lanes of several contacts, and of more numbers, some operation is so large that XLA gives it to several
-    # threads, and refuses the native loop.
+    # A lane's stages take as much of the cache as four lanes of other engines. And of more lanes, as of more numbers,
+    # some operation is so large that XLA gives it to several threads, and refuses the native loop.
 
     @property
     def lanes(self) -> int:
-        return super().lanes if self.system.tracks.contacts is None else 64
+        return 64
 
     @property
     def compiles_natively(self) -> bool:

@@ -24,6 +24,7 @@ from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantitie
 
 _Pair: TypeAlias = tuple[Array, Array]
 _ULPS = 64  # of the relative velocities: a smaller change is round-off, and no jump
+_TURNS, _SMALL = 4, 1e-3  # tries of where a number is lowest; the part of a step by which its slope is differentiated
 
 
 class Criterion(NamedTuple):
@@ -244,6 +245,23 @@ def fall_in(h: FloatArray, cubic: Cubic) -> FloatArray:
         usable = falls & (slope < 0)
         u = lax.stop_gradient(jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1))
     return h * _root(cubic, usable, u)[0]
+
+
+def stationary(h: FloatArray, cubic: Cubic, turns: BoolArray) -> FloatArray:
+    """Where the `cubic` of a step of length `h` is lowest, if it falls at the beginning and rises at the end (`turns`),
+    s after the step began; without derivatives.
+    """
+    h, cubic, turns = lax.stop_gradient((h, cubic, turns))
+    scaled = cubic._replace(slope=cubic.slope * h, end_slope=cubic.end_slope * h)
+    low, high = jnp.zeros_like(cubic.begin), jnp.ones_like(cubic.begin)
+    u = jnp.where(turns, scaled.slope / jnp.where(turns, scaled.slope - scaled.end_slope, 1), 0.5)
+    for _ in range(_TURNS):  # the secant from the ends, and halvings where that is outside
+        slope = _slope_of_cubic(u, scaled)
+        low, high = jnp.where(slope < 0, u, low), jnp.where(slope < 0, high, u)
+        bent = (_slope_of_cubic(u + _SMALL, scaled) - slope) / _SMALL
+        newton = u - slope / jnp.where(bent > 0, bent, 1)
+        u = jnp.where((bent > 0) & (newton > low) & (newton < high), newton, (low + high) / 2)
+    return u * h
 
 
 def _root_change(cubic: Cubic, usable: BoolArray, u: FloatArray, change: FloatArray) -> FloatArray:
