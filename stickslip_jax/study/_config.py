@@ -74,13 +74,12 @@ class PointConfig(Section):
 
     def method(self, has_inner_states: bool = False) -> Exact | Regularized:
         """The method as the simulation takes it, for friction laws that have inner states or not."""
-        name = getattr(self, "solver", None)
-        solver = None if name is None else getattr(diffrax, name)()
         if has_inner_states:
-            return Regularized(solver=solver, max_steps=self.max_steps)
-        if self.width is None:
-            return Exact(self.step, self.max_steps, solver)
-        return Regularized(self.width, self.shape, step=self.step, solver=solver, max_steps=self.max_steps)
+            return Regularized(max_steps=self.max_steps)
+        if self.width is not None:
+            return Regularized(self.width, self.shape, step=self.step, max_steps=self.max_steps)
+        name = getattr(self, "solver", None)
+        return Exact(self.step, self.max_steps, None if name is None else getattr(diffrax, name)())
 
     def y0(self) -> tuple[float | Uniform, ...] | None:
         """The initial state as the simulation takes it; None for zeros."""
@@ -107,9 +106,7 @@ class MassSpringPointConfig(PointConfig):
 
     initial_position: Start = about(f"m, {_OR_RANDOM}", 0.0)
     initial_velocity: Start = about("m/s, likewise", 1.0)
-    solver: _Solver | None = about(
-        "Tsit5, Dopri5 or Dopri8, for slips; not given: closed forms, with a width Kvaerno3", None
-    )
+    solver: _Solver | None = about("Tsit5, Dopri5 or Dopri8, for slips of exact motion; not given: closed forms", None)
 
 
 class MotorCartPointConfig(PointConfig):
@@ -213,6 +210,12 @@ class FileConfig(Section):
                     f"{key} in [run] must be left out for friction laws with an inner state, which are smooth by "
                     f"themselves and need adaptive steps, but {value:g} was given."
                 )
+        solver = getattr(run, "solver", None)
+        if solver is not None and (self.system.has_inner_states or run.width is not None):
+            raise ValueError(
+                "solver in [run] must be left out with a width and for friction laws with an inner state, whose steps "
+                f"the package chooses, but {solver} was given."
+            )
         if isinstance(self.system, StructureSection) and run is not None:
             size, state = self.system.size, run.initial_state
             if state is not None and len(state) != 2 * size:

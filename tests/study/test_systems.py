@@ -286,6 +286,10 @@ REFUSED = {
         '[system.force]\nlaw = "Harmonic"\namplitude = 1.0\nangular_frequency = 2.0',
         ["[system.force] must not have the natural angular frequency", 'solver = "Dopri8" in [run]'],
     ),
+    "solver of smoothed friction": (
+        '[run]\nwidth = 1e-3\nsolver = "Tsit5"',
+        ["solver in [run] must be left out with a width", "Tsit5 was given"],
+    ),
     "no such column": (
         '[base]\nlaw = "Recorded"\nfile = "record.csv"\nvalue_column = "velocity"',
         ["in [base], value_column must be", "'velocity'"],
