@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -24,9 +25,11 @@ IS_HERE = find_spec("numbalsoda") is not None
 @cache
 def _compiled() -> Any:
     import numba  # noqa: PLC0415
-    from numbalsoda import lsoda, lsoda_sig  # noqa: PLC0415 - it may not be there
 
-    @numba.cfunc(lsoda_sig)
+    numbalsoda = import_module("numbalsoda")  # it may not be there
+    lsoda = numbalsoda.lsoda
+
+    @numba.cfunc(numbalsoda.lsoda_sig)
     def rates(t, y, found, _):
         slip = y[1] - BELT
         limit = MU + (MU_STATIC - MU) * math.exp(-((slip / STRIBECK_SPEED) ** 2))
