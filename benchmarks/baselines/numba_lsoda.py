@@ -38,12 +38,13 @@ def _compiled() -> Any:
 
     @numba.njit
     def run(address, x, v, times, tolerance):
-        last = np.empty((len(x), 2))
+        last = np.full((len(x), 2), np.nan)
         for i in range(len(x)):
             start = np.array([x[i], v[i], 0.0])
             # One absolute tolerance for all: of the smallest number, the bristles' deflection, as for the package.
             states, success = lsoda(address, start, times, rtol=tolerance, atol=1e-3 * tolerance, mxstep=100_000)
-            last[i] = states[-1, :2] if success else np.nan
+            if success:
+                last[i] = states[-1, :2]
         return last
 
     return rates, run
