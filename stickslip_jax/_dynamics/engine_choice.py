@@ -22,11 +22,12 @@ from .._uncertainty.inputs import Inputs
 from .common import lanes
 from .common.lanes import Engine, Engines, engines_of, widest
 from .common.method import Arguments, Exact, Regularized, longest_step, with_memory
-from .common.path import Run, SegmentLaws
+from .common.path import Run
 from .interval.engine import IntervalEngine, follow_intervals
 from .regularized.engine import (
     ADAPTIVE_STEPS,
     MORE,
+    base_jumps,
     fixed_steps,
     follow_regularized,
     resolved,
@@ -115,11 +116,10 @@ class Choice(NamedTuple):
             if method.solver is not None:
                 wanted = "leave the steps of many samples to the package, without a solver and an adjoint"
                 raise checks.refused("method", wanted, type(method.solver), "simulate follows one sample by a solver")
-            horizon = largest(t1)
-            sizes = zip(SegmentLaws.of(system, excitation).base, table_sizes(system, excitation, horizon), strict=False)
+            jumps = base_jumps(system, excitation, table_sizes(system, excitation, largest(t1)))
             longest, most = longest_step(system, excitation), np.int32(method.max_steps or MORE**2 * ADAPTIVE_STEPS)
             given = system.ready(), excitation, t1, y0, longest, most, method
-            return AdaptiveEngine(*given, base_jumps=any(law.jumps and size > 1 for law, size in sizes))
+            return AdaptiveEngine(*given, base_jumps=jumps)
         # Twice the expected number, for samples with many jumps. `fixed_steps` also rejects a step that is too long.
         expected = 2 * fixed_steps(system, excitation, method, t1)
         most = np.int32(min(method.max_steps or expected, _MOST_COUNTED))

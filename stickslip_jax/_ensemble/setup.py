@@ -386,8 +386,8 @@ class _Tasks(NamedTuple):
         if chunk is not None:
             chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
         rows, useful = 32, samples if chunk is None else min(samples, chunk)
-        of_lane = partial(lane_size, setup.job(0, 1, 1), setup.dtype, rows=rows, is_recorded=is_recorded)
-        lanes = lanes_at_once(setup.engine.lanes, useful, of_lane)
+        size = partial(lane_size, dtype=setup.dtype, rows=rows, is_recorded=is_recorded)
+        lanes = lanes_at_once(setup.engine.lanes, useful, lambda: size(setup.job(0, 1, 1)))
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(chunk, max(samples, 4096))

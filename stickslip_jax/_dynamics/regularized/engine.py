@@ -59,11 +59,6 @@ class Tables(Parts[SegmentTable]):
         return Segments(*self.parted(table.at(t) for table in self.all))
 
     @property
-    def base_jumps(self) -> bool:
-        """Whether the velocity of the base may jump."""
-        return any(table.jumps and len(table.segments.begin) > 1 for table in self.base)
-
-    @property
     def end(self) -> FloatArray | float:
         """Earliest end of a part, s."""
         return reduce(jnp.minimum, (table.end for table in self.all), jnp.inf)
@@ -86,6 +81,13 @@ class Tables(Parts[SegmentTable]):
 def table_sizes(system: System, excitation: Excitation, t1: Any) -> tuple[int, ...]:
     """Number of segments of each part that suffices for nearly every realisation until `t1` (not traced)."""
     return tuple(law.segments(t1) for law in SegmentLaws.of(system, excitation).all)
+
+
+def base_jumps(system: System, excitation: Excitation, sizes: tuple[int, ...]) -> bool:
+    """Whether the velocity of the base may jump, in so many segments of each part (`table_sizes`)."""
+    return any(
+        law.jumps and size > 1 for law, size in zip(SegmentLaws.of(system, excitation).base, sizes, strict=False)
+    )
 
 
 class Solution(NamedTuple):
@@ -304,7 +306,9 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         duration = xp.where(slows, 10 * threshold / xp.where(slows, deceleration, 1), never)
         duration = duration if method.step is None else xp.maximum(duration, 2 * method.step)
     adaptive = method.step is None
-    own = method.solver is None and method.adjoint is None  # `AdaptiveEngine`, not diffrax
+    solver, adjoint = method.solver, method.adjoint
+    if solver is not None or adjoint is not None:  # else the steps are those of `AdaptiveEngine`
+        solver, adjoint = solver or diffrax.Kvaerno3(), adjoint or diffrax.RecursiveCheckpointAdjoint()
     scales = xp.stack([xp.asarray(size, dtype) for size in state_sizes])
     scales = xp.where(scales > 0, scales, 1)
     atol = method.rtol * scales if method.atol is None else method.atol
@@ -317,12 +321,12 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
         method,
         width=width,
         step=None if adaptive else jnp.asarray(method.step, dtype),
-        solver=diffrax.Kvaerno3() if adaptive and not own and method.solver is None else method.solver,
+        solver=solver,
         rtol=jnp.asarray(method.rtol, dtype),
         atol=jnp.asarray(atol, dtype),
         threshold=jnp.asarray(threshold, dtype),
         minimum_duration=jnp.asarray(duration, dtype),
-        adjoint=diffrax.RecursiveCheckpointAdjoint() if adaptive and not own and not method.adjoint else method.adjoint,
+        adjoint=adjoint,
     )
 
 
@@ -481,7 +485,7 @@ def _follow(
 ) -> Run:
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
     if method.solver is not None:
-        field = field_of(system, excitation.signal, method, base_jumps=tables.base_jumps)
+        field = field_of(system, excitation.signal, method, base_jumps=base_jumps(system, excitation, sizes))
         solution, detector, kept = follow_adaptive(field, tables, t1, y0, method, longest, steps)
         end = solution.steps, solution.t[solution.steps], tuple(solution.y[solution.steps])
         status = status_of(solution, detector)
@@ -492,7 +496,7 @@ def _follow(
         if method.step is None:
             plain = dataclasses.replace(plain, rtol=lax.stop_gradient(plain.rtol), atol=lax.stop_gradient(plain.atol))
             given = system, excitation, t1, y0, lax.stop_gradient(longest), steps, plain
-            engine = AdaptiveEngine(*given, quantities=ALL, base_jumps=tables.base_jumps)
+            engine = AdaptiveEngine(*given, quantities=ALL, base_jumps=base_jumps(system, excitation, sizes))
         else:
             plain = dataclasses.replace(plain, atol=None)
             engine = FixedEngine(system, excitation, t1, y0, method.step, steps, plain, quantities=ALL)

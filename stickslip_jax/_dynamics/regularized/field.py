@@ -426,6 +426,7 @@ class SteppedField(AnyField):
     """A field with friction regularised by `switch`, which implicit steps of fixed length can follow too."""
 
     switch: eqx.AbstractVar[Switch]
+    static_exceeds_kinetic: eqx.AbstractVar[bool]  # of any contact
 
     @property
     def kinks(self) -> tuple[Scalar, ...]:
@@ -434,11 +435,6 @@ class SteppedField(AnyField):
     @property
     def has_corners(self) -> bool:
         return self.switch.shape == "linear" or self.static_exceeds_kinetic
-
-    @property
-    @abc.abstractmethod
-    def static_exceeds_kinetic(self) -> bool:
-        """Whether static friction does, of any contact."""
 
     @property
     def may_be_short(self) -> bool:
@@ -548,7 +544,7 @@ class Field(SteppedField):
         return velocity, self.model.relative_acceleration(forcing, tau, y, rates)
 
     @property
-    def static_exceeds_kinetic(self) -> bool:
+    def static_exceeds_kinetic(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - never set
         return self.model.friction.static_exceeds_kinetic
 
     @property
@@ -640,11 +636,7 @@ class ContactsField(SteppedField):
     model: ContactsModel
     criterion: Criterion
     switch: Switch
-    static_exceeds: bool = eqx.field(static=True)
-
-    @property
-    def static_exceeds_kinetic(self) -> bool:
-        return self.static_exceeds
+    static_exceeds_kinetic: bool = eqx.field(static=True)
 
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         now = self.model.instant(forcing, tau, y)
@@ -737,7 +729,7 @@ class InnerField(AnyField):
         return slips if self.model.contacts else slips[0] / self.model.slip_of_law(y)
 
 
-def field_of(system: System, smooth: Signal | None, method: Regularized, *, base_jumps: bool) -> AnyField:
+def field_of(system: System, smooth: Signal | None, method: Regularized, *, base_jumps: bool = True) -> AnyField:
     """The field of `system` under a realised smooth excitation; `method`: with every option filled in. `base_jumps`:
     whether the velocity of the base may jump.
     """

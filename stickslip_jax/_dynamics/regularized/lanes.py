@@ -211,6 +211,13 @@ class RegularizedEngine(StepsEngine[RegularizedLane]):
     def numbers(self, lane: Any) -> State:
         """The numbers of the state of one realisation's lane."""
 
+    def begun(self, smooth: Signal | None, key_data: Any, dtype) -> tuple[Any, tuple[SegmentState, ...], Any, State]:
+        """At the beginning of a trajectory: the field, the segments, the forcing and the state."""
+        segment_laws, field = SegmentLaws.of(self.system, self.excitation), self.field(smooth)
+        segment_states = segment_laws.first(self.excitation.segment_key_data(key_data), dtype)
+        forcing = field.model.forcing(jnp.zeros((), dtype), segment_laws.segments(segment_states))
+        return field, segment_states, forcing, field.model.start(tuple(jnp.asarray(of, dtype) for of in self.y0), dtype)
+
     def results(self, sample: Signal | None, motion: Any) -> SampleTotals:
         _, totals, at_start = motion.detector.found
         return sample_totals(self.system, totals, at_start, self.status(motion), jnp.zeros((), jnp.int32))
@@ -222,11 +229,8 @@ class FixedEngine(RegularizedEngine[FixedLane]):
     method: Regularized
 
     def lane(self, smooth: Signal | None, key_data: Any, dtype) -> FixedLane:
-        segment_laws, field = SegmentLaws.of(self.system, self.excitation), self.field(smooth)
-        segment_states = segment_laws.first(self.excitation.segment_key_data(key_data), dtype)
-        y = field.model.start(tuple(jnp.asarray(value, dtype) for value in self.y0), dtype)
+        field, segment_states, forcing, y = self.begun(smooth, key_data, dtype)
         zero = jnp.zeros((), dtype)
-        forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
         limit = jnp.full((), jnp.inf, dtype) if field.may_be_short else None
         seen, tracks = field.at_contact(forcing, zero, y), field.model.stick_position(y)
         detector = start_detector(field.criterion, seen, tracks, self.quantities)
@@ -245,7 +249,7 @@ class FixedEngine(RegularizedEngine[FixedLane]):
         return self.field(self.excitation.signal).model.numbers(lane.y)
 
     def field(self, smooth: Signal | None) -> SteppedField:
-        field = field_of(self.system, smooth, self.method, base_jumps=True)
+        field = field_of(self.system, smooth, self.method)
         assert isinstance(field, SteppedField)
         return field
 
@@ -417,11 +421,8 @@ class AdaptiveEngine(RegularizedEngine[AdaptiveLane]):
         return super().compiles_natively and len(self.y0) <= WRITTEN_OUT
 
     def lane(self, smooth: Signal | None, key_data: Any, dtype) -> AdaptiveLane:
-        segment_laws, field = SegmentLaws.of(self.system, self.excitation), self.field(smooth)
-        segment_states = segment_laws.first(self.excitation.segment_key_data(key_data), dtype)
-        y = field.model.start(tuple(jnp.asarray(value, dtype) for value in self.y0), dtype)
+        field, segment_states, forcing, y = self.begun(smooth, key_data, dtype)
         zero = jnp.zeros((), dtype)
-        forcing = field.model.forcing(zero, segment_laws.segments(segment_states))
         numbers = field.solved(forcing, y)
         rtol, atol = tolerances(field, self.method, len(numbers), dtype)
         # The rates over every number, or over what is small of it.

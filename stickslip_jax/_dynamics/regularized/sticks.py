@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array
 
 from ..._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray, Scalar
-from ..._numerics.derivatives import root_of
+from ..._numerics.derivatives import root_of, with_slope
 from ..._numerics.matrices import any_of
 from ..._numerics.steps import look_ahead
 from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantities, ending_of, recorded, start_totals
@@ -24,7 +24,7 @@ from ..sticks import Remembered, StickRecord, StickSpan, Totals, begin_quantitie
 
 _Pair: TypeAlias = tuple[Array, Array]
 _ULPS = 64  # of the relative velocities: a smaller change is round-off, and no jump
-_TURNS, _SMALL = 4, 1e-3  # tries of where a number is lowest; the part of a step by which its slope is differentiated
+_TURNS = 4  # tries of where a number is lowest
 
 
 class Criterion(NamedTuple):
@@ -240,7 +240,7 @@ def fall_in(h: FloatArray, cubic: Cubic) -> FloatArray:
     s0, s1 = jnp.where(falls, cubic.begin, 1), jnp.where(falls, cubic.end, -1)
     cubic = Cubic(s0, cubic.slope * h, s1, cubic.end_slope * h, cubic.bulge)
     u, usable = look_ahead(*cubic[:4], jnp.zeros_like(s0)).where, falls
-    for _ in range(1 if cubic.bulge is None else 3):  # Newton steps
+    for _ in range(1 if cubic.bulge is None else 3):  # Newton steps: from the root of the cubic, to that of the quartic
         value, slope = hermite(u, jnp.ones_like(u), cubic), _slope_of_cubic(u, cubic)
         usable = falls & (slope < 0)
         u = lax.stop_gradient(jnp.clip(u - jnp.where(usable, value / jnp.where(usable, slope, -1), 0), 0, 1))
@@ -255,10 +255,9 @@ def stationary(h: FloatArray, cubic: Cubic, turns: BoolArray) -> FloatArray:
     scaled = cubic._replace(slope=cubic.slope * h, end_slope=cubic.end_slope * h)
     low, high = jnp.zeros_like(cubic.begin), jnp.ones_like(cubic.begin)
     u = jnp.where(turns, scaled.slope / jnp.where(turns, scaled.slope - scaled.end_slope, 1), 0.5)
-    for _ in range(_TURNS):  # the secant from the ends, and halvings where that is outside
-        slope = _slope_of_cubic(u, scaled)
+    for _ in range(_TURNS):  # Newton's method on the slope, and halvings where it would leave the bracket
+        slope, bent = with_slope(lambda u: _slope_of_cubic(u, scaled), u)
         low, high = jnp.where(slope < 0, u, low), jnp.where(slope < 0, high, u)
-        bent = (_slope_of_cubic(u + _SMALL, scaled) - slope) / _SMALL
         newton = u - slope / jnp.where(bent > 0, bent, 1)
         u = jnp.where((bent > 0) & (newton > low) & (newton < high), newton, (low + high) / 2)
     return u * h
