@@ -269,6 +269,7 @@ _LEAST_CHANGE, _MOST_CHANGE = 0.1, 6.0  # of a step
 _FIRST = 0.1  # of the time in which the state would change by itself, times a power of the tolerance: the first step
 _AT_END = 1e-3  # of a step: a passage through zero so near to an end is there
 _TOO_SHORT = 4  # units in the last place of the time
+_ROUND_OFF = 16  # of the relative velocity, likewise
 
 
 class AdaptiveLane(NamedTuple):
@@ -325,12 +326,28 @@ def _share_of_tolerance(
     return jnp.maximum(share, largest_of(jnp.abs(wrong) / (rtol * size)))
 
 
-def _passed(seen: SeenStep, velocity: FloatArray | float, has_corner: bool) -> FloatArray:
+def _known_to(field: AnyField, forcing: Any, h: FloatArray, rtol: FloatArray, numbers: State) -> FloatArray:
+    """To what the relative velocities are known where a step ends: what the tolerance allows of one below the threshold
+    of sticks, or if larger their round-off.
+
+    That is in proportion to the velocities of which it is the difference; different weights keep these from cancelling.
+    """
+    weighted = tuple((place + 1) * number for place, number in enumerate(numbers))
+    value, gross = jax.jvp(
+        lambda numbers: field.model.relative_velocity(forcing, h, field.plain(forcing, h, numbers)),
+        (numbers,), (weighted,),
+    )  # fmt: skip
+    noise = _ROUND_OFF * jnp.finfo(h.dtype).eps * (jnp.abs(value) + jnp.abs(gross))
+    return jnp.maximum(rtol * jnp.asarray(field.criterion.threshold, h.dtype), noise)
+
+
+def _passed(seen: SeenStep, velocity: FloatArray | float, has_corner: bool, known_to: FloatArray) -> FloatArray:
     """Where a step must end for the sake of the kink at this relative velocity, s after it began; infinity if it need
     not.
 
     Where a contact passes the kink, if it is a corner; and where it is farthest beyond in a step that ends on the side
-    on which it began: rates that do not change on that side would let a long step pass over what is beyond.
+    on which it began: rates that do not change on that side would let a long step pass over what is beyond. What is
+    nearer to the kink than it is `known_to` is on neither side: steps of a contact at rest would never end.
     """
     h, relative = seen.h, seen.relative
     side = jnp.where(relative.begin < velocity, -1, 1).astype(h.dtype)
@@ -338,9 +355,10 @@ def _passed(seen: SeenStep, velocity: FloatArray | float, has_corner: bool) -> F
     above: Cubic = jax.tree.map(lambda number: side * number, above)
     until = fall_in(h, above) if has_corner else jnp.full_like(above.begin, jnp.inf)
     inside = (above.end < 0) & (until > _AT_END * h) & (until < (1 - _AT_END) * h)
+    inside = inside & (jnp.maximum(above.begin, -above.end) > known_to)
     turns = (above.begin > 0) & (above.end > 0) & (above.slope < 0) & (above.end_slope > 0)
     lowest = stationary(h, above, turns)
-    dips = turns & (hermite(lowest, h, above) < 0)
+    dips = turns & (hermite(lowest, h, above) < -known_to)
     until = jnp.where(dips, lowest, jnp.where(inside, until, jnp.inf))
     return -largest_of(-until)
 
@@ -378,9 +396,9 @@ def _advance_adaptive(
     states = (field.plain(forcing, tau, part) for tau, part in ((0 * h, lane.y), (h, numbers), (h / 2, middle)))
     before, y, middle = states
     seen, rates, end_rates = field.seen(forcing, lane.t, h, before, y, middle)
-    until = reduce(
-        jnp.minimum, (_passed(seen, kink, field.has_corners) for kink in field.kinks), jnp.full_like(h, jnp.inf)
-    )
+    known_to = _known_to(*without_derivatives((field, forcing, h, tolerance[0], numbers)))
+    ends = (_passed(seen, kink, field.has_corners, known_to) for kink in field.kinks)
+    until = reduce(jnp.minimum, ends, jnp.full_like(h, jnp.inf))
     passes = (until < h) & ~inaccurate
     again = live & (inaccurate | passes)
     numbers = (jnp.where(seen.hides_sticks, jnp.nan, numbers[0]), *numbers[1:])

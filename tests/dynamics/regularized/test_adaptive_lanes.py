@@ -145,6 +145,38 @@ def test_normal_force_that_varies_on_bristles():
     np.testing.assert_allclose(one.final_state, state, atol=1e-6)
 
 
+AT_REST = {
+    "LuGre": (ss.LuGre(0.3, **BRISTLES), ()),
+    "Dahl": (ss.Dahl(0.3, 1000.0), ()),
+    "Bouc and Wen": (ss.BoucWen(0.3, 1000.0), ()),
+    "linear": (ss.Coulomb(0.3), (1e-3,)),
+    "static friction": (ss.Coulomb(0.3, 0.4), (1e-3,)),
+    "tanh": (ss.Coulomb(0.3), (1e-3, "tanh")),
+}
+
+
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+@pytest.mark.parametrize(
+    ("name", "x64", "blocks"),
+    [
+        (name, x64, blocks) if (name, x64, blocks) == ("LuGre", True, 1)
+        else pytest.param(name, x64, blocks, marks=pytest.mark.slow)
+        for name in AT_REST for x64 in (True, False) for blocks in (1, 2)
+    ],
+)  # fmt: skip
+def test_start_at_the_velocity_of_the_belt(name, x64, blocks):
+    """On the kink: relative velocities that are round-off pass zero in every step, and would shorten each."""
+    friction, options = AT_REST[name]
+    with jax.enable_x64(x64):
+        system, y0 = ss.MassSpring(1.0, 4.0, 1.0, friction), (0.05, BELT)
+        if blocks == 2:
+            stiffness = np.array([[5.0, -1.0], [-1.0, 5.0]])
+            contacts = (ss.Contact.of_mass(0, 2, 1.0, friction), ss.Contact.between(0, 1, 2, 1.0, friction))
+            system, y0 = ss.LinearStructure(np.ones(2), stiffness, None, contacts), (0.05, 0.05, BELT, BELT)
+        one = ss.simulate(system, ss.Constant(BELT), t1=3.0, y0=y0, method=ss.Regularized(*options, max_steps=2**11))
+    assert int(one.status) == ss.Status.FINISHED
+
+
 class RunsAway(ss.SwitchedSystem):
     """``y' = y^2``: infinite after a second."""
 
