@@ -527,6 +527,7 @@ class Field(SteppedField):
     model: OneContactModel
     criterion: Criterion
     switch: Switch
+    static_exceeds_kinetic: bool = eqx.field(static=True)
 
     def rates(self, forcing: Any, tau: FloatArray, y: State) -> State:
         speed = self.model.relative_velocity(forcing, tau, y)
@@ -542,10 +543,6 @@ class Field(SteppedField):
         # By the acceleration that the motion of the base states, which decides in exact dynamics too.
         velocity = self.model.relative_velocity(forcing, tau, y)
         return velocity, self.model.relative_acceleration(forcing, tau, y, rates)
-
-    @property
-    def static_exceeds_kinetic(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - never set
-        return self.model.friction.static_exceeds_kinetic
 
     @property
     def may_be_short(self) -> bool:
@@ -742,4 +739,5 @@ def field_of(system: System, smooth: Signal | None, method: Regularized, *, base
     model, switch = system.switched_model(smooth, None), Switch(method.width, method.shape)
     if isinstance(model, ContactsModel):
         return ContactsField(model, criterion, switch, system.static_exceeds_kinetic)
-    return Field(one_contact_model(system, smooth, None), criterion, switch)
+    one = one_contact_model(system, smooth, None)
+    return Field(one, criterion, switch, one.friction.static_exceeds_kinetic)
