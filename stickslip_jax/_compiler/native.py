@@ -11,6 +11,7 @@ docs/compiler.md says which weakness of JAX or XLA each is for, and when it can 
 
 import math
 import os
+import threading
 import warnings
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from functools import cache, lru_cache, partial, wraps
@@ -407,10 +408,20 @@ def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Re
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
+        if getattr(_cutting, "inside", False):  # what is cut as a whole shares more
+            return function(*args, **options)
         flat, leaves, restored = flattened(cast(Callable[..., Any], function), args, options, eqx.is_array_like)
-        return restored(_shared(jax.make_jaxpr(flat)(*leaves), leaves))
+        _cutting.inside = True
+        try:
+            closed = jax.make_jaxpr(flat)(*leaves)
+        finally:
+            _cutting.inside = False
+        return restored(_shared(closed, leaves))
 
     return call
+
+
+_cutting = threading.local()  # whether a function is traced in this thread to be cut
 
 
 def flattened(

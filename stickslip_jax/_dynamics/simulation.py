@@ -20,7 +20,7 @@ from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, in_one_line, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
 from .._systems.memory_models import InnerStates
-from .._systems.switched_model import F, OneContactModel, Powers, Terms, require_energy_model
+from .._systems.switched_model import F, Form, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
 from .common.method import Exact, Regularized
 from .common.path import CHECK_EVERY, MotionPath, padded_length
@@ -422,25 +422,33 @@ class Simulation(WithMethods):
         >>> print(f"{one.maximum():.4f} m, {one.maximum('velocity'):.4f} m/s, {one.peak():.4f} m")
         0.7500 m, 1.0000 m/s, 0.7500 m
         """
-        return _largest(self, self._number_of(coordinate), 1)
+        return _largest(self, self._form_of(coordinate), 1)
 
     def minimum(self, coordinate: str | None = None) -> FloatArray:
         """The smallest value of a coordinate over ``[0, time_reached]``; as `maximum`."""
-        return -_largest(self, self._number_of(coordinate), -1)
+        return -_largest(self, self._form_of(coordinate), -1)
 
     def peak(self, coordinate: str | None = None) -> FloatArray:
         """The largest absolute value of a coordinate over ``[0, time_reached]``; as `maximum`.
 
         ``one.peak("position")`` is the peak displacement.
         """
-        number = self._number_of(coordinate)
-        return jnp.maximum(_largest(self, number, 1), _largest(self, number, -1))
+        form = self._form_of(coordinate)
+        return jnp.maximum(_largest(self, form, 1), _largest(self, form, -1))
 
-    def _number_of(self, coordinate: str | None) -> int:
-        """The place of a coordinate in the state."""
+    def _form_of(self, coordinate: str | None) -> Form:
+        """A coordinate, or the difference of two of a kind, by the places in the state."""
         self._require_one()
-        names = [one.name for one in self.system.coordinates]
-        return 0 if coordinate is None else names.index(checks.chosen("coordinate", coordinate, names))
+        coordinates = self.system.coordinates
+        names = [one.name for one in coordinates]
+        parts = [name.strip() for name in coordinate.split(" - ")] if isinstance(coordinate, str) else [coordinate]
+        if coordinate is None:
+            return ((0, 1.0),)
+        if len(parts) == 2 and all(part in names for part in parts):
+            first, second = (names.index(part) for part in parts)
+            if coordinates[first].unit == coordinates[second].unit:
+                return (first, 1.0), (second, -1.0)
+        return ((names.index(checks.chosen("coordinate", coordinate, names)), 1.0),)
 
     def friction_force(self, times: AnyArray | float) -> FloatArray:
         """The friction force on the mass at `times` (s, any shape), N: positive in the direction of positive velocity.
@@ -703,10 +711,10 @@ class Simulation(WithMethods):
         )
 
 
-@kept_jit(static_argnames="number")
-def _largest(one: Simulation, number: int, sign: Scalar) -> FloatArray:
-    """The largest value of `sign` times one number of the state."""
-    return one._path.largest(number, sign, one.time_reached, one.final_state[number])
+@kept_jit(static_argnames="form")
+def _largest(one: Simulation, form: Form, sign: Scalar) -> FloatArray:
+    """The largest value of `sign` times a `form` of the state."""
+    return one._path.largest(form, sign, one.time_reached, one.final_state)
 
 
 @kept_jit(static_argnames="size")

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, cast, get_args
 
 import equinox as eqx
 import jax
@@ -20,19 +20,22 @@ from .._compiler.native import Layout, packed
 from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, lane_size, with_leaves
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
+from .._dynamics.common.path import Final, MotionPath, StepsEngine, WatchedEngine, WatchedTotals, apart
 from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines
 from .._dynamics.regularized.lanes import RegularizedEngine
 from .._dynamics.simulate import Output, simulate
 from .._dynamics.simulation import Simulation
-from .._dynamics.sticks import ALL, StickCollector, StickStream
+from .._dynamics.sticks import ALL, StickCollector, Sticks, StickStream, start_totals
 from .._excitation.excitation import is_random, key_data_for, law_of
+from .._excitation.motion import Signal
 from .._foundation import checks
 from .._foundation.extras import progress_bar
 from .._foundation.processes import lanes_at_once, usual_threads
-from .._foundation.types import AnyArray, DType, Status
+from .._foundation.types import AnyArray, DType, FloatArray, Number, Scalar, Status
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
-from .._systems.system import require_system
+from .._systems.switched_model import Form, Segments, State
+from .._systems.system import System, require_system
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
 from .._uncertainty.numbers import with_numbers
@@ -158,6 +161,13 @@ class EnsembleSetup:
             return ()
         return sample_engines(self.inputs, self.method, self.t1, self.dtype, first, number).varying
 
+    def arguments(self, first: int, number: int) -> tuple[Array, tuple[Array, ...], Array, PyTree]:
+        """The key, and what differs among samples `first`, ``first + 1``, ...: their numbers and realisations."""
+        values = tuple(jnp.asarray(column) for column in self.inputs.drawn(first, number, self.dtype))
+        numbers = jnp.asarray(self.inputs.realization_numbers(first, number))
+        key_data = jnp.asarray(self.key_data, jnp.uint32)
+        return key_data, values, numbers, self.inputs.realizations(first, number, self.t1)
+
     def job(self, first: int, used_rows: int, most_samples: int) -> Job:
         """The job for samples `first`, ``first + 1``, ... in `used_rows` rows of lanes, at most `most_samples`."""
         varying = self.varying_leaves(first, most_samples)
@@ -167,11 +177,10 @@ class EnsembleSetup:
         return Job(self.engine, self.key_data, np.uint32(first), np.int32(used_rows), varying, realization)
 
 
-# Outputs of a user's own for the samples of an ensemble: each is simulated once more, and recorded, for its functions.
+# Outputs of a user's own for the samples of an ensemble.
 #
-# Samples are taken in batches of one size whose first number is a multiple of it, whatever the chunk, the threads or
-# the first sample of the ensemble: a compiled function of another size could round otherwise, so the numbers of a
-# sample depend on its key and number only.
+# What they ask of the end of a sample and of its extremes is found as it is simulated (`AtEnd`). For what they ask of
+# its path or its sticks it is simulated once more, and recorded (`OutputRunner`).
 
 
 NO_OUTPUTS: Mapping[str, Output] = {}
@@ -184,6 +193,115 @@ TAKEN = {
 
 Values = dict[str, np.ndarray]
 """Numbers of consecutive samples by the name of the output, (samples,); NaN for those that did not finish."""
+
+
+class _NotAtEnd(BaseException):  # passes by what looks for mistakes in outputs
+    """Raised where an output asks for what is not known of a sample but by its path."""
+
+
+class _NotKept(eqx.Module):
+    """Stands for the sticks of a sample, which are not known."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(name) if name.startswith("_") else _NotAtEnd(name)
+
+
+class _Noted:
+    """Forms whose extremes are asked for."""
+
+    def __init__(self):
+        self.forms: list[Form] = []
+
+
+class _EndPath(MotionPath):
+    """Path of which the extremes of some `forms` are known, as in `Final`; or none yet: what is asked for is noted."""
+
+    forms: tuple[Form, ...] | _Noted = eqx.field(static=True)
+    extremes: FloatArray
+    smooth: Signal | None = None
+
+    def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
+        if isinstance(self.forms, _Noted):
+            self.forms.forms.append(form)
+            return last
+        largest, minus_smallest = self.extremes[:, self.forms.index(form)]
+        return jnp.where(jnp.asarray(sign) > 0, largest, minus_smallest)
+
+    @property
+    def times(self) -> Array:
+        raise _NotAtEnd("times")
+
+    def state(self, time: FloatArray) -> State:
+        raise _NotAtEnd("state")
+
+    def segments(self, time: FloatArray) -> Segments:
+        raise _NotAtEnd("segments")
+
+
+class AtEnd:
+    """Finds those of the `outputs` that ask for nothing but the ends of samples and extremes of `forms` of the state.
+
+    `setup`: with the engine that knows these.
+    """
+
+    def __init__(self, setup: EnsembleSetup, outputs: Mapping[str, Output]):
+        """Traces every function once. Raises ValueError for one that does not return a number."""
+        self.setup, self.outputs, self.forms = setup, dict[str, Output](), ()
+        engine = setup.engine.template if isinstance(setup.engine, VaryingEngine) else setup.engine
+        if not (isinstance(engine, StepsEngine) and outputs):
+            return
+        zero, tracks, noted = jnp.zeros((), setup.dtype), engine.tracks, _Noted()
+        numbers = (zero,) * len(setup.inputs.model.system.coordinates)
+        final = Final(start_totals(zero.dtype, () if tracks is None else (tracks,)), zero, numbers, zero)
+        key_data, *of_sample = setup.arguments(0, 1)
+        one = key_data, *jax.tree.map(lambda leaf: leaf[0], of_sample), np.zeros(2, np.int32), final
+        for name, output in outputs.items():
+            before = len(noted.forms)
+            try:
+                jax.eval_shape(self._function({name: output}, noted), *one)
+                self.outputs[name] = output
+            except _NotAtEnd:
+                del noted.forms[before:]
+        if self.outputs:
+            self.forms = tuple(dict.fromkeys(noted.forms))
+            engine = WatchedEngine(engine, self.forms)
+            if setup.leaf_numbers:
+                engine = VaryingEngine(engine, setup.leaf_numbers)
+            self.setup = dataclasses.replace(setup, engine=engine)
+            at_once = jax.vmap(self._function(self.outputs, self.forms), in_axes=(None, 0, 0, 0, 0, 0))
+            self._run = kept_jit(at_once)
+
+    def values(self, first: int, results: WatchedTotals) -> Values:
+        """The outputs of samples `first`, ``first + 1``, ..., as many as there are `results`."""
+        (*_, status, near_grazing_count), final = results
+        counts = np.stack([status, near_grazing_count], axis=-1)
+        found = self._run(*self.setup.arguments(first, len(status)), counts, final)
+        return {name: np.asarray(column, np.float64) for name, column in zip(self.outputs, found, strict=True)}
+
+    def _function(
+        self, outputs: Mapping[str, Output], forms: tuple[Form, ...] | _Noted
+    ) -> Callable[..., tuple[Array, ...]]:
+        """A function of what differs among samples, of the status and the near-grazing count, and of the end."""
+        realized, setup = _realized(self.setup.inputs, self.setup.t1), self.setup
+        t1, method, dtype = setup.t1, setup.method, setup.dtype
+
+        def numbers(
+            key_data: Array, values: tuple[Array, ...], number: Array, base: PyTree, counts: Array, final: Final
+        ) -> tuple[Array, ...]:
+            system, base, _ = realized(key_data, values, number, base)
+            totals, of_all = apart(final.totals, system)
+            sticks, path = cast(Sticks, _NotKept()), _EndPath(forms, final.extremes)
+            end = counts[0], final.time, final.state, counts[1], path, None if of_all is None else (sticks, of_all)
+            one = Simulation(system, base, t1, method, sticks, totals, *end)
+            return tuple(output.number(one, dtype) for output in outputs.values())
+
+        return numbers
+
+
+# Where samples are simulated once more, they are taken in batches of one size whose first number is a multiple of it,
+# whatever the chunk, the threads or the first sample of the ensemble: a compiled function of another size could round
+# otherwise, so the numbers of a sample depend on its key and number only.
+
 
 _LANES, _FEWEST = 256, 8
 _MEMORY = 2**27  # bytes of the recorded trajectories of a batch
@@ -198,7 +316,7 @@ class OutputRunner:
         self._setup, self._outputs = setup, tuple(outputs)
         simulated, numbers = _sample_functions(setup.inputs, setup.t1, setup.method, setup.dtype, dict(outputs))
         self._at_once = jax.vmap(numbers, in_axes=(None, 0, 0, 0))
-        key_data, *of_sample = self._arguments(0, 1)
+        key_data, *of_sample = setup.arguments(0, 1)
         one = key_data, *jax.tree.map(lambda leaf: leaf[0], of_sample)
         self._begun: dict[int, list[np.ndarray]] = {}
         try:
@@ -214,12 +332,19 @@ class OutputRunner:
         self._lanes, self._run = 1 << (fits.bit_length() - 1), kept_jit(self._at_once)
         jax.eval_shape(numbers, *one)
 
-    def values(self, first: int, samples: int, threads: int = 1) -> Values:
-        """The outputs of samples ``first .. first + samples - 1``."""
+    def values(
+        self, first: int, samples: int, threads: int = 1, advance: Callable[[int], object] = lambda number: None
+    ) -> Values:
+        """The outputs of samples ``first .. first + samples - 1``; of so many more it tells that they are done."""
         lanes, end = self._lanes, first + samples
         begins = range(first - first % lanes, end, lanes)
         with ThreadPoolExecutor(max(1, min(threads, len(begins)))) as pool:
-            batches = list(pool.map(self._batch, begins))
+            batches, done = [], 0
+            for batch in pool.map(self._batch, begins):
+                batches.append(batch)
+                now = min(samples, begins.start + lanes * len(batches) - first)
+                advance(now - done)
+                done = now
         own = slice(first - begins.start, end - begins.start)
         columns = zip(*batches, strict=True)
         return {name: np.concatenate(column)[own] for name, column in zip(self._outputs, columns, strict=True)}
@@ -227,7 +352,7 @@ class OutputRunner:
     def _batch(self, first: int) -> list[np.ndarray]:
         if first in self._begun:
             return self._begun[first]
-        arguments = self._arguments(first, self._lanes)
+        arguments = self._setup.arguments(first, self._lanes)
         found = [np.asarray(leaf) for leaf in self._run(*arguments)]
         short = found[0] == Status.OUT_OF_STEPS
         if np.any(short) and self._run is not self._at_once:
@@ -238,14 +363,6 @@ class OutputRunner:
         finished = status == Status.FINISHED
         return [np.where(finished, np.asarray(column, np.float64), np.nan) for column in numbers]
 
-    def _arguments(self, first: int, number: int) -> tuple[Array, tuple[Array, ...], Array, PyTree]:
-        """The key, and what differs among samples `first`, ``first + 1``, ...: their numbers and realisations."""
-        setup = self._setup
-        values = tuple(jnp.asarray(column) for column in setup.inputs.drawn(first, number, setup.dtype))
-        numbers = jnp.asarray(setup.inputs.realization_numbers(first, number))
-        key_data = jnp.asarray(setup.key_data, jnp.uint32)
-        return key_data, values, numbers, setup.inputs.realizations(first, number, setup.t1)
-
 
 def _sample_functions(
     inputs: Inputs, t1: float, method: Exact | Regularized, dtype: DType, outputs: dict[str, Output]
@@ -254,13 +371,10 @@ def _sample_functions(
 
     The first is ``simulate(*many.realization(number))``; the other its status and its outputs.
     """
-    model, paths = inputs.model, tuple(entry.path for entry in inputs.entries)
+    realized = _realized(inputs, t1)
 
-    def simulated(key_data: Array, values: tuple[Array, ...], number: Array, base: PyTree) -> Simulation:
-        system, law, y0 = with_numbers(model, paths, values)
-        if base is None:
-            key = jax.random.fold_in(jax.random.wrap_key_data(key_data), number)
-            base = law.sample(key, t1) if is_random(law) else law
+    def simulated(*of_sample: Any) -> Simulation:
+        system, base, y0 = realized(*of_sample)
         return simulate(system, base, t1=t1, y0=y0, method=method)
 
     def numbers(*of_sample: Any) -> tuple[Array, ...]:
@@ -268,6 +382,20 @@ def _sample_functions(
         return one.status, *(output.number(one, dtype) for output in outputs.values())
 
     return simulated, numbers
+
+
+def _realized(inputs: Inputs, t1: float) -> Callable[..., tuple[System, Any, tuple[Number, ...]]]:
+    """A function of the key, and of the numbers and the realisation of one sample: its system, base and start."""
+    model, paths = inputs.model, tuple(entry.path for entry in inputs.entries)
+
+    def realized(key_data: Array, values: tuple[Array, ...], number: Array, base: PyTree) -> Any:
+        system, law, y0 = with_numbers(model, paths, values)
+        if base is None:
+            key = jax.random.fold_in(jax.random.wrap_key_data(key_data), number)
+            base = law.sample(key, t1) if is_random(law) else law
+        return system, base, y0
+
+    return realized
 
 
 def fields_of_outputs(outputs: Mapping[str, Output]) -> Fields:
@@ -293,22 +421,22 @@ def outputs_of(ensemble: EnsembleData) -> dict[str, Output]:
     }
 
 
-def runner_for(setup: EnsembleSetup, outputs: Mapping[str, Output]) -> Callable[..., Values]:
-    """A function of the first sample, their number and that of threads; without outputs it simulates nothing."""
-    if not outputs:
-        return lambda first, samples, threads=1: {}
-    return OutputRunner(setup, outputs).values
+def check_outputs(setup: EnsembleSetup, outputs: Mapping[str, Output]) -> None:
+    """Raises ValueError for an output that does not return a number."""
+    others = {name: output for name, output in outputs.items() if name not in AtEnd(setup, outputs).outputs}
+    if others:
+        OutputRunner(setup, others)
 
 
 # The samples cut into tasks, which are simulated a few at a time, in threads or in this one.
 
 
-_Parts = tuple[EnsemblePart, ...]
-"""Of the same samples: the part of each track."""
+_Parts = tuple[tuple[EnsemblePart, ...], Values]
+"""Of the same samples: the part of each track, and outputs."""
 _Simulate = Callable[[int, int], _Parts]
 """Of samples ``first .. first + number - 1``: their parts."""
-_Run = Callable[[int, int], tuple[SampleTotals, StickStream | None]]
-"""Of the same samples: their totals, and, unless only these are kept, their sticks, each track as a sample."""
+_Run = Callable[[int, int], tuple[SampleTotals | WatchedTotals, StickStream | None]]
+"""Of the same samples: their results, and, unless only these are kept, their sticks, each track as a sample."""
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
 
@@ -325,7 +453,8 @@ def found_by(
     threads = checks.whole_number("threads", threads) if threads is not None else usual_threads()
     is_recorded = accumulators[0].keep != "totals"
     tasks, started = _Tasks.of(setup, samples, threads, chunk, is_recorded), time.perf_counter()
-    numbers_of, simulate = runner_for(setup, outputs), _simulator(setup, tasks, accumulators)
+    at_end = AtEnd(setup, outputs)
+    simulate = _simulator(at_end, tasks, accumulators)
     # Compiled before the threads start, so that not each of them compiles the same code.
     with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
         prepared = pool.submit(prepare, setup.dtype) if is_recorded else None
@@ -334,7 +463,9 @@ def found_by(
             prepared.result()
     compiled = time.perf_counter()
     with progress_bar(progress, samples) as bar:
-        _add_all(accumulators, first, _in_order(simulate, tasks, first, samples), bar.advance, numbers_of, threads)
+        values = _add_all(accumulators, _in_order(simulate, tasks, first, samples), bar.advance)
+    with progress_bar(progress if len(values) < len(outputs) else False, samples, "sample recorded") as bar:
+        _add_outputs(accumulators, setup, first, samples, outputs, values, threads, bar.advance)
     shared = {
         "threads": min(tasks.threads, -(-samples // tasks.samples_per_task)),
         "compile_seconds": compiled - started,
@@ -349,28 +480,40 @@ def found_here(
     """As `found_by`, simulated in this thread."""
     tasks = _Tasks.of(setup, _ONE_SIZE, 1, _ONE_SIZE, accumulator.keep != "totals")
     started, samples = time.perf_counter(), accumulator.missing
-    numbers_of, simulate = runner_for(setup, outputs), _simulator(setup, tasks, (accumulator,))
-    done = itertools.starmap(simulate, tasks.of_samples(first, samples))
-    _add_all((accumulator,), first, done, lambda number: None, numbers_of, 1)
+    simulate = _simulator(AtEnd(setup, outputs), tasks, (accumulator,))
+    values = _add_all((accumulator,), itertools.starmap(simulate, tasks.of_samples(first, samples)))
+    _add_outputs((accumulator,), setup, first, samples, outputs, values)
     spent = time.perf_counter() - started
     return accumulator.found() | {"threads": 1, "compile_seconds": 0.0, "run_seconds": spent}
 
 
 def _add_all(
-    accumulators: Sequence[EnsembleAccumulator], first: int, done: Iterable[_Parts], advance: Callable[[int], object],
-    numbers_of: Callable[..., Values], threads: int,
-) -> None:  # fmt: skip
-    """Add the parts that are `done`, of samples `first`, ``first + 1``, ..., and then the outputs of these samples."""
-    samples, finished = accumulators[0].missing, []
-    for parts in done:
+    accumulators: Sequence[EnsembleAccumulator],
+    done: Iterable[_Parts],
+    advance: Callable[[int], object] = lambda number: None,
+) -> Values:
+    """Add the parts that are `done`, of consecutive samples; returns the outputs that are found with them."""
+    found: list[Values] = []
+    for parts, values in done:
         for accumulator, part in zip(accumulators, parts, strict=True):
             accumulator.add(part)
-        finished.append(np.equal(parts[0].results.status, Status.FINISHED))
-        advance(len(finished[-1]))
-    is_finished = np.concatenate(finished)
-    values = numbers_of(first, samples, threads)
+        finished = np.equal(parts[0].results.status, Status.FINISHED)
+        found.append({name: np.where(finished, column, np.nan) for name, column in values.items()})
+        advance(len(finished))
+    return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
+
+
+def _add_outputs(
+    accumulators: Sequence[EnsembleAccumulator], setup: EnsembleSetup, first: int, samples: int,
+    outputs: Mapping[str, Output], values: Values, threads: int = 1,
+    advance: Callable[[int], object] = lambda number: None,
+) -> None:  # fmt: skip
+    """Add the `outputs` of samples `first`, ``first + 1``, ..., of which `values` are known; the others are found."""
+    others = {name: output for name, output in outputs.items() if name not in values}
+    if others:
+        values = values | OutputRunner(setup, others).values(first, samples, threads, advance)
     for accumulator in accumulators:
-        accumulator.add_outputs({name: np.where(is_finished, column, np.nan) for name, column in values.items()})
+        accumulator.add_outputs({name: values[name] for name in outputs})
 
 
 class _Tasks(NamedTuple):
@@ -403,13 +546,17 @@ class _Tasks(NamedTuple):
         return [(begin, min(size, end - begin)) for begin in range(first, end, size)]
 
 
-def _simulator(setup: EnsembleSetup, tasks: _Tasks, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
+def _simulator(at_end: AtEnd, tasks: _Tasks, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
     """A function that simulates samples ``first .. first + number - 1`` and records what the `accumulators` keep."""
-    keeps_sticks = accumulators[0].keep != "totals"
+    setup, keeps_sticks = at_end.setup, accumulators[0].keep != "totals"
     run = _recorder(setup, tasks) if keeps_sticks else _summarizer(setup, tasks)
 
     def simulate(first: int, number: int) -> _Parts:
-        totals, sticks = run(first, number)
+        results, sticks = run(first, number)
+        totals, values = results, Values()
+        if isinstance(results, WatchedTotals):
+            totals, values = results.totals, at_end.values(first, results)
+        totals, values = jax.tree.map(lambda column: column[:number], (totals, values))
 
         def part(track: int | None, to: EnsembleAccumulator) -> EnsemblePart:
             results = totals.of_track(track)
@@ -418,7 +565,7 @@ def _simulator(setup: EnsembleSetup, tasks: _Tasks, accumulators: Sequence[Ensem
             own = sticks if track is None else sticks.of_track(track, len(setup.tracks))
             return EnsemblePart.of(results, own, setup.t1, setup.numbering, to.wants_sticks, setup.period)
 
-        return tuple(map(part, setup.tracks, accumulators))
+        return tuple(map(part, setup.tracks, accumulators)), values
 
     return simulate
 
@@ -427,10 +574,12 @@ def _summarizer(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     """Simulates samples, of which only the totals are kept."""
     summarize = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law).summarize
 
-    def run(first: int, number: int) -> tuple[SampleTotals, None]:
+    def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, None]:
         job = setup.job(first, -(-number // tasks.lanes), tasks.lanes * tasks.rows)
         results = summarize(job, lanes=tasks.lanes, rows=tasks.rows, dtype=setup.dtype)
-        return SampleTotals(*(np.asarray(leaf).reshape(-1, *leaf.shape[2:])[:number] for leaf in results)), None
+        return jax.tree.map(
+            lambda leaf: np.asarray(leaf).reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:]), results
+        ), None
 
     return run
 
@@ -442,7 +591,7 @@ def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * tasks.lanes)), setup.dtype
     lane, track = np.arange(tasks.lanes)[:, None], np.arange(len(setup.tracks))
 
-    def run(first: int, number: int) -> tuple[SampleTotals, StickStream]:
+    def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, StickStream]:
         if not hasattr(of_thread, "sticks"):
             of_thread.sticks = StickCollector()
         rows = -(-number // tasks.lanes)
@@ -457,14 +606,19 @@ def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
             # The sticks of each track of a sample are collected as if they were those of a sample.
             whose = (sample * len(track) + track).reshape(len(sample), -1)
             of_thread.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), whose)
-            ended.append((sample[progress.ended, 0], *(column[progress.ended] for column in progress.results)))
+            over = progress.ended
+            ended.append((sample[over, 0], jax.tree.map(lambda column, over=over: column[over], progress.results)))
             unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
         # Samples and their results come in the order in which they ended, and are put in that of their numbers.
-        sample, *columns = (np.concatenate(parts) for parts in zip(*ended, strict=True))
-        ordered = [np.empty((rows * tasks.lanes, *column.shape[1:]), column.dtype) for column in columns]
-        for to, column in zip(ordered, columns, strict=True):
-            to[sample] = column
-        return SampleTotals(*(column[:number] for column in ordered)), of_thread.sticks.sticks
+        sample = np.concatenate([numbers for numbers, _ in ended])
+
+        def in_order(*parts: np.ndarray) -> np.ndarray:
+            column = np.concatenate(parts)
+            ordered = np.zeros((tasks.rows * tasks.lanes, *column.shape[1:]), column.dtype)
+            ordered[sample] = column
+            return ordered
+
+        return jax.tree.map(in_order, *(results for _, results in ended)), of_thread.sticks.sticks
 
     return run
 

@@ -207,7 +207,7 @@ class StepCounting(CountingEngine[StepsShared, _StepMotion]):
         self, shared: StepsShared, sample: CountedSample, motion: _StepMotion, drawn: None
     ) -> tuple[_StepMotion, Trace]:
         model = one_contact_model(self.engine.system, sample.own, self.engine.solver)
-        moved, stick = advance(model, *shared, motion.lane)
+        moved, stick, _ = advance(model, *shared, motion.lane)
         if not self.with_distances:
             return motion._replace(lane=moved), Trace(stick, None, None)
         before = motion.lane

@@ -62,7 +62,7 @@ from .contacts import (
 from .friction import AtAge, FrictionLaw, least
 from .layouts import blocks, disks, storeys
 from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
-from .switched_model import Forcing, later
+from .switched_model import Along, Forcing, Form, later, of_form
 from .system import (
     PERIOD,
     SOFT,
@@ -87,6 +87,7 @@ from .system import (
 
 
 MOST_CONTACTS = 64
+_MOST_DAMPED, _MOST_IN_CACHE = 6, 40  # masses, of which 256 lanes move in lock step
 _ROUND_OFF = 1e-10  # of the largest entry of a matrix
 _LEAST = 1e-12  # the smallest eigenvalue over the largest: a smaller one is round-off
 
@@ -279,7 +280,7 @@ class StructureModel(ContactsModel):
         return values[:size], values[size:]
 
     def numbers(self, y: State) -> State:
-        return tuple(part[i] for part in y for i in range(self.structure.size))
+        return tuple(part[..., i] for part in y for i in range(self.structure.size))
 
     def stick_position(self, y: State) -> FloatArray:
         return jnp.append(times(self._in_precision_of(y).directions, y[0]), y[0][0])
@@ -374,29 +375,26 @@ class ArcsModel(StructureModel):
     """
 
     has_kinks: ClassVar[bool] = False
+    has_short_steps: ClassVar[bool] = True
 
     def flow_and_error(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray) -> tuple[State, None]:
-        of, sticks = self._in_precision_of(y), self._own(sign) == 0
-        terms = _TERMS[h.dtype.itemsize][of.damping is not None]
-        held = _Held(of, holding(of.gain, sticks))
-        sources = self._sources(held, forcing, y, sign, terms)
-        stiffness, damping, in_terms = of.stiffness, of.damping, len(y[0]) > WRITTEN_OUT
-        if not in_terms:  # few masses: to hold the matrices costs less than to hold each term of the series
-            stiffness, damping = held(dense(stiffness)), None if damping is None else held(dense(damping))
-        x, v, power = [y[0]], [y[1]], jnp.ones_like(h)
-        for k, source in enumerate(sources):
-            pull = times(stiffness, x[k])
-            if damping is not None:
-                pull = pull + times(damping, v[k])
-            rate = -(held(pull) if in_terms else pull)
-            if source is not None:
-                rate = rate + power * source
-            share = (1 / (k + 1)) * h
-            x.append(share * v[k])
-            v.append(share * rate)
-            power = power * h
-        reached = tuple(reduce(add, reversed(series)) for series in (x, v))
-        return self._held(forcing, h, reached, sticks), None
+        reached = tuple(reduce(add, reversed(series)) for series in _series(self, forcing, y, h, sign))
+        return self._held(forcing, h, reached, self._own(sign) == 0), None
+
+    def along(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray, forms: tuple[Form, ...]) -> Along:
+        of_numbers = self.numbers(tuple(jnp.stack(series) for series in _series(self, forcing, y, h, sign)))
+        terms = jnp.stack([of_form(form, of_numbers) for form in forms], axis=-1)
+        length = jnp.where(h > 0, h, 1)
+
+        def at(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
+            share, value, slope = tau / length, jnp.zeros_like(tau), jnp.zeros_like(tau)
+            for power in reversed(range(len(terms))):
+                value = value * share + terms[power]
+            for power in reversed(range(1, min(len(terms), 12))):
+                slope = slope * share + power * terms[power]
+            return value, slope / length
+
+        return at
 
     def _sources(
         self, held: "_Held", forcing: Forcing, y: State, sign: FloatArray, terms: int
@@ -458,6 +456,30 @@ class ArcsModel(StructureModel):
         return normal[np.array(self.varying)] if self.varying else None
 
 
+@eqx.filter_jit  # traced once, so that `sharing` recognises it where it is asked for again
+def _series(
+    model: ArcsModel, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """The terms of the power series of positions and velocities, (masses,) each, after the time `h` (s)."""
+    of, sticks = model._in_precision_of(y), model._own(sign) == 0
+    terms = _TERMS[h.dtype.itemsize][of.damping is not None]
+    held = _Held(of, holding(of.gain, sticks))
+    sources = model._sources(held, forcing, y, sign, terms)
+    x, v, power = [y[0]], [y[1]], jnp.ones_like(h)
+    for k, source in enumerate(sources):
+        pull = times(of.stiffness, x[k])
+        if of.damping is not None:
+            pull = pull + times(of.damping, v[k])
+        rate = -held(pull)
+        if source is not None:
+            rate = rate + power * source
+        share = (1 / (k + 1)) * h
+        x.append(share * v[k])
+        v.append(share * rate)
+        power = power * h
+    return x, v
+
+
 class _Held(NamedTuple):
     """A structure whose sticks are held by friction; `hold`: see `holding`."""
 
@@ -465,14 +487,13 @@ class _Held(NamedTuple):
     hold: FloatArray
 
     def __call__(self, accelerations: FloatArray) -> FloatArray:
-        """`accelerations` (masses,) or (masses, masses) without what the friction of sticks takes away."""
+        """`accelerations` (masses,) without what the friction of sticks takes away."""
         return accelerations - self.by(times(self.of.directions, accelerations))
 
     def by(self, relative: FloatArray) -> FloatArray:
-        """What the friction of sticks does, where they would have these `relative` accelerations (contacts, ...)."""
-        if self.hold.ndim > 1:
-            return times(self.of.by_force, times(self.hold, relative))
-        return times(self.of.by_force, self.hold * relative if relative.ndim == 1 else self.hold[:, None] * relative)
+        """What the friction of sticks does, where they would have these `relative` accelerations (contacts,)."""
+        force = times(self.hold, relative) if self.hold.ndim > 1 else self.hold * relative
+        return times(self.of.by_force, force)
 
 
 # Linear structures with dry-friction contacts: masses, springs and dampers as matrices.
@@ -620,7 +641,10 @@ class LinearStructure(WithContacts):
     @property
     def traits(self) -> Traits:
         # Of eight contacts some operation is so large that XLA gives it to several threads, and refuses the loop.
-        return Traits(compiles_natively=self.size <= WRITTEN_OUT and len(self.contacts) < WRITTEN_OUT)
+        native = self.size <= WRITTEN_OUT and len(self.contacts) < WRITTEN_OUT
+        # Measured; XLA gives what is as large as these dampers to several threads, and refuses the native loop.
+        is_large = self.size > (_MOST_DAMPED if native and self.damping is not None else _MOST_IN_CACHE)
+        return Traits(compiles_natively=native, lanes=64 if is_large else 256)
 
     @property
     def fastest(self) -> FloatScalar:

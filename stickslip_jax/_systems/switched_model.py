@@ -1,11 +1,15 @@
 """A system under its excitation, as the engines integrate it: how it slips and sticks, and when; with one contact."""
 
 import abc
+from collections.abc import Callable
+from functools import reduce
+from operator import add
 from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array
 
 from .._excitation.motion import Signal
@@ -33,6 +37,26 @@ F = TypeVar("F")
 FloatPair: TypeAlias = tuple[FloatScalar, FloatScalar]
 Guard: TypeAlias = tuple[FloatArray, FloatArray]
 """The guards of the contacts, and their time derivatives."""
+
+
+Form: TypeAlias = tuple[tuple[int, float], ...]
+"""A linear form of the numbers of a state: the places of some, each with its weight."""
+Along: TypeAlias = Callable[[FloatArray], FloatPair]
+"""The values of forms, and their slopes, at times (..., forms) (s) after the beginning of a step, likewise."""
+
+
+def of_form(form: Form, numbers: State) -> FloatArray:
+    """The value of the `form`."""
+    return reduce(add, (weight * numbers[place] for place, weight in form))
+
+
+def weights_of(forms: tuple[Form, ...], numbers: int) -> np.ndarray:
+    """The weights of so many numbers in the forms, (forms, numbers)."""
+    weights = np.zeros((len(forms), numbers))
+    for row, form in zip(weights, forms, strict=True):
+        for place, weight in form:
+            row[place] += weight
+    return weights
 
 
 class Segments(NamedTuple):
@@ -137,10 +161,12 @@ class SwitchedModel(eqx.Module, Generic[F]):
 
     Attributes:
         steps_may_be_long: Whether `slip` and `stick` are as exact over a long time as over a short step.
+        has_short_steps: Whether steps are short beside all that moves in them, as what dies out.
         has_kinks: Whether friction in a slip may have a kink where the relative velocity is zero, as users write it.
     """
 
     steps_may_be_long: ClassVar[bool] = False
+    has_short_steps: ClassVar[bool] = False
     has_kinks: ClassVar[bool] = True
 
     @property
@@ -202,6 +228,26 @@ class SwitchedModel(eqx.Module, Generic[F]):
     @abc.abstractmethod
     def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
         """The time derivative of the state; `sign` is 0 in a stick."""
+
+    def along(self, forcing: F, y: State, h: FloatScalar, sign: FloatArray, forms: tuple[Form, ...]) -> Along:
+        """The `forms` of the state within a step of the length `h` (s) in the mode of this `sign`."""
+        weights = weights_of(forms, len(self.numbers(y)))
+
+        def at(one: tuple[FloatScalar, FloatArray]) -> FloatPair:
+            tau, weight = one
+            reached = self.flow(forcing, y, tau, sign)
+            rates = self.rates(forcing, tau, reached, sign)
+            value, slope = (jnp.dot(weight, jnp.stack(self.numbers(of))) for of in (reached, rates))
+            return value, slope
+
+        def of_all(tau: FloatArray) -> FloatPair:
+            # One after the other: a flow takes long to compile.
+            each = jnp.broadcast_to(jnp.asarray(weights, tau.dtype), (*tau.shape, weights.shape[1]))
+            found = lax.map(at, (tau.reshape(-1), each.reshape(-1, weights.shape[1])))
+            values, slopes = (of.reshape(tau.shape) for of in found)
+            return values, slopes
+
+        return of_all
 
     @abc.abstractmethod
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:

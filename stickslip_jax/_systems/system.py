@@ -394,6 +394,7 @@ class Traits(NamedTuple):
     """What engines and estimators need to know of a system.
 
     - `compiles_natively`: whether its motion can be compiled into native loops: without calls of libraries.
+    - `lanes`: how many move in lock step on a CPU: the arrays of so many stay in the cache (benchmarks/README.md).
     - `has_interval_form`: whether its motion has a closed form from jump to jump of a piecewise-constant base velocity.
     - `stops_are_unstable`: whether friction depends on where the motion stops: two motions that nearly stop there may
       part quickly. First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
@@ -401,6 +402,7 @@ class Traits(NamedTuple):
     """
 
     compiles_natively: bool = True
+    lanes: int = 256
     has_interval_form: bool = False
     stops_are_unstable: bool = False
     jumps_at_places: bool = False

@@ -18,12 +18,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from ..._compiler.native import sharing
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal, SourceVoltage
 from ..._excitation.segments import SegmentLaw, SegmentState, added, first_segment, following_segment, is_invalid
-from ..._foundation.types import AnyInteger, BoolArray, FloatArray, IntArray, Number, Scalar, Status
-from ..._numerics.derivatives import NotKnown, values_of, without_derivatives
-from ..._systems.switched_model import Segments, State
+from ..._foundation.types import AnyArray, AnyInteger, BoolArray, FloatArray, IntArray, Number, Scalar, Status
+from ..._numerics.derivatives import NotKnown, values_of, with_slope
+from ..._systems.switched_model import Along, Form, Segments, State, of_form
 from ..._systems.system import System
 from ..sticks import StickRecord, Sticks, Totals, count_slips, sticks_in_order
 from .lanes import Engine, SampleTotals
@@ -49,8 +50,8 @@ class MotionPath(eqx.Module):
         """The state at one time (s)."""
 
     @abc.abstractmethod
-    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
-        """The largest value of `sign` times one number of the state until the time `last` (s), where it is `final`."""
+    def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
+        """The largest value of `sign` times a `form` of the state until the time `last` (s), where that is `final`."""
 
     @abc.abstractmethod
     def segments(self, time: FloatArray) -> Segments:
@@ -83,11 +84,8 @@ class Run(NamedTuple):
         `records`: (records,) or (records, tracks). `totals`: (tracks,), if there are any. `others`: the fields from
         `status` to `path`.
         """
-        (records, totals), of_all = of_track((records, totals), system), None
-        if system.tracks.number is not None:  # of what can stick, the last is all contacts at once
-            last, last_totals = jax.tree.map(lambda of_each: of_each[..., -1], (records, totals))
-            of_all = sticks_in_order(last), last_totals
-            records, totals = jax.tree.map(lambda of_each: of_each[..., :-1], (records, totals))
+        (records, totals), of_all = apart(of_track((records, totals), system), system)
+        of_all = None if of_all is None else (sticks_in_order(of_all[0]), of_all[1])
         return cls(sticks_in_order(records), totals, *others, of_all_contacts=of_all)
 
 
@@ -164,6 +162,14 @@ def of_track(tree: T, system: System) -> T:
     )
 
 
+def apart(of_each: T, system: System) -> tuple[T, T | None]:
+    """Arrays (..., tracks) of every contact, and those of all contacts at once, where all are counted."""
+    if system.tracks.number is None:
+        return of_each, None
+    own, of_all = (jax.tree.map(lambda values, part=part: values[..., part], of_each) for part in (slice(-1), -1))
+    return own, of_all
+
+
 def sample_totals(
     system: System, totals: Totals, at_start: BoolArray, status: IntArray, near_grazing_count: IntArray
 ) -> SampleTotals:
@@ -172,17 +178,15 @@ def sample_totals(
     return SampleTotals(totals.sticks, count_slips(totals, at_start), totals.stick_time, status, near_grazing_count)
 
 
-# The extreme of a number of the state over time, where the motion is known as a function of time inside each step.
+# The extremes of linear forms of the state, where the motion is known as a function of time inside each step.
 #
-# It is at the beginning of a step, at the end of the last, or inside a step where the slope is zero. There it is found
-# by the slope's sign at a few instants, and then by secants with a bisection now and then. The instants need no
+# Each is at the beginning of a step, at the end of the last, or inside a step where the slope is zero. There it is
+# found by the slope's sign at a few instants, and then by secants with a bisection now and then. The instants need no
 # derivative: an extreme at an inner instant moves, to first order, as the value there does (envelope theorem), and one
 # at the beginning of a step as the state there does, events included.
 
 
 _Step = TypeVar("_Step")
-Inside = Callable[[_Step, FloatArray], tuple[FloatArray, FloatArray]]
-"""The number and its slope at some time (s) after the beginning of a step."""
 
 
 class Bracket(NamedTuple):
@@ -208,47 +212,89 @@ class Bracket(NamedTuple):
         return Bracket(low, high, of_low, of_high)
 
 
-# Fractions of a step between which the slope's sign is looked at: fine near the beginning, where a motion may die out.
+# Fractions of a step between which the slope's sign is looked at: fine near the beginning, where a motion may die out;
+# and in a step that is short beside all that moves.
 _INSTANTS = (0.0, 2.0**-12, 2.0**-7, 2.0**-4, 0.25, 0.5, 0.75, 1.0)
-_TRIES = 12  # the value's error is that of the instant squared
+_FEW_INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+_TRIES, _NEWTON_STEPS = 12, 2  # the value's error is that of the instant squared
 
 
-def largest_in_steps(
-    inside: Inside[_Step], steps: _Step, starts: FloatArray, lengths: FloatArray, last: FloatArray
+def largest_in_step(
+    fixed: Along, along: Along, start: FloatArray, length: FloatArray, signs: AnyArray, *, is_short: bool
 ) -> FloatArray:
-    """The largest value over all steps, of which `inside` gives the number, and of the `last` value.
+    """The largest values at the beginning of a step and inside, of each of the `signs` times each form.
 
     Args:
-        inside: Of one step.
-        steps: The data of the steps, along a first axis.
-        starts: The values at the beginnings of the steps, (steps,).
-        lengths: Of the steps, s, (steps,); 0 for those that were only tried.
-        last: The value at the end of the last step.
+        fixed: The motion in the step, without derivatives.
+        along: The same with them.
+        start: The values of the forms at its beginning, (forms,).
+        length: Of the step, s; 0 of one that was only tried. Without derivatives.
+        signs: 1 or -1, (signs,).
+        is_short: Whether the step is short beside all that moves.
+
+    Returns:
+        (signs, forms).
     """
-    # The time since the beginning of each step at which an inner maximum is largest; 0 if there is none.
-    fixed, where = without_derivatives((steps, lengths))
-    of_all = jax.vmap(inside)  # for the search it stands in the program twice, for it takes long to compile
-    h = jnp.asarray(_INSTANTS, where.dtype)[:, None] * where[None]
-    values, slopes = lax.map(lambda at: of_all(fixed, at), h)
+    signs = jnp.asarray(signs, length.dtype)[:, None]
+    # The time since the beginning of the step at which an inner maximum is largest; 0 if there is none.
+    instants = jnp.asarray(_FEW_INSTANTS if is_short else _INSTANTS, length.dtype)[:, None, None]
+    at = instants * jnp.full((len(signs), len(start)), length)
+    values, slopes = (signs * found[:, None] for found in fixed(at[:, 0]))
     turns = (slopes[:-1] > 0) & (slopes[1:] < 0)
-    # Of several turns the one beside the largest value.
-    beside = jnp.where(turns, jnp.maximum(values[:-1], values[1:]), -jnp.inf)
-    chosen = jnp.argmax(beside, axis=0)[None]
-    ends = (h[:-1], h[1:], slopes[:-1], slopes[1:])
-    bracket = Bracket(*(jnp.take_along_axis(of_ends, chosen, 0)[0] for of_ends in ends))
+    # Of several turns the one beside the largest value; in a short step there is one.
+    beside = jnp.where(turns, 0 if is_short else jnp.maximum(values[:-1], values[1:]), -jnp.inf)
+    bracket, highest = Bracket(at[0], at[-1], slopes[0], slopes[-1]), jnp.full_like(slopes[0], -jnp.inf)
+    for i in range(len(instants) - 1):
+        here, higher = Bracket(at[i], at[i + 1], slopes[i], slopes[i + 1]), beside[i] > highest
+        bracket = jax.tree.map(lambda new, old, higher=higher: jnp.where(higher, new, old), here, bracket)
+        highest = jnp.maximum(highest, beside[i])
 
     def narrow(number: Array, bracket: Bracket) -> Bracket:
         middle = 0.5 * (bracket.low + bracket.high)
         at = jnp.where(number % 4 == 3, middle, bracket.by_secant)  # the Illinois rule, and halving
-        _, slope = of_all(fixed, at)
         # An end that stays has its slope halved, so that the other end moves next.
-        return bracket.narrowed(at, slope, kept=0.5)
+        return bracket.narrowed(at, signs * fixed(at)[1], kept=0.5)
 
-    # The secant of the last bracket, not what was tried last: where one end is the zero itself, the other may be far.
-    found = lax.fori_loop(0, _TRIES, narrow, bracket).by_secant
-    at = lax.stop_gradient(jnp.where(jnp.any(turns, axis=0), found, 0))
-    values, _ = of_all(steps, at)
-    return jnp.maximum(jnp.max(jnp.maximum(values, starts)), last)
+    if is_short:
+        inner = bracket.by_secant
+        for _ in range(_NEWTON_STEPS):
+            slope, bend = with_slope(lambda at: signs * fixed(at)[1], inner)
+            inner = jnp.clip(inner - slope / jnp.where(bend < 0, bend, -jnp.inf), bracket.low, bracket.high)
+    else:
+        # The secant of the last bracket, not what was tried last: where one end is the zero, the other may be far.
+        inner = lax.fori_loop(0, _TRIES, narrow, bracket).by_secant
+    inner = lax.stop_gradient(jnp.where(highest > -jnp.inf, inner, 0))
+    return jnp.maximum(signs * along(inner)[0], signs * start)
+
+
+def largest_in_steps(
+    inside: Callable[[_Step, bool], Along],
+    steps: _Step,
+    starts: FloatArray,
+    lengths: FloatArray,
+    sign: Scalar,
+    last: FloatArray,
+    *,
+    are_short: bool,
+) -> FloatArray:
+    """The largest value of `sign` times one form over all steps, and where it is the `last`.
+
+    Args:
+        inside: Of the data of one step, and whether the motion has no derivatives.
+        steps: These data, along a first axis.
+        starts: The values at their beginnings, (steps,).
+        lengths: Of the steps, s, (steps,); 0 for those that were only tried.
+        sign: 1 or -1.
+        last: The value at the end of the last step.
+        are_short: Whether steps are short beside all that moves.
+    """
+    signs = jnp.asarray(sign, lengths.dtype)[None]
+
+    def of_one(step: _Step, start: FloatArray, length: FloatArray) -> FloatArray:
+        both = inside(step, True), inside(step, False)
+        return largest_in_step(*both, start, length, signs, is_short=are_short)
+
+    return jnp.maximum(jnp.max(jax.vmap(of_one)(steps, starts[:, None], lax.stop_gradient(lengths))), sign * last)
 
 
 # A scan of fixed length that stops early, for trajectories whose number of steps is not known in advance.
@@ -375,6 +421,10 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
     def compiles_natively(self) -> bool:
         return self.system.traits.compiles_natively
 
+    @property
+    def lanes(self) -> int:
+        return self.system.traits.lanes
+
     @abc.abstractmethod
     def lane(self, smooth: Signal | None, key_data: Any, dtype) -> StepsLane:
         """The lane at the beginning of the trajectory under this smooth excitation whose segments `key_data` choose."""
@@ -384,6 +434,25 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         self, shared: StepsShared, smooth: Signal | None, lane: StepsLane
     ) -> tuple[StepsLane, StickRecord, Any]:
         """The lane after a step, the record of the stick that ended in it, and what the path keeps of the step."""
+
+    @abc.abstractmethod
+    def inside(self, smooth: Signal | None, forms: tuple[Form, ...], step: tuple[Any, State, FloatArray]) -> Along:
+        """The `forms` of the state within a step, without derivatives.
+
+        `step`: what the path keeps of it, the numbers of the state at its end, and its length, s.
+        """
+
+    def steps_are_short(self, smooth: Signal | None) -> bool:
+        """Whether steps are short beside all that moves in what `inside` gives."""
+        return True
+
+    @abc.abstractmethod
+    def totals(self, lane: StepsLane) -> Totals:
+        """The sums over the sticks so far, (tracks,)."""
+
+    @abc.abstractmethod
+    def numbers(self, smooth: Signal | None, lane: StepsLane) -> State:
+        """The numbers of its state."""
 
     @abc.abstractmethod
     def idle(self, lane: StepsLane) -> tuple[StickRecord, Any]:
@@ -424,3 +493,100 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
     def status(self, motion: Any) -> IntArray:
         """The `Status` of a lane that has ended or is given up."""
         return status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))
+
+
+# Lanes that also know where each sample ended, and the extremes on its way: outputs of a user's own are made of these.
+
+
+_SIGNS = np.array([1, -1])
+
+
+class Final(NamedTuple):
+    """A sample where it ended.
+
+    - `totals`: the sums over its sticks, of what is counted.
+    - `time`: s. `state`: its numbers.
+    - `extremes`: of each form the largest value, and minus the smallest one, (2, forms).
+    """
+
+    totals: Totals
+    time: FloatArray
+    state: State
+    extremes: FloatArray
+
+
+class WatchedTotals(NamedTuple):
+    """What is recorded of each sample, and where it ended."""
+
+    totals: SampleTotals
+    final: Final
+
+
+class WatchedLane(NamedTuple):
+    """The lane of an engine, and the extremes so far, as in `Final`."""
+
+    lane: Any
+    extremes: FloatArray
+
+
+class WatchedEngine(Engine[StepsShared, Signal | None, WatchedLane, StickRecord, WatchedTotals]):
+    """The `engine`, which also keeps extremes of `forms` of the state, and the end of each sample."""
+
+    engine: StepsEngine
+    forms: tuple[Form, ...] = eqx.field(static=True)
+
+    @property
+    def tracks(self) -> int | None:
+        return self.engine.tracks
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.engine.compiles_natively
+
+    @property
+    def lanes(self) -> int:
+        return self.engine.lanes
+
+    def asked(self, quantities: tuple[str, ...]) -> "WatchedEngine":
+        return WatchedEngine(self.engine.asked(quantities), self.forms)
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, WatchedLane]:
+        smooth, lane = self.engine.begin(key_data, dtype)
+        return smooth, WatchedLane(lane, jnp.full((len(_SIGNS), len(self.forms)), -jnp.inf, dtype))
+
+    def shared(self, dtype) -> StepsShared:
+        return self.engine.shared(dtype)
+
+    def step(
+        self, shared: StepsShared, sample: Signal | None, motion: WatchedLane, drawn: None
+    ) -> tuple[WatchedLane, StickRecord]:
+        if not self.forms:
+            lane, record, _ = self.engine.advanced(shared, sample, motion.lane)
+            return WatchedLane(lane, motion.extremes), of_track(record, self.engine.system)
+        return self._watched(shared, sample, motion)
+
+    @sharing
+    def _watched(
+        self, shared: StepsShared, sample: Signal | None, motion: WatchedLane
+    ) -> tuple[WatchedLane, StickRecord]:
+        lane, record, passage = self.engine.advanced(shared, sample, motion.lane)
+        start, end = (self.engine.numbers(sample, one) for one in (motion.lane, lane))
+        length = lane.t - motion.lane.t
+        along = self.engine.inside(sample, self.forms, (passage, end, length))
+        found = largest_in_step(
+            along, along, self._of(start), length, _SIGNS, is_short=self.engine.steps_are_short(sample)
+        )
+        return WatchedLane(lane, jnp.maximum(motion.extremes, found)), of_track(record, self.engine.system)
+
+    def _of(self, numbers: State) -> FloatArray:
+        return jnp.stack([of_form(form, numbers) for form in self.forms])
+
+    def ended(self, motion: WatchedLane, before: WatchedLane) -> BoolArray:
+        return self.engine.ended(motion.lane, before.lane)
+
+    def results(self, sample: Signal | None, motion: WatchedLane) -> WatchedTotals:
+        lane, extremes = motion
+        numbers, totals = self.engine.numbers(sample, lane), of_track(self.engine.totals(lane), self.engine.system)
+        if self.forms:
+            extremes = jnp.maximum(extremes, _SIGNS[:, None] * self._of(numbers))
+        return WatchedTotals(self.engine.results(sample, lane), Final(totals, lane.t, numbers, extremes))

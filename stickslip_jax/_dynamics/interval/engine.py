@@ -22,7 +22,7 @@ from ..._excitation.piecewise_constant import PiecewiseConstantLaw, VelocityStep
 from ..._excitation.segments import Segment, marked
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
 from ..._systems.mass_spring import MassSpring
-from ..._systems.switched_model import Segments, State
+from ..._systems.switched_model import Form, Segments, State
 from ..common.lanes import Engine, SampleTotals
 from ..common.path import MotionPath, Run, sample_totals
 from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, start_totals, sticks_of
@@ -394,13 +394,13 @@ class IntervalPath(MotionPath):
         motion, *_ = cross_interval(scales, began, start_totals(time.dtype), time - began.t, velocity)
         return motion.x, motion.v
 
-    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
-        dtype = final.dtype
+    def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
+        dtype, ((number, _),) = last.dtype, form  # position and velocity have no sum
         scales = scales_of(self.system, self.t1, dtype)
         of_interval = partial(largest_in_interval, scales, of_velocity=number == 1, sign=sign)
         durations, velocities = (jnp.asarray(one, dtype) for one in (self.base.durations, self.base.velocities))
         found = jnp.max(jax.vmap(of_interval)(self.beginnings, durations, velocities))
-        return jnp.maximum(found, sign * final)
+        return jnp.maximum(found, sign * final[number])
 
     def segments(self, time: FloatArray) -> Segments:
         index = self._index(time)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from functools import cache, reduce
+from functools import cache, partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -18,9 +18,9 @@ from ..._excitation.segments import SegmentTable
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar, Status
-from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, with_slopes
+from ..._numerics.derivatives import NotKnown, largest, smallest, with_slopes
 from ..._numerics.matrices import any_of
-from ..._systems.switched_model import Segments, State
+from ..._systems.switched_model import Form, Segments, State, of_form
 from ..._systems.system import System
 from ..common.method import Regularized, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
 from ..common.path import (
@@ -35,7 +35,7 @@ from ..common.path import (
 )
 from ..sticks import ALL, StickRecord
 from .field import AnyField, InnerField, Switch, field_of
-from .lanes import AdaptiveEngine, FixedEngine, PathStep, nothing_seen, tolerances
+from .lanes import AdaptiveEngine, FixedEngine, PathStep, along_step, nothing_seen, tolerances
 from .sticks import Cubic, JoiningDetector, detect_joined, hermite, start_joining
 
 # Regularised motion of one trajectory in adaptive steps, by diffrax.
@@ -425,14 +425,13 @@ class CubicPath(MotionPath):
         cubic = Cubic(y[begin], self.rates[number][begin], y[end], self.end_rates[number][begin])
         return cubic if self.middles is None else cubic.through(h, self.middles[number][begin])
 
-    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
-        lengths, places = jnp.diff(self.t), np.arange(len(self.t) - 1)
-        cubics = self._cubic(number, places, places + 1, lengths)
-
-        def inside(step: tuple[Cubic, FloatArray], tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-            return with_slope(lambda tau: sign * hermite(tau, step[1], step[0]), tau)
-
-        return largest_in_steps(inside, (cubics, lengths), sign * cubics.begin, lengths, sign * final)
+    def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
+        lengths, begun, ends = jnp.diff(self.t), tuple(of[:-1] for of in self.y), tuple(of[1:] for of in self.y)
+        steps = PathStep(self.t[:-1], begun, self.rates, self.end_rates, self.middles), ends, lengths
+        inside = partial(along_step, (form,))
+        return largest_in_steps(
+            inside, steps, of_form(form, begun), lengths, sign, of_form(form, final), are_short=True
+        )
 
     def segments(self, time: FloatArray) -> Segments:
         return self.tables.at(time)
@@ -502,7 +501,7 @@ def _follow(
             engine = FixedEngine(system, excitation, t1, y0, method.step, steps, plain, quantities=ALL)
         lane, kept = with_slopes(lambda engine: engine.follow(t1.dtype), engine, most=_MOST_SLOPES)
         detector, status = lane.detector, engine.status(lane)
-        end = lane.steps, lane.t, engine.numbers(lane)
+        end = lane.steps, lane.t, engine.numbers(excitation.signal, lane)
     records, passages = kept
     path = CubicPath.of(excitation.signal, tables, passages, *end)
     return Run.of(system, records, detector.found.totals, status, *end[1:], jnp.zeros((), jnp.int32), path)

@@ -14,10 +14,10 @@ from ..._compiler.native import sharing
 from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Status
-from ..._numerics.derivatives import without_derivatives
+from ..._numerics.derivatives import with_slope, without_derivatives
 from ..._numerics.matrices import WRITTEN_OUT, any_of, largest_of
 from ..._numerics.steps import rosenbrock_step
-from ..._systems.switched_model import State
+from ..._systems.switched_model import Along, Form, State, of_form
 from ..common.lanes import SampleTotals
 from ..common.method import Regularized
 from ..common.path import (
@@ -30,7 +30,7 @@ from ..common.path import (
     sample_totals,
     to_digits,
 )
-from ..sticks import ALL, StickRecord, no_stick
+from ..sticks import ALL, StickRecord, Totals, no_stick
 from .field import AnyField, InnerField, SteppedField, field_of
 from .sticks import (
     Cubic,
@@ -136,6 +136,19 @@ class PathStep(NamedTuple):
     middle: State | None = None
 
 
+def along_step(forms: tuple[Form, ...], step: tuple[PathStep, State, FloatArray], is_fixed: bool) -> Along:
+    """The `forms` of the state in a step that ends so and is so long, s; `is_fixed`: without derivatives."""
+    (_, y, rates, end_rates, middle), end, h = without_derivatives(step) if is_fixed else step
+
+    def of_all(numbers: State) -> FloatArray:
+        return jnp.stack([of_form(form, numbers) for form in forms], axis=-1)
+
+    cubic = Cubic(*map(of_all, (y, rates, end, end_rates)))
+    if middle is not None:
+        cubic = cubic.through(h, of_all(middle))
+    return partial(with_slope, lambda tau: hermite(tau, h, cubic))
+
+
 def nothing_seen(numbers: State, contacts: int | None, quantities: tuple[str, ...]) -> tuple[StickRecord, PathStep]:
     """The records of an idle step, for a trajectory with `numbers` of its state like these and so many contacts."""
     none = tuple(jnp.zeros_like(value) for value in numbers)
@@ -207,9 +220,11 @@ class RegularizedEngine(StepsEngine[RegularizedLane]):
     def field(self, smooth: Signal | None) -> AnyField:
         """The field under this smooth excitation."""
 
-    @abc.abstractmethod
-    def numbers(self, lane: Any) -> State:
-        """The numbers of the state of one realisation's lane."""
+    def inside(self, smooth: Signal | None, forms: tuple[Form, ...], step: tuple[PathStep, State, FloatArray]) -> Along:
+        return along_step(forms, step, True)
+
+    def totals(self, lane: Any) -> Totals:
+        return lane.detector.found.totals
 
     def begun(self, smooth: Signal | None, key_data: Any, dtype) -> tuple[Any, tuple[SegmentState, ...], Any, State]:
         """At the beginning of a trajectory: the field, the segments, the forcing and the state."""
@@ -245,8 +260,8 @@ class FixedEngine(RegularizedEngine[FixedLane]):
         model = self.field(self.excitation.signal).model
         return nothing_seen(model.numbers(lane.y), model.contacts, ALL)
 
-    def numbers(self, lane: FixedLane) -> State:
-        return self.field(self.excitation.signal).model.numbers(lane.y)
+    def numbers(self, smooth: Signal | None, lane: FixedLane) -> State:
+        return self.field(smooth).model.numbers(lane.y)
 
     def field(self, smooth: Signal | None) -> SteppedField:
         field = field_of(self.system, smooth, self.method)
@@ -474,8 +489,8 @@ class AdaptiveEngine(RegularizedEngine[AdaptiveLane]):
         gave_up = (motion.limit == 0) & (found == Status.OUT_OF_STEPS)
         return jnp.where(gave_up, jnp.int8(Status.SOLVER_FAILED), found)
 
-    def numbers(self, lane: AdaptiveLane) -> State:
-        field, segment_laws = self.field(self.excitation.signal), SegmentLaws.of(self.system, self.excitation)
+    def numbers(self, smooth: Signal | None, lane: AdaptiveLane) -> State:
+        field, segment_laws = self.field(smooth), SegmentLaws.of(self.system, self.excitation)
         forcing = field.model.forcing(lane.t, segment_laws.segments(lane.segment_states))
         return field.model.numbers(field.plain(forcing, jnp.zeros_like(lane.t), lane.y))
 

@@ -4,7 +4,7 @@ trajectory.
 
 import math
 from contextlib import suppress
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -24,7 +24,17 @@ from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar,
 from ..._numerics.derivatives import NotKnown, OwnDerivative, largest, smallest, with_slopes, without_derivatives
 from ..._numerics.matrices import any_of, largest_of, sum_of
 from ..._numerics.steps import look_ahead
-from ..._systems.switched_model import NOISE_ULPS, Question, Segments, State, SwitchedModel, chosen_state
+from ..._systems.switched_model import (
+    NOISE_ULPS,
+    Along,
+    Form,
+    Question,
+    Segments,
+    State,
+    SwitchedModel,
+    chosen_state,
+    of_form,
+)
 from ..._systems.system import System
 from ..common.lanes import SampleTotals
 from ..common.method import Arguments, Exact, max_steps_advice, time_scales_of
@@ -362,8 +372,10 @@ def start_lane(
 @sharing
 def advance(
     model: SwitchedModel, segment_laws: SegmentLaws, t1: FloatArray, step: FloatArray, lane: Lane
-) -> tuple[Lane, StickRecord]:
-    """One loop step; returns the lane after it and the record of the stick that ended in it, if any."""
+) -> tuple[Lane, StickRecord, FloatArray]:
+    """One loop step; returns the lane after it, the record of the stick that ended in it, if any, and the length that
+    was tried, s.
+    """
     before, given = lane, (model, model.forcing(lane.t, segment_laws.segments(lane.segment_states)), lane.y)
     stop = jnp.minimum(t1, reduce(jnp.minimum, (state.segment.end for state in lane.segment_states), jnp.inf))
     left = time_left = stop - lane.t
@@ -436,7 +448,7 @@ def advance(
         accurate_step=lax.stop_gradient(by_error),
     )
     following = jax.tree.map(lambda new, old: jnp.where(live, new, old), following, lane)
-    return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1)))
+    return following, record._replace(ending=jnp.where(live, record.ending, np.int8(-1))), h
 
 
 class _Trial(NamedTuple):
@@ -552,12 +564,16 @@ _PER_SEGMENT = 8  # time steps in a segment of a record where neither is known
 
 
 class StepBeginnings(NamedTuple):
-    """The beginning of each loop step, arrays (steps,): time (s), state, sign of the mode, and the current segments."""
+    """The beginning of each loop step, arrays (steps,): time (s), state, sign of the mode, and the current segments.
+
+    `tried`: the length that was tried, s, while lanes move.
+    """
 
     t: Array
     y: tuple[Array, ...]
     sign: Array
     segments: Segments
+    tried: Array | None = None
 
     def at(self, time: FloatArray) -> "StepBeginnings":
         """The beginning of the step that contains `time` (s)."""
@@ -568,8 +584,18 @@ class StepBeginnings(NamedTuple):
 
 def state_in_step(model: SwitchedModel, begun: StepBeginnings, h: FloatArray) -> State:
     """The state at `h` (s) after the beginning of one step."""
-    _, y, sign, segments = begun
+    _, y, sign, segments, _ = begun
     return model.flow(model.forcing(begun.t, segments), y, h, sign)
+
+
+def along_step(
+    model: SwitchedModel, forms: tuple[Form, ...], step: tuple[StepBeginnings, FloatArray], is_fixed: bool
+) -> Along:
+    """The `forms` of the state in a step that has begun so and is so long, s; `is_fixed`: without derivatives."""
+    (t, y, sign, segments, _), h = step
+    given = model, model.forcing(t, segments), y, h, sign
+    model, *of_step = without_derivatives(given) if is_fixed else given
+    return model.along(*of_step, forms)
 
 
 def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, name: str = "t1") -> int:
@@ -643,15 +669,34 @@ class SwitchedEngine(StepsEngine[Lane]):
     def advanced(
         self, shared: StepsShared, smooth: Signal | None, lane: Lane
     ) -> tuple[Lane, StickRecord, StepBeginnings]:
-        return *advance(self._model(smooth), *shared, lane), self._beginning(lane)
+        lane_after, record, tried = advance(self._model(smooth), *shared, lane)
+        return lane_after, record, self._beginning(lane)._replace(tried=tried)
 
     def idle(self, lane: Lane) -> tuple[StickRecord, StepBeginnings]:
-        return no_stick(lane.t.dtype, ALL, lane.stick_start.shape), self._beginning(lane)
+        begun = self._beginning(lane)._replace(tried=jnp.zeros_like(lane.t))
+        return no_stick(lane.t.dtype, ALL, lane.stick_start.shape), begun
+
+    def inside(
+        self, smooth: Signal | None, forms: tuple[Form, ...], step: tuple[StepBeginnings, State, FloatArray]
+    ) -> Along:
+        # As long as was tried: that motion has been computed, wherever an event has ended it.
+        begun, _, length = step
+        return along_step(self._model(smooth), forms, (begun, length if begun.tried is None else begun.tried), True)
+
+    def steps_are_short(self, smooth: Signal | None) -> bool:
+        return self._model(smooth).has_short_steps
+
+    def totals(self, lane: Lane) -> Totals:
+        return lane.totals
+
+    def numbers(self, smooth: Signal | None, lane: Lane) -> State:
+        return self._model(smooth).numbers(lane.y)
 
     def run(self, lane: Lane, kept: tuple[StickRecord, StepBeginnings]) -> Run:
         """The parts of a `Simulation` of one trajectory that `follow` gave."""
         (records, beginnings), smooth = kept, self.excitation.signal
-        path, state = StepPath(smooth, self.system, self.solver, beginnings), self._model(smooth).numbers(lane.y)
+        beginnings = beginnings._replace(tried=None)
+        path, state = StepPath(smooth, self.system, self.solver, beginnings), self.numbers(smooth, lane)
         others = self.status(lane), lane.t, state, lane.near_grazing_count, path
         return Run.of(self.system, records, lane.totals, *others)
 
@@ -696,17 +741,13 @@ class StepPath(MotionPath):
         begun = self.beginnings.at(time)
         return self.model.numbers(state_in_step(self.model, begun, time - begun.t))
 
-    def largest(self, number: int, sign: Scalar, last: FloatArray, final: FloatArray) -> FloatArray:
+    def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
         begun, model = self.beginnings, self.model
         lengths = jnp.append(begun.t[1:], last) - begun.t
-
-        def inside(step: StepBeginnings, h: FloatArray) -> tuple[FloatArray, FloatArray]:
-            y = state_in_step(model, step, h)
-            rates = model.rates(model.forcing(step.t, step.segments), h, y, step.sign)
-            return sign * model.numbers(y)[number], sign * model.numbers(rates)[number]
-
-        at_beginnings = jax.vmap(lambda y: model.numbers(y)[number])(begun.y)
-        return largest_in_steps(inside, begun, sign * at_beginnings, lengths, sign * final)
+        starts = jax.vmap(lambda y: of_form(form, model.numbers(y)))(begun.y)
+        inside, steps = partial(along_step, model, (form,)), (begun, lengths)
+        ends = sign, of_form(form, final)
+        return largest_in_steps(inside, steps, starts, lengths, *ends, are_short=model.has_short_steps)
 
     def rates(self, time: FloatArray) -> State:
         """The rates of the state at one time (s), per second; at an event, those after it."""
