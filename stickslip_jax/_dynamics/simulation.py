@@ -409,7 +409,8 @@ class Simulation(WithMethods):
 
         Args:
             coordinate: Its name, "position" or "velocity"; for a `MotorCart` "angle", "angular velocity" or "current".
-                By default the first.
+                Or the difference of two of one unit, as the drift of a storey, ``"position 2 - position 1"``. By
+                default the first.
 
         Returns:
             The maximum, in the unit of the coordinate.
@@ -440,12 +441,12 @@ class Simulation(WithMethods):
         """A coordinate, or the difference of two of a kind, by the places in the state."""
         self._require_one()
         coordinates = self.system.coordinates
-        names = [one.name for one in coordinates]
-        parts = [name.strip() for name in coordinate.split(" - ")] if isinstance(coordinate, str) else [coordinate]
         if coordinate is None:
             return ((0, 1.0),)
+        names = [one.name for one in coordinates]
+        parts = coordinate.split(" - ") if isinstance(coordinate, str) else []
         if len(parts) == 2 and all(part in names for part in parts):
-            first, second = (names.index(part) for part in parts)
+            first, second = map(names.index, parts)
             if coordinates[first].unit == coordinates[second].unit:
                 return (first, 1.0), (second, -1.0)
         return ((names.index(checks.chosen("coordinate", coordinate, names)), 1.0),)

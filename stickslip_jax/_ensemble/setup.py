@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple, cast, get_args
+from typing import Any, NamedTuple, get_args
 
 import equinox as eqx
 import jax
@@ -18,9 +18,20 @@ from jaxtyping import Array, PyTree
 
 from .._compiler.native import Layout, packed
 from .._compiler.programs import kept_jit
-from .._dynamics.common.lanes import BLOCK, Engine, Job, SampleTotals, VaryingEngine, lane_size, with_leaves
+from .._dynamics.common.lanes import (
+    BLOCK,
+    End,
+    Engine,
+    Job,
+    SampleTotals,
+    VaryingEngine,
+    WatchedEngine,
+    WatchedTotals,
+    lane_size,
+    with_leaves,
+)
 from .._dynamics.common.method import Exact, Regularized, check_method, state_of, working_dtype
-from .._dynamics.common.path import Final, MotionPath, StepsEngine, WatchedEngine, WatchedTotals, apart
+from .._dynamics.common.path import MotionPath, apart
 from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, sample_engines
 from .._dynamics.regularized.lanes import RegularizedEngine
 from .._dynamics.simulate import Output, simulate
@@ -195,15 +206,7 @@ Values = dict[str, np.ndarray]
 """Numbers of consecutive samples by the name of the output, (samples,); NaN for those that did not finish."""
 
 
-class _NotAtEnd(BaseException):  # passes by what looks for mistakes in outputs
-    """Raised where an output asks for what is not known of a sample but by its path."""
-
-
-class _NotKept(eqx.Module):
-    """Stands for the sticks of a sample, which are not known."""
-
-    def __getattr__(self, name: str) -> Any:
-        raise AttributeError(name) if name.startswith("_") else _NotAtEnd(name)
+_AT_ONCE = 1024  # samples
 
 
 class _Noted:
@@ -213,12 +216,15 @@ class _Noted:
         self.forms: list[Form] = []
 
 
-class _EndPath(MotionPath):
-    """Path of which the extremes of some `forms` are known, as in `Final`; or none yet: what is asked for is noted."""
+_UNKNOWN = LookupError("the path of a sample is not kept")
 
+
+class _EndPath(MotionPath):
+    """Path of which the extremes of some `forms` are known, as in `WatchedTotals`; or none yet: they are noted."""
+
+    smooth: Signal | None
     forms: tuple[Form, ...] | _Noted = eqx.field(static=True)
     extremes: FloatArray
-    smooth: Signal | None = None
 
     def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
         if isinstance(self.forms, _Noted):
@@ -229,54 +235,61 @@ class _EndPath(MotionPath):
 
     @property
     def times(self) -> Array:
-        raise _NotAtEnd("times")
+        raise _UNKNOWN
 
     def state(self, time: FloatArray) -> State:
-        raise _NotAtEnd("state")
+        raise _UNKNOWN
 
     def segments(self, time: FloatArray) -> Segments:
-        raise _NotAtEnd("segments")
+        raise _UNKNOWN
 
 
 class AtEnd:
-    """Finds those of the `outputs` that ask for nothing but the ends of samples and extremes of `forms` of the state.
+    """Finds the outputs of samples as these are simulated, where they ask for nothing but their ends and extremes.
 
-    `setup`: with the engine that knows these.
+    `setup`: with the engine that knows these. `others`: what finds the other outputs; None if there are none.
     """
 
     def __init__(self, setup: EnsembleSetup, outputs: Mapping[str, Output]):
         """Traces every function once. Raises ValueError for one that does not return a number."""
-        self.setup, self.outputs, self.forms = setup, dict[str, Output](), ()
+        self.setup, self.outputs, self.forms, self.others = setup, dict[str, Output](), (), None
         engine = setup.engine.template if isinstance(setup.engine, VaryingEngine) else setup.engine
-        if not (isinstance(engine, StepsEngine) and outputs):
+        if not outputs:
             return
         zero, tracks, noted = jnp.zeros((), setup.dtype), engine.tracks, _Noted()
         numbers = (zero,) * len(setup.inputs.model.system.coordinates)
-        final = Final(start_totals(zero.dtype, () if tracks is None else (tracks,)), zero, numbers, zero)
+        end = End(start_totals(zero.dtype, () if tracks is None else (tracks,)), zero, numbers)
         key_data, *of_sample = setup.arguments(0, 1)
-        one = key_data, *jax.tree.map(lambda leaf: leaf[0], of_sample), np.zeros(2, np.int32), final
+        one = key_data, *jax.tree.map(lambda leaf: leaf[0], of_sample), np.zeros(2, np.int32), end, zero
         for name, output in outputs.items():
             before = len(noted.forms)
             try:
                 jax.eval_shape(self._function({name: output}, noted), *one)
                 self.outputs[name] = output
-            except _NotAtEnd:
+            except Exception:  # of what is not known here; a mistake is found once more by the others
                 del noted.forms[before:]
+        others = {name: output for name, output in outputs.items() if name not in self.outputs}
+        self.others = OutputRunner(setup, others) if others else None
         if self.outputs:
             self.forms = tuple(dict.fromkeys(noted.forms))
             engine = WatchedEngine(engine, self.forms)
             if setup.leaf_numbers:
                 engine = VaryingEngine(engine, setup.leaf_numbers)
             self.setup = dataclasses.replace(setup, engine=engine)
-            at_once = jax.vmap(self._function(self.outputs, self.forms), in_axes=(None, 0, 0, 0, 0, 0))
+            at_once = jax.vmap(self._function(self.outputs, self.forms), in_axes=(None, 0, 0, 0, 0, 0, 0))
             self._run = kept_jit(at_once)
 
     def values(self, first: int, results: WatchedTotals) -> Values:
         """The outputs of samples `first`, ``first + 1``, ..., as many as there are `results`."""
-        (*_, status, near_grazing_count), final = results
-        counts = np.stack([status, near_grazing_count], axis=-1)
-        found = self._run(*self.setup.arguments(first, len(status)), counts, final)
-        return {name: np.asarray(column, np.float64) for name, column in zip(self.outputs, found, strict=True)}
+        (*_, status, near_grazing_count), end, extremes = results
+        known, found = (np.stack([status, near_grazing_count], axis=-1), end, extremes), []
+        for begin in range(0, len(status), _AT_ONCE):
+            # Always as many at once: functions that are compiled for other sizes may round otherwise.
+            here = np.minimum(begin + np.arange(_AT_ONCE), len(status) - 1)
+            now = jax.tree.map(lambda column, here=here: column[here], known)
+            found.append(self._run(*self.setup.arguments(first + begin, _AT_ONCE), *now))
+        columns = (np.concatenate(parts).astype(np.float64)[: len(status)] for parts in zip(*found, strict=True))
+        return dict(zip(self.outputs, columns, strict=True))
 
     def _function(
         self, outputs: Mapping[str, Output], forms: tuple[Form, ...] | _Noted
@@ -286,13 +299,19 @@ class AtEnd:
         t1, method, dtype = setup.t1, setup.method, setup.dtype
 
         def numbers(
-            key_data: Array, values: tuple[Array, ...], number: Array, base: PyTree, counts: Array, final: Final
+            key_data: Array,
+            values: tuple[Array, ...],
+            number: Array,
+            base: PyTree,
+            counts: Array,
+            end: End,
+            extremes: Array,
         ) -> tuple[Array, ...]:
             system, base, _ = realized(key_data, values, number, base)
-            totals, of_all = apart(final.totals, system)
-            sticks, path = cast(Sticks, _NotKept()), _EndPath(forms, final.extremes)
-            end = counts[0], final.time, final.state, counts[1], path, None if of_all is None else (sticks, of_all)
-            one = Simulation(system, base, t1, method, sticks, totals, *end)
+            totals, of_all = apart(end.totals, system)
+            sticks, path = object.__new__(Sticks), _EndPath(None, forms, extremes)  # without any number of sticks
+            others = counts[0], end.time, end.state, counts[1], path, None if of_all is None else (sticks, of_all)
+            one = Simulation(system, base, t1, method, sticks, totals, *others)
             return tuple(output.number(one, dtype) for output in outputs.values())
 
         return numbers
@@ -421,13 +440,6 @@ def outputs_of(ensemble: EnsembleData) -> dict[str, Output]:
     }
 
 
-def check_outputs(setup: EnsembleSetup, outputs: Mapping[str, Output]) -> None:
-    """Raises ValueError for an output that does not return a number."""
-    others = {name: output for name, output in outputs.items() if name not in AtEnd(setup, outputs).outputs}
-    if others:
-        OutputRunner(setup, others)
-
-
 # The samples cut into tasks, which are simulated a few at a time, in threads or in this one.
 
 
@@ -464,8 +476,8 @@ def found_by(
     compiled = time.perf_counter()
     with progress_bar(progress, samples) as bar:
         values = _add_all(accumulators, _in_order(simulate, tasks, first, samples), bar.advance)
-    with progress_bar(progress if len(values) < len(outputs) else False, samples, "sample recorded") as bar:
-        _add_outputs(accumulators, setup, first, samples, outputs, values, threads, bar.advance)
+    with progress_bar(progress if at_end.others else False, samples, "sample recorded") as bar:
+        _add_outputs(accumulators, first, samples, tuple(outputs), values, at_end.others, threads, bar.advance)
     shared = {
         "threads": min(tasks.threads, -(-samples // tasks.samples_per_task)),
         "compile_seconds": compiled - started,
@@ -480,9 +492,10 @@ def found_here(
     """As `found_by`, simulated in this thread."""
     tasks = _Tasks.of(setup, _ONE_SIZE, 1, _ONE_SIZE, accumulator.keep != "totals")
     started, samples = time.perf_counter(), accumulator.missing
-    simulate = _simulator(AtEnd(setup, outputs), tasks, (accumulator,))
+    at_end = AtEnd(setup, outputs)
+    simulate = _simulator(at_end, tasks, (accumulator,))
     values = _add_all((accumulator,), itertools.starmap(simulate, tasks.of_samples(first, samples)))
-    _add_outputs((accumulator,), setup, first, samples, outputs, values)
+    _add_outputs((accumulator,), first, samples, tuple(outputs), values, at_end.others)
     spent = time.perf_counter() - started
     return accumulator.found() | {"threads": 1, "compile_seconds": 0.0, "run_seconds": spent}
 
@@ -504,16 +517,13 @@ def _add_all(
 
 
 def _add_outputs(
-    accumulators: Sequence[EnsembleAccumulator], setup: EnsembleSetup, first: int, samples: int,
-    outputs: Mapping[str, Output], values: Values, threads: int = 1,
-    advance: Callable[[int], object] = lambda number: None,
+    accumulators: Sequence[EnsembleAccumulator], first: int, samples: int, names: Sequence[str], values: Values,
+    others: OutputRunner | None, threads: int = 1, advance: Callable[[int], object] = lambda number: None,
 ) -> None:  # fmt: skip
-    """Add the `outputs` of samples `first`, ``first + 1``, ..., of which `values` are known; the others are found."""
-    others = {name: output for name, output in outputs.items() if name not in values}
-    if others:
-        values = values | OutputRunner(setup, others).values(first, samples, threads, advance)
+    """Add the outputs of samples `first`, ``first + 1``, ...: those of `values`, and the `others`, which are found."""
+    found = values if others is None else values | others.values(first, samples, threads, advance)
     for accumulator in accumulators:
-        accumulator.add_outputs({name: values[name] for name in outputs})
+        accumulator.add_outputs({name: found[name] for name in names})
 
 
 class _Tasks(NamedTuple):

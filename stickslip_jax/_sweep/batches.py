@@ -34,7 +34,7 @@ from .._ensemble.data import EnsembleAccumulator, Keep, Retained
 from .._ensemble.encoding import DamagedFileError, Decoder, Encoder, SweepError, versions
 from .._ensemble.ensemble import Ensemble, simulate_batch
 from .._ensemble.points import Points, Setter, SweepSetting, check_points, setter_of
-from .._ensemble.setup import MOST_SAMPLES, EnsembleSetup, check_outputs, fields_of_outputs
+from .._ensemble.setup import MOST_SAMPLES, AtEnd, EnsembleSetup, fields_of_outputs
 from .._foundation import checks
 from .._foundation.files import unpacked_arrays
 from .._foundation.processes import require_memory
@@ -152,7 +152,7 @@ class Plan:
         for _, wrt in self.derivatives:
             parameters_of(self.setting_at(0).model._asdict(), wrt)
         try:
-            check_outputs(self.run_at(0), self.outputs)
+            AtEnd(self.run_at(0), self.outputs)
         except ValueError as error:
             raise ValueError(f"The point {self.points.described(0)} cannot be simulated: {error}") from error
 

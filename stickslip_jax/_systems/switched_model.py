@@ -42,7 +42,7 @@ Guard: TypeAlias = tuple[FloatArray, FloatArray]
 Form: TypeAlias = tuple[tuple[int, float], ...]
 """A linear form of the numbers of a state: the places of some, each with its weight."""
 Along: TypeAlias = Callable[[FloatArray], FloatPair]
-"""The values of forms, and their slopes, at times (..., forms) (s) after the beginning of a step, likewise."""
+"""The values of forms, and their slopes, each at its time (forms,) (s) after the beginning of a step."""
 
 
 def of_form(form: Form, numbers: State) -> FloatArray:
@@ -240,14 +240,8 @@ class SwitchedModel(eqx.Module, Generic[F]):
             value, slope = (jnp.dot(weight, jnp.stack(self.numbers(of))) for of in (reached, rates))
             return value, slope
 
-        def of_all(tau: FloatArray) -> FloatPair:
-            # One after the other: a flow takes long to compile.
-            each = jnp.broadcast_to(jnp.asarray(weights, tau.dtype), (*tau.shape, weights.shape[1]))
-            found = lax.map(at, (tau.reshape(-1), each.reshape(-1, weights.shape[1])))
-            values, slopes = (of.reshape(tau.shape) for of in found)
-            return values, slopes
-
-        return of_all
+        # One after the other: a flow takes long to compile.
+        return lambda tau: lax.map(at, (tau, jnp.asarray(weights, tau.dtype)))
 
     @abc.abstractmethod
     def relative_velocity(self, forcing: F, tau: FloatScalar, y: State) -> FloatArray:

@@ -17,9 +17,10 @@ from jaxtyping import Array
 
 from ..._compiler.native import Layout, packed, unpacked
 from ..._foundation import checks
-from ..._foundation.types import AnyArray, AnyInteger, BoolArray, IntArray
+from ..._foundation.types import AnyArray, AnyInteger, BoolArray, FloatArray, IntArray, State
 from ..._numerics.elementary import stored_words
-from ..sticks import NUMBERS
+from ..._systems.switched_model import Form, of_form
+from ..sticks import NUMBERS, Totals
 
 # How one trajectory among many is followed: what each engine of ensembles defines.
 
@@ -50,6 +51,14 @@ class SampleTotals(NamedTuple):
             return self
         sticks, slips, stick_time = (column[:, track] for column in (self.sticks, self.slips, self.stick_time))
         return SampleTotals(sticks, slips, stick_time, self.status, self.near_grazing_count)
+
+
+class End(NamedTuple):
+    """Where a sample ended: the sums over its sticks, of what is counted; the time, s; and the numbers of its state."""
+
+    totals: Totals
+    time: FloatArray
+    state: State
 
 
 class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
@@ -103,6 +112,18 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
     def step(self, shared: Shared, sample: Sample, motion: Motion, drawn: Any) -> tuple[Motion, Record]:
         """Take one step: returns the motion after it and its record."""
 
+    def watched(
+        self, shared: Shared, sample: Sample, motion: Motion, drawn: Any, forms: tuple[Form, ...]
+    ) -> tuple[Motion, Record, FloatArray]:
+        """A `step`, and the largest of each of the `forms` of the state in it, and minus the smallest, (2, forms); but
+        for the values at its end.
+        """
+        raise NotImplementedError("of engines of sensitivities")
+
+    def end(self, sample: Sample, motion: Motion) -> End:
+        """Where the sample has ended."""
+        raise NotImplementedError("of engines of sensitivities")
+
     def after_block(self, samples: Sample, motions: Motion, records: Record) -> Motion:
         """The motions of ALL lanes, corrected after a block with these records, (BLOCK, lanes)."""
         return motions
@@ -114,6 +135,81 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
     @abc.abstractmethod
     def results(self, sample: Sample, motion: Motion) -> Results:
         """The results of one sample."""
+
+
+# Lanes that also know where each sample ended, and the extremes on its way: outputs of a user's own are made of these.
+
+
+SIGNS = (1, -1)
+
+
+def values_of_forms(forms: tuple[Form, ...], numbers: State) -> FloatArray:
+    """The values of the `forms`, (forms,)."""
+    return jnp.stack([of_form(form, numbers) for form in forms]) if forms else jnp.zeros_like(numbers[0], shape=(0,))
+
+
+class WatchedTotals(NamedTuple):
+    """What is recorded of each sample, and where it ended; `extremes`: of each form the largest value, and minus the
+    smallest one, (2, forms).
+    """
+
+    totals: SampleTotals
+    end: End
+    extremes: AnyArray
+
+
+class _Watched(NamedTuple):
+    """The motion of an engine, and the extremes so far."""
+
+    motion: Any
+    extremes: FloatArray
+
+
+class WatchedEngine(Engine):
+    """The `engine`, which also keeps extremes of `forms` of the state, and the end of each sample."""
+
+    engine: Any
+    forms: tuple[Form, ...] = eqx.field(static=True)
+
+    @property
+    def tracks(self) -> int | None:
+        return self.engine.tracks
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.engine.compiles_natively
+
+    @property
+    def lanes(self) -> int:
+        return self.engine.lanes
+
+    def asked(self, quantities: tuple[str, ...]) -> "WatchedEngine":
+        return dataclasses.replace(self, engine=self.engine.asked(quantities))
+
+    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, _Watched]:
+        sample, motion = self.engine.begin(key_data, dtype)
+        return sample, _Watched(motion, jnp.full((len(SIGNS), len(self.forms)), -jnp.inf, dtype))
+
+    def shared(self, dtype) -> Any:
+        return self.engine.shared(dtype)
+
+    def draw(self, sample: Any, number: Array, dtype) -> Any:
+        return self.engine.draw(sample, number, dtype)
+
+    def step(self, shared: Any, sample: Any, motion: _Watched, drawn: Any) -> tuple[_Watched, Any]:
+        if not self.forms:
+            moved, record = self.engine.step(shared, sample, motion.motion, drawn)
+            return motion._replace(motion=moved), record
+        moved, record, found = self.engine.watched(shared, sample, motion.motion, drawn, self.forms)
+        return _Watched(moved, jnp.maximum(motion.extremes, found)), record
+
+    def ended(self, motion: _Watched, before: _Watched) -> BoolArray:
+        return self.engine.ended(motion.motion, before.motion)
+
+    def results(self, sample: Any, motion: _Watched) -> WatchedTotals:
+        end = self.engine.end(sample, motion.motion)
+        extremes = jnp.maximum(motion.extremes, np.array(SIGNS)[:, None] * values_of_forms(self.forms, end.state)[None])
+        return WatchedTotals(self.engine.results(sample, motion.motion), end, extremes)
 
 
 # Lanes whose system, excitation or start differ from sample to sample.

@@ -22,12 +22,12 @@ from ..._compiler.native import sharing
 from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal, SourceVoltage
 from ..._excitation.segments import SegmentLaw, SegmentState, added, first_segment, following_segment, is_invalid
-from ..._foundation.types import AnyArray, AnyInteger, BoolArray, FloatArray, IntArray, Number, Scalar, Status
+from ..._foundation.types import AnyInteger, BoolArray, FloatArray, IntArray, Number, Scalar, Status
 from ..._numerics.derivatives import NotKnown, values_of, with_slope
-from ..._systems.switched_model import Along, Form, Segments, State, of_form
+from ..._systems.switched_model import Along, Form, Segments, State
 from ..._systems.system import System
 from ..sticks import StickRecord, Sticks, Totals, count_slips, sticks_in_order
-from .lanes import Engine, SampleTotals
+from .lanes import SIGNS, End, Engine, SampleTotals, values_of_forms
 
 T = TypeVar("T")
 Other = TypeVar("Other")
@@ -220,7 +220,7 @@ _TRIES, _NEWTON_STEPS = 12, 2  # the value's error is that of the instant square
 
 
 def largest_in_step(
-    fixed: Along, along: Along, start: FloatArray, length: FloatArray, signs: AnyArray, *, is_short: bool
+    fixed: Along, along: Along, start: FloatArray, length: FloatArray, signs: Any, *, is_short: bool
 ) -> FloatArray:
     """The largest values at the beginning of a step and inside, of each of the `signs` times each form.
 
@@ -235,36 +235,37 @@ def largest_in_step(
     Returns:
         (signs, forms).
     """
-    signs = jnp.asarray(signs, length.dtype)[:, None]
+    side = jnp.broadcast_to(jnp.asarray(signs, length.dtype)[:, None], (len(signs), len(start)))
+    here, everywhere = jax.vmap(fixed), jax.vmap(along)
     # The time since the beginning of the step at which an inner maximum is largest; 0 if there is none.
-    instants = jnp.asarray(_FEW_INSTANTS if is_short else _INSTANTS, length.dtype)[:, None, None]
-    at = instants * jnp.full((len(signs), len(start)), length)
-    values, slopes = (signs * found[:, None] for found in fixed(at[:, 0]))
+    at = length * np.repeat(np.array(_FEW_INSTANTS if is_short else _INSTANTS)[:, None], len(start), axis=1)
+    values, slopes = (side[None] * found[:, None] for found in here(at))
+    at = jnp.broadcast_to(at[:, None], slopes.shape)
     turns = (slopes[:-1] > 0) & (slopes[1:] < 0)
     # Of several turns the one beside the largest value; in a short step there is one.
     beside = jnp.where(turns, 0 if is_short else jnp.maximum(values[:-1], values[1:]), -jnp.inf)
     bracket, highest = Bracket(at[0], at[-1], slopes[0], slopes[-1]), jnp.full_like(slopes[0], -jnp.inf)
-    for i in range(len(instants) - 1):
-        here, higher = Bracket(at[i], at[i + 1], slopes[i], slopes[i + 1]), beside[i] > highest
-        bracket = jax.tree.map(lambda new, old, higher=higher: jnp.where(higher, new, old), here, bracket)
+    for i in range(len(turns)):
+        part, higher = Bracket(at[i], at[i + 1], slopes[i], slopes[i + 1]), beside[i] > highest
+        bracket = jax.tree.map(lambda new, old, higher=higher: jnp.where(higher, new, old), part, bracket)
         highest = jnp.maximum(highest, beside[i])
 
     def narrow(number: Array, bracket: Bracket) -> Bracket:
         middle = 0.5 * (bracket.low + bracket.high)
         at = jnp.where(number % 4 == 3, middle, bracket.by_secant)  # the Illinois rule, and halving
         # An end that stays has its slope halved, so that the other end moves next.
-        return bracket.narrowed(at, signs * fixed(at)[1], kept=0.5)
+        return bracket.narrowed(at, side * here(at)[1], kept=0.5)
 
     if is_short:
         inner = bracket.by_secant
         for _ in range(_NEWTON_STEPS):
-            slope, bend = with_slope(lambda at: signs * fixed(at)[1], inner)
+            slope, bend = with_slope(lambda at: side * here(at)[1], inner)
             inner = jnp.clip(inner - slope / jnp.where(bend < 0, bend, -jnp.inf), bracket.low, bracket.high)
     else:
         # The secant of the last bracket, not what was tried last: where one end is the zero, the other may be far.
         inner = lax.fori_loop(0, _TRIES, narrow, bracket).by_secant
     inner = lax.stop_gradient(jnp.where(highest > -jnp.inf, inner, 0))
-    return jnp.maximum(signs * along(inner)[0], signs * start)
+    return jnp.maximum(side * everywhere(inner)[0], side * start[None])
 
 
 def largest_in_steps(
@@ -483,6 +484,16 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         motion, record, _ = self.advanced(shared, sample, motion)
         return motion, of_track(record, self.system)
 
+    def watched(
+        self, shared: StepsShared, sample: Signal | None, motion: StepsLane, drawn: None, forms: tuple[Form, ...]
+    ) -> tuple[StepsLane, StickRecord, FloatArray]:
+        lane, record, found = _watched(self, shared, sample, motion, _Forms(forms))
+        return lane, of_track(record, self.system), found
+
+    def end(self, sample: Signal | None, motion: StepsLane) -> End:
+        lane: Any = motion
+        return End(of_track(self.totals(lane), self.system), lane.t, self.numbers(sample, lane))
+
     def shared(self, dtype) -> StepsShared:
         t1, step = jnp.asarray(self.t1, dtype), jnp.asarray(self.step_length, dtype)
         return StepsShared(SegmentLaws.of(self.system, self.excitation), t1, step)
@@ -495,98 +506,19 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         return status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))
 
 
-# Lanes that also know where each sample ended, and the extremes on its way: outputs of a user's own are made of these.
+class _Forms(eqx.Module):
+    """The forms of a state whose extremes are asked for."""
+
+    all: tuple[Form, ...] = eqx.field(static=True)
 
 
-_SIGNS = np.array([1, -1])
-
-
-class Final(NamedTuple):
-    """A sample where it ended.
-
-    - `totals`: the sums over its sticks, of what is counted.
-    - `time`: s. `state`: its numbers.
-    - `extremes`: of each form the largest value, and minus the smallest one, (2, forms).
-    """
-
-    totals: Totals
-    time: FloatArray
-    state: State
-    extremes: FloatArray
-
-
-class WatchedTotals(NamedTuple):
-    """What is recorded of each sample, and where it ended."""
-
-    totals: SampleTotals
-    final: Final
-
-
-class WatchedLane(NamedTuple):
-    """The lane of an engine, and the extremes so far, as in `Final`."""
-
-    lane: Any
-    extremes: FloatArray
-
-
-class WatchedEngine(Engine[StepsShared, Signal | None, WatchedLane, StickRecord, WatchedTotals]):
-    """The `engine`, which also keeps extremes of `forms` of the state, and the end of each sample."""
-
-    engine: StepsEngine
-    forms: tuple[Form, ...] = eqx.field(static=True)
-
-    @property
-    def tracks(self) -> int | None:
-        return self.engine.tracks
-
-    @property
-    def compiles_natively(self) -> bool:
-        return self.engine.compiles_natively
-
-    @property
-    def lanes(self) -> int:
-        return self.engine.lanes
-
-    def asked(self, quantities: tuple[str, ...]) -> "WatchedEngine":
-        return WatchedEngine(self.engine.asked(quantities), self.forms)
-
-    def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, WatchedLane]:
-        smooth, lane = self.engine.begin(key_data, dtype)
-        return smooth, WatchedLane(lane, jnp.full((len(_SIGNS), len(self.forms)), -jnp.inf, dtype))
-
-    def shared(self, dtype) -> StepsShared:
-        return self.engine.shared(dtype)
-
-    def step(
-        self, shared: StepsShared, sample: Signal | None, motion: WatchedLane, drawn: None
-    ) -> tuple[WatchedLane, StickRecord]:
-        if not self.forms:
-            lane, record, _ = self.engine.advanced(shared, sample, motion.lane)
-            return WatchedLane(lane, motion.extremes), of_track(record, self.engine.system)
-        return self._watched(shared, sample, motion)
-
-    @sharing
-    def _watched(
-        self, shared: StepsShared, sample: Signal | None, motion: WatchedLane
-    ) -> tuple[WatchedLane, StickRecord]:
-        lane, record, passage = self.engine.advanced(shared, sample, motion.lane)
-        start, end = (self.engine.numbers(sample, one) for one in (motion.lane, lane))
-        length = lane.t - motion.lane.t
-        along = self.engine.inside(sample, self.forms, (passage, end, length))
-        found = largest_in_step(
-            along, along, self._of(start), length, _SIGNS, is_short=self.engine.steps_are_short(sample)
-        )
-        return WatchedLane(lane, jnp.maximum(motion.extremes, found)), of_track(record, self.engine.system)
-
-    def _of(self, numbers: State) -> FloatArray:
-        return jnp.stack([of_form(form, numbers) for form in self.forms])
-
-    def ended(self, motion: WatchedLane, before: WatchedLane) -> BoolArray:
-        return self.engine.ended(motion.lane, before.lane)
-
-    def results(self, sample: Signal | None, motion: WatchedLane) -> WatchedTotals:
-        lane, extremes = motion
-        numbers, totals = self.engine.numbers(sample, lane), of_track(self.engine.totals(lane), self.engine.system)
-        if self.forms:
-            extremes = jnp.maximum(extremes, _SIGNS[:, None] * self._of(numbers))
-        return WatchedTotals(self.engine.results(sample, lane), Final(totals, lane.t, numbers, extremes))
+@sharing
+def _watched(
+    engine: StepsEngine, shared: StepsShared, smooth: Signal | None, motion: Any, forms: _Forms
+) -> tuple[Any, StickRecord, FloatArray]:
+    lane, record, passage = engine.advanced(shared, smooth, motion)
+    length, end = lane.t - motion.t, engine.numbers(smooth, lane)
+    along = engine.inside(smooth, forms.all, (passage, end, length))
+    start = values_of_forms(forms.all, engine.numbers(smooth, motion))
+    is_short = engine.steps_are_short(smooth)
+    return lane, record, largest_in_step(along, along, start, length, SIGNS, is_short=is_short)

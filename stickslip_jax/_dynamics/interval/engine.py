@@ -23,7 +23,7 @@ from ..._excitation.segments import Segment, marked
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Form, Segments, State
-from ..common.lanes import Engine, SampleTotals
+from ..common.lanes import SIGNS, End, Engine, SampleTotals
 from ..common.path import MotionPath, Run, sample_totals
 from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, start_totals, sticks_of
 from .arcs import (
@@ -96,6 +96,17 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
         duration = jnp.where(duration >= shared.t1, shared.t1, duration)  # no infinity enters the arithmetic
         moved, totals, stick, tie = cross_interval(shared, motion.motion, motion.totals, duration, velocity)
         return _Lane(memory, moved, totals, motion.ties + tie), stick
+
+    def watched(
+        self, shared: Scales, sample: _Sample, motion: _Lane, drawn: Any, forms: tuple[Form, ...]
+    ) -> tuple[_Lane, StickRecord, FloatArray]:
+        duration, velocity, _ = self.law.next_interval(motion.memory, drawn, shared.t1.dtype)
+        of_interval = partial(largest_in_interval, shared, motion.motion, duration, velocity)
+        found = [of_interval(of_velocity=form[0][0] == 1, sign=sign) for sign in SIGNS for form in forms]
+        return *self.step(shared, sample, motion, drawn), jnp.stack(found).reshape(len(SIGNS), len(forms))
+
+    def end(self, sample: _Sample, motion: _Lane) -> End:
+        return End(motion.totals, motion.motion.t, (motion.motion.x, motion.motion.v))
 
     def ended(self, motion: _Lane, before: _Lane) -> BoolArray:
         return is_over(motion.motion, before.motion, self.t1)

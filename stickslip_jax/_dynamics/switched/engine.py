@@ -594,8 +594,8 @@ def along_step(
     """The `forms` of the state in a step that has begun so and is so long, s; `is_fixed`: without derivatives."""
     (t, y, sign, segments, _), h = step
     given = model, model.forcing(t, segments), y, h, sign
-    model, *of_step = without_derivatives(given) if is_fixed else given
-    return model.along(*of_step, forms)
+    model, forcing, y, h, sign = without_derivatives(given) if is_fixed else given
+    return model.along(forcing, y, h, sign, forms)
 
 
 def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, name: str = "t1") -> int:
