@@ -401,27 +401,30 @@ _WITH_RULE = "custom_jvp_call"
 _WORTH = 4  # cheaper values are computed again
 
 
-def sharing(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """`function` of scalars (pytrees of them), cut so that no costly value is computed twice, in any transformation."""
+def sharing(function: Callable[_Arguments, _Result], *, whole: bool = False) -> Callable[_Arguments, _Result]:
+    """`function` of scalars (pytrees of them), cut so that no costly value is computed twice, in any transformation.
+
+    `whole`: those that it calls are not cut by themselves, so that nothing in them is computed twice either.
+    """
     if PLAIN:
         return function
 
     @wraps(function)
     def call(*args: Any, **options: Any) -> Any:
-        if getattr(_cutting, "inside", False):  # what is cut as a whole shares more
+        if getattr(_cutting, "whole", False):
             return function(*args, **options)
         flat, leaves, restored = flattened(cast(Callable[..., Any], function), args, options, eqx.is_array_like)
-        _cutting.inside = True
+        _cutting.whole = whole
         try:
             closed = jax.make_jaxpr(flat)(*leaves)
         finally:
-            _cutting.inside = False
+            _cutting.whole = False
         return restored(_shared(closed, leaves))
 
     return call
 
 
-_cutting = threading.local()  # whether a function is traced in this thread to be cut
+_cutting = threading.local()  # whether this thread traces what is cut as a whole
 
 
 def flattened(

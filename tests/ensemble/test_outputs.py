@@ -7,6 +7,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax._dynamics.switched import engine
+from stickslip_jax._ensemble import setup
 
 SYSTEM = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0))
 POISSON = ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -152,7 +153,8 @@ def test_uncertain_models(name):
 def test_samples_that_need_more_steps_get_them(monkeypatch):
     """Under jit the number of steps is fixed; those for whom it is too small are simulated again."""
     system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.8), damping=0.1)
-    run = {**RUN, "samples": 12, "outputs": {"peak": lambda one: one.peak("velocity")}}
+    grid = jnp.linspace(0.0, 20.0, 101)
+    run = {**RUN, "samples": 12, "outputs": {"peak": lambda one: jnp.max(one.evaluate(grid)[1])}}
     enough = ss.simulate_ensemble(system, ss.RandomPhase(ss.Harmonic(1.0, 1.3)), **run)
     monkeypatch.setattr(engine, "steps_for", lambda *_: 64)
     again = ss.simulate_ensemble(system, ss.RandomPhase(ss.Harmonic(1.0, 1.3)), **run)
@@ -175,6 +177,113 @@ def test_sobol_indices_of_an_output():
     assert indices.outputs == ("peak",)
     assert indices.total[1, 0] == pytest.approx(1.0, abs=1e-3)
     assert indices.total[0, 0] == pytest.approx(0.0, abs=1e-3)
+
+
+# What asks for nothing but ends and extremes is found as samples are simulated.
+
+
+def storeys(mu=0.06, number=3):
+    """A building on a sliding bearing, of friction coefficient `mu`."""
+    return ss.storeys_on_bearing(
+        [2e5] * number, stiffness=[8e7] * (number - 1), damping=[4e5] * (number - 1), friction=ss.Coulomb(mu)
+    )
+
+
+TIMES = np.arange(0, 3.001, 0.02)
+QUAKE = ss.GroundAcceleration(TIMES, 3.0 * np.sin(9 * TIMES) * np.exp(-((TIMES - 1) ** 2)))
+DAMPED = ss.MassSpring(1.0, ss.Uniform(3.0, 5.0), 1.0, ss.Coulomb(0.8), damping=0.1)
+SWINGING = ss.RandomPhase(ss.Harmonic(1.0, 1.3))
+MASS = {
+    "highest": lambda one: one.maximum(),
+    "lowest": lambda one: one.minimum("velocity"),
+    "end": lambda one: one.final_state[1] * one.system.stiffness,
+    "share": lambda one: one.stick_fraction,
+    "number": lambda one: one.totals.sticks - one.totals.censored,
+}
+BUILDING = {
+    "peak": lambda one: one.peak("position 0"),
+    "drift": lambda one: one.peak("position 1 - position 0"),
+    "closing": lambda one: one.minimum("position 2 - position 1"),
+    "left": lambda one: one.final_state[0],
+    "share": lambda one: one.stick_fraction,
+}
+ROW = ss.block_row(2, mass=1.0, between=1.2, to_ground=1.0, normal_force=1.0, friction=ss.Coulomb(0.4, 0.5))
+ROW_START = (ss.Uniform(0.0, 0.3), 0.1, 0.0, 0.0)
+ROW_OUTPUTS = {"drift": BUILDING["drift"], "share": BUILDING["share"]}
+BRISTLES = ss.LuGre(0.5, 0.6, stribeck_speed=0.1, stiffness=1e3, damping=10.0)
+CART = ss.papers.motor_cart(0.2)
+CART_OUTPUTS = {"angle": lambda one: one.maximum(), "current": lambda one: one.peak("current")}
+IN_PASS = {
+    "building": (storeys(ss.Uniform(0.03, 0.08)), QUAKE, {}, BUILDING),
+    "intervals": (SYSTEM, POISSON, {}, MASS),
+    "steps": (DAMPED, SWINGING, {}, MASS),
+    "Runge-Kutta": (ss.MassSpring(1.0, 4.0, 1.0, ss.Stribeck(0.5, 0.7, 0.3)), SWINGING, {}, MASS),
+    "fixed": (SYSTEM, SWINGING, {"method": ss.Regularized(1e-2, step=1e-2)}, MASS),
+    "adaptive": (SYSTEM, SWINGING, {"method": ss.Regularized(1e-2)}, MASS),
+    "bristles": (ss.MassSpring(1.0, 4.0, 1.0, BRISTLES), SWINGING, {"method": ss.Regularized()}, MASS),
+    "all contacts": (ROW.of_all_contacts(), ss.PoissonSwitching(0.3, 0.5), {"y0": ROW_START}, ROW_OUTPUTS),
+    "cart": (CART.system, CART.law, {"y0": CART.y0}, CART_OUTPUTS),
+}  # fmt: skip
+QUICK = ("building", "intervals")
+
+
+@pytest.mark.parametrize("keep", ["totals", pytest.param("sticks", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in IN_PASS]
+)
+def test_found_in_the_pass(name, keep, monkeypatch):
+    system, law, options, outputs = IN_PASS[name]
+    monkeypatch.setattr(setup, "OutputRunner", None)  # what would simulate once more
+    some = ss.simulate_ensemble(
+        system, law, samples=20, keep=keep, outputs=outputs, threads=1,
+        **{"t1": 3.0, "key": KEY, "method": ss.Exact()} | options,
+    )  # fmt: skip
+    assert some.finished == 20
+    for i in (0, 13, 19):
+        system, base, y0 = some.realization(i)
+        one = ss.simulate(system, base, t1=3.0, y0=y0, method=some.method)
+        for output, function in outputs.items():
+            # Adaptive steps, chosen by errors, differ by what round-off does to these: in between there are quartics.
+            rel = 1e-7 if name in ("adaptive", "bristles") else 1e-9
+            assert some.output_values[output][i] == pytest.approx(float(function(one)), rel=rel, abs=1e-12), output
+
+
+@pytest.mark.slow
+def test_found_in_the_pass_with_the_same_bits():
+    """Whatever the chunk, the threads, the number of samples, and beside what asks for a path."""
+    run = {"t1": 3.0, "key": KEY, "samples": 150, "keep": "totals", "outputs": BUILDING, "chunk": 64}
+    system = IN_PASS["building"][0]
+    whole = ss.simulate_ensemble(system, QUAKE, **run)
+    path = {"middle": lambda one: one.evaluate(1.5)[0]}
+    for changed in ({"chunk": 37}, {"threads": 3}, {"samples": 70}, {"outputs": path | BUILDING}):
+        other = ss.simulate_ensemble(system, QUAKE, **run | changed)
+        assert list(other.output_values) == list((run | changed)["outputs"])
+        for name in BUILDING:
+            np.testing.assert_array_equal(other.output_values[name], whole.output_values[name][: other.samples])
+    assert np.all(np.abs(other.output_values["middle"]) <= whole.output_values["peak"])
+
+
+@pytest.mark.slow
+def test_of_a_damped_building_natively():
+    """XLA would refuse its native loop, with a warning, of as many lanes as other systems have."""
+    some = ss.simulate_ensemble(
+        storeys(number=7), QUAKE, t1=3.0, samples=8, key=KEY, keep="totals", outputs=BUILDING, threads=1
+    )
+    one = ss.simulate(storeys(number=7), QUAKE, t1=3.0)
+    assert some.output_values["drift"] == pytest.approx(float(BUILDING["drift"](one)), rel=1e-10)
+
+
+def test_differences_of_coordinates():
+    """They are of a unit; in a grid of times nothing exceeds them, and they come near."""
+    one, times = ss.simulate(storeys(), QUAKE, t1=3.0), np.linspace(0, 3, 3001)
+    y = one.evaluate(times)
+    drift = np.asarray(y[2] - y[1])
+    for found, largest in ((one.maximum, drift.max()), (lambda name: -one.minimum(name), (-drift).max())):
+        exact = float(found("position 2 - position 1"))
+        assert largest <= exact * (1 + 1e-12) < largest * (1 + 1e-4)
+    for wrong in ("position 2 - velocity 1", "position 2 - position 9", "position 2 + position 1"):
+        with pytest.raises(ValueError, match="Argument coordinate must be one of"):
+            one.peak(wrong)
 
 
 BAD = {

@@ -216,7 +216,7 @@ class Bracket(NamedTuple):
 # and in a step that is short beside all that moves.
 _INSTANTS = (0.0, 2.0**-12, 2.0**-7, 2.0**-4, 0.25, 0.5, 0.75, 1.0)
 _FEW_INSTANTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-_TRIES, _NEWTON_STEPS = 12, 2  # the value's error is that of the instant squared
+_TRIES, _NEWTON_STEPS = 12, 3  # the error of the value is that of the instant squared
 
 
 def largest_in_step(
@@ -487,7 +487,10 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
     def watched(
         self, shared: StepsShared, sample: Signal | None, motion: StepsLane, drawn: None, forms: tuple[Form, ...]
     ) -> tuple[StepsLane, StickRecord, FloatArray]:
-        lane, record, found = _watched(self, shared, sample, motion, _Forms(forms))
+        lane, record, passage = self.advanced(shared, sample, motion)
+        # One form after the other: for more at once some operation is so large that XLA refuses the native loop.
+        given = self, sample, motion, lane, passage
+        found = jnp.concatenate([_extremes_in_step(*given, Forms((form,))) for form in forms], axis=1)
         return lane, of_track(record, self.system), found
 
     def end(self, sample: Signal | None, motion: StepsLane) -> End:
@@ -506,19 +509,20 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         return status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))
 
 
-class _Forms(eqx.Module):
+class Forms(eqx.Module):
     """The forms of a state whose extremes are asked for."""
 
     all: tuple[Form, ...] = eqx.field(static=True)
 
 
-@sharing
-def _watched(
-    engine: StepsEngine, shared: StepsShared, smooth: Signal | None, motion: Any, forms: _Forms
-) -> tuple[Any, StickRecord, FloatArray]:
-    lane, record, passage = engine.advanced(shared, smooth, motion)
-    length, end = lane.t - motion.t, engine.numbers(smooth, lane)
+def extremes_in_step(
+    engine: StepsEngine, smooth: Signal | None, before: Any, after: Any, passage: Any, forms: Forms
+) -> FloatArray:
+    """Of lanes before and after a step, and what the path keeps of it: as `Engine.watched`."""
+    length, end = after.t - before.t, engine.numbers(smooth, after)
     along = engine.inside(smooth, forms.all, (passage, end, length))
-    start = values_of_forms(forms.all, engine.numbers(smooth, motion))
-    is_short = engine.steps_are_short(smooth)
-    return lane, record, largest_in_step(along, along, start, length, SIGNS, is_short=is_short)
+    start = values_of_forms(forms.all, engine.numbers(smooth, before))
+    return largest_in_step(along, along, start, length, SIGNS, is_short=engine.steps_are_short(smooth))
+
+
+_extremes_in_step = sharing(extremes_in_step)
