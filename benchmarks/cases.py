@@ -15,6 +15,7 @@ from .baselines import scipy_lugre
 from .setups import (
     BELT,
     BESIDE_BRISTLES,
+    BUILDING,
     ENSEMBLES,
     HARMONIC,
     INNER_TOLERANCES,
@@ -25,6 +26,7 @@ from .setups import (
     ONE_TRAJECTORY,
     RANDOM_PHASE,
     REGULARIZED,
+    SHAKEN,
     SPEED,
     START,
     T1,
@@ -35,6 +37,7 @@ from .setups import (
     chain_name,
     diagram_name,
     inner_name,
+    quake,
     starts,
     system,
 )
@@ -178,6 +181,41 @@ def _blocks(blocks: int, threads: int, sizes: Sizes) -> Run:
         )  # fmt: skip
         assert many.of_contact(0).finished == samples
         return Work(samples * t1)
+
+    return run
+
+
+def _drift_on_grid(storey: int) -> Callable[[ss.Simulation], Any]:
+    def drift(one: ss.Simulation) -> Any:
+        y = one.evaluate(jnp.linspace(0, SHAKEN, 3000))
+        return jnp.max(jnp.abs(y[storey + 1] - y[storey]))
+
+    return drift
+
+
+_LAST = {"last": lambda one: one.final_state[0]}
+_PEAK = {"peak": lambda one: one.peak("position 0")}
+_STOREYS = range(1, 6)
+OUTPUTS: dict[str, dict[str, Callable[[ss.Simulation], Any]]] = {
+    "none": {},
+    "one, the last position": _LAST,
+    "seven": _LAST
+    | _PEAK
+    | {f"drift{i}": partial(ss.Simulation.peak, coordinate=f"position {i + 1} - position {i}") for i in _STOREYS},
+    "seven, drifts on a grid of times": _LAST | _PEAK | {f"drift{i}": _drift_on_grid(i) for i in _STOREYS},
+}
+
+
+def _shaken(name: str, sizes: Sizes) -> Run:
+    """Six storeys on a bearing whose friction differs from sample to sample, under a record."""
+
+    def run(number: int) -> Work:
+        many = ss.simulate_ensemble(
+            BUILDING, quake(), t1=SHAKEN, samples=sizes.shaken, key=jax.random.key(number), keep="totals",
+            outputs=OUTPUTS[name], threads=1, progress=False,
+        )  # fmt: skip
+        assert many.finished == sizes.shaken
+        return Work(sizes.shaken)
 
     return run
 
@@ -410,6 +448,7 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
         found[f"two blocks, {word}"] = partial(_blocks, 0, threads)
         for blocks in FULL.chains:
             found[f"{chain_name(blocks)}, {word}"] = partial(_blocks, blocks, threads)
+    found |= {f"outputs: {name}": partial(_shaken, name) for name in OUTPUTS}
     found["every stick, handed on, 1 thread"] = _handed_on
     for name, function in COMPOSED.items():
         found[f"vmapped: {name}"] = partial(_composed, function)

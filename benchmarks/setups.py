@@ -65,6 +65,20 @@ TWO_BLOCKS = ss.LinearStructure(
 )  # fmt: skip
 
 
+SHAKEN = 29.99  # s
+BUILDING = ss.storeys_on_bearing(
+    [2e5] * 7, stiffness=[8e7] * 6, damping=[4e5] * 6, friction=ss.Coulomb(ss.Uniform(0.05, 0.08))
+)  # fmt: skip
+
+
+def quake() -> ss.GroundAcceleration:
+    """A record of 3,000 points: tones of 0.3 to 8 Hz that come and go."""
+    draw, times = np.random.default_rng(0), np.arange(3000) * 0.01
+    size, tone, phase = draw.normal(0, 0.6, 40), draw.uniform(0.3, 8, 40), draw.uniform(0, 7, 40)
+    waves = size * np.sin(2 * np.pi * tone * times[:, None] + phase)
+    return ss.GroundAcceleration(times, waves.sum(axis=1) * np.exp(-(((times - 10) / 6) ** 2)))
+
+
 def chain(blocks: int) -> ss.LinearStructure:
     """Blocks in a row on a belt, as those of the baseline `scipy_chain`."""
     return ss.block_row(blocks, mass=1.0, between=1.0, to_ground=0.2, normal_force=1.0, friction=ss.Coulomb(0.3))

@@ -27,6 +27,8 @@ class Sizes(NamedTuple):
     """Lengths of chains of blocks."""
     chain_blocks: int
     """Blocks in all samples of a chain."""
+    shaken: int
+    """Samples of a building under a record."""
     blocks_t1: float
     """Horizon of blocks on a belt."""
     diagrams: tuple[int, ...]
@@ -56,6 +58,7 @@ FULL = Sizes(
     two_blocks=8_192,
     chains=(1, 2, 4, 8, 10, 16, 32, 64),
     chain_blocks=8_192,
+    shaken=500,
     blocks_t1=60.0,
     diagrams=(200, 400),
     basins=(150, 300),
@@ -79,6 +82,7 @@ TINY = Sizes(
     two_blocks=64,
     chains=(10,),
     chain_blocks=80,
+    shaken=8,
     blocks_t1=5.0,
     diagrams=(8,),
     basins=(4,),

@@ -46,7 +46,7 @@ from .._foundation.types import AnyArray, DType, FloatArray, Number, Scalar, Sta
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
 from .._systems.switched_model import Form, Segments, State
-from .._systems.system import System, Tracks, require_system
+from .._systems.system import System, Tracks, WithContacts, require_system
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
 from .._uncertainty.numbers import with_numbers
@@ -113,9 +113,9 @@ class EnsembleSetup:
             raise checks.refused("correlation", "be a GaussianCopula(names, correlation)", correlation)
         checks.chosen("keep", keep, get_args(Keep))
         dtype = working_dtype(stacklevel=5)
-        tracks = model.system.tracks if isinstance(model.system, System) else Tracks()
-        if tracks.contacts == 1 and tracks.counted is None and not of_every_contact:
-            model = model._replace(system=model.system.of_contact(0))
+        system = model.system
+        if isinstance(system, WithContacts) and system.tracks == Tracks(contacts=1) and not of_every_contact:
+            model = model._replace(system=system.of_contact(0))
         inputs = Inputs.of(model._replace(law=law_of(model.law)), total, key, correlation)
         inputs.check(dtype)
         first = inputs.of_sample(0, dtype)

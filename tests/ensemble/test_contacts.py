@@ -241,6 +241,18 @@ def test_bad_arguments(many):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_one_contact_alone_is_counted():
+    """There is nothing to say of a structure that has one."""
+    one = ss.LinearStructure([1.0], [4.0], contacts=(ss.Contact.of_mass(0, 1, 1.0, ss.Coulomb(0.6, 0.8)),))
+    law, run = ss.PoissonSwitching(1.0, 1.0), {"t1": 10.0, "samples": 30, "key": jax.random.key(2), "y0": (0.1, 0.0)}
+    as_it_is, counted = (ss.simulate_ensemble(system, law, keep="totals", **run) for system in (one, one.of_contact(0)))
+    np.testing.assert_array_equal(as_it_is.totals.stick_time, counted.totals.stick_time)
+    assert as_it_is.totals.sticks.shape == (30,)
+    found = ss.sensitivity("stick_fraction", one, law, wrt="speed", **run)
+    assert found.value == ss.sensitivity("stick_fraction", one.of_contact(0), law, wrt="speed", **run).value
+
+
 def test_peaks_are_those_of_the_coordinate():
     """The state of a structure is an array of positions and one of velocities; a coordinate is one number of these."""
     one = ss.simulate(BLOCKS, LAW.sample(KEY, 20.0), t1=20.0)

@@ -224,7 +224,7 @@ IN_PASS = {
     "all contacts": (ROW.of_all_contacts(), ss.PoissonSwitching(0.3, 0.5), {"y0": ROW_START}, ROW_OUTPUTS),
     "cart": (CART.system, CART.law, {"y0": CART.y0}, CART_OUTPUTS),
 }  # fmt: skip
-QUICK = ("building", "intervals")
+QUICK = ("building",)
 
 
 @pytest.mark.parametrize("keep", ["totals", pytest.param("sticks", marks=pytest.mark.slow)])
