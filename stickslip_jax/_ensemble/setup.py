@@ -547,7 +547,8 @@ class _Tasks(NamedTuple):
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(chunk, max(samples, 4096))
-            lanes = min(lanes, 1 << (chunk - 1).bit_length())
+            # And of fewer than are computed with at once the numbers are rounded otherwise.
+            lanes = min(lanes, max(_FEWEST, 1 << (chunk - 1).bit_length()))
             return cls(lanes, -(-chunk // lanes), chunk, threads)
         # Small runs are divided into smaller tasks, so that every thread has work.
         fair = -(-samples // (4 * threads * lanes)) * lanes
