@@ -253,6 +253,7 @@ def test_one_contact_alone_is_counted():
     assert found.value == ss.sensitivity("stick_fraction", one.of_contact(0), law, wrt="speed", **run).value
 
 
+@pytest.mark.slow
 def test_peaks_are_those_of_the_coordinate():
     """The state of a structure is an array of positions and one of velocities; a coordinate is one number of these."""
     one = ss.simulate(BLOCKS, LAW.sample(KEY, 20.0), t1=20.0)

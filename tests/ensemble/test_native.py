@@ -86,7 +86,7 @@ SYSTEMS = {
     "cart, directional": ss.MotorCart(friction=ss.Directional(COULOMB, STATIC)),
     "cart, rail of regions": ss.MotorCart(friction=RAIL),
 }
-QUICK = ("two, pulsing",)
+QUICK = ("static",)
 
 
 @pytest.mark.parametrize(

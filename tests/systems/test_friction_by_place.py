@@ -420,6 +420,7 @@ class WavyBelt(ss.SwitchedSystem):
         return 2 * jnp.pi / self.stiffness**0.5
 
 
+@pytest.mark.slow
 def test_smooth_friction_by_place_is_a_system_of_ones_own():
     """On a belt of constant speed the mass never passes it: it slips back, and a stick ends by its formula."""
     system, speed, t1 = WavyBelt(40.0, 0.3, 0.5, 0.2), 0.2, 20.0

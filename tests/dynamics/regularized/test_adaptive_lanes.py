@@ -91,6 +91,7 @@ def test_states_between_steps():
         np.testing.assert_allclose(one, other, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_samples_as_one_by_one():
     system, law = ss.MassSpring(1.0, 4.0, 1.0, ss.LuGre(0.3, **BRISTLES)), ss.PoissonSwitching(speed=0.1, rate=1.0)
     many = ss.simulate_ensemble(
@@ -123,6 +124,7 @@ def test_every_contact_of_samples(friction):
             np.testing.assert_allclose([flat.start[own], flat.end[own]], instants(alone), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_normal_force_that_varies_on_bristles():
     """Against scipy's Radau, of which each part of the force is a run of its own."""
     times, newtons = [0.0, 2.0, 4.0], [1.0, 3.0, 0.5]
@@ -190,6 +192,7 @@ class RunsAway(ss.SwitchedSystem):
         return y[1] - base.velocity
 
 
+@pytest.mark.slow
 def test_what_no_step_is_short_enough_for_is_told():
     one = ss.simulate(RunsAway(), ss.Constant(0.0), t1=3.0, y0=(0.0, 1.0), method=ss.Regularized(1e-2))
     assert int(one.status) in (ss.Status.SOLVER_FAILED, ss.Status.NOT_FINITE)

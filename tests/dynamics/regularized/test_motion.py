@@ -168,7 +168,9 @@ def test_a_short_pulse_is_not_stepped_over(fixed, delta):
         np.testing.assert_allclose(blind.ys[np.sum(np.isfinite(blind.ts)) - 1], calm.final_state, atol=1e-7)
 
 
-@pytest.mark.parametrize("shape", ["linear", "tanh", "arctan"])
+@pytest.mark.parametrize(
+    "shape", ["linear", *(pytest.param(one, marks=pytest.mark.slow) for one in ("tanh", "arctan"))]
+)
 def test_steps_that_do_not_resolve_the_width_end_sticks_where_short_ones_do(shape):
     """A mass is released within a step that is ten times as long as it takes to leave the band."""
     for mu, frequency, speed in ((0.5, 0.8, 1.0), (0.3, 0.5, 1.0), (0.7, 0.7, 1.5)):
