@@ -219,7 +219,7 @@ class _Noted:
         self.forms: list[Form] = []
 
 
-_UNKNOWN = LookupError("the path of a sample is not kept")
+_NO_PATH = "the path of a sample is not kept"
 
 
 class _EndPath(MotionPath):
@@ -238,13 +238,13 @@ class _EndPath(MotionPath):
 
     @property
     def times(self) -> Array:
-        raise _UNKNOWN
+        raise LookupError(_NO_PATH)
 
     def state(self, time: FloatArray) -> State:
-        raise _UNKNOWN
+        raise LookupError(_NO_PATH)
 
     def segments(self, time: FloatArray) -> Segments:
-        raise _UNKNOWN
+        raise LookupError(_NO_PATH)
 
 
 class AtEnd:
@@ -282,16 +282,19 @@ class AtEnd:
             at_once = jax.vmap(self._function(self.outputs, self.forms), in_axes=(None, 0, 0, 0, 0, 0, 0))
             self._run = kept_jit(at_once)
 
-    def values(self, first: int, results: WatchedTotals) -> Values:
-        """The outputs of samples `first`, ``first + 1``, ..., as many as there are `results`."""
+    def values(self, first: int, samples: int, results: WatchedTotals) -> Values:
+        """The outputs of so many samples `first`, ``first + 1``, ..., of which `results` are the first ones."""
         (*_, status, near_grazing_count), end, extremes = results
         known, found = (np.stack([status, near_grazing_count], axis=-1), end, extremes), []
-        for begin in range(0, len(status), _AT_ONCE):
+        for begin in range(0, max(samples, 1), _AT_ONCE):
+            number = max(min(_AT_ONCE, samples - begin), 1)
+            key_data, *of_samples = self.setup.arguments(first + begin, number)
             # Always as many at once: functions that are compiled for other sizes may round otherwise.
-            here = np.minimum(begin + np.arange(_AT_ONCE), len(status) - 1)
-            now = jax.tree.map(lambda column, here=here: column[here], known)
-            found.append(self._run(*self.setup.arguments(first + begin, _AT_ONCE), *now))
-        columns = (np.concatenate(parts).astype(np.float64)[: len(status)] for parts in zip(*found, strict=True))
+            here = np.minimum(np.arange(_AT_ONCE), number - 1)
+            given = jax.tree.map(lambda column, here=here: column[here], of_samples)
+            ends = jax.tree.map(lambda column, here=begin + here: column[here], known)
+            found.append(self._run(key_data, *given, *ends))
+        columns = (np.concatenate(parts).astype(np.float64)[:samples] for parts in zip(*found, strict=True))
         return dict(zip(self.outputs, columns, strict=True))
 
     def _function(
@@ -478,9 +481,9 @@ def found_by(
             prepared.result()
     compiled = time.perf_counter()
     with progress_bar(progress, samples) as bar:
-        values = _add_all(accumulators, _in_order(simulate, tasks, first, samples), bar.advance)
+        found = _add_all(accumulators, _in_order(simulate, tasks, first, samples), bar.advance)
     with progress_bar(progress if at_end.others else False, samples, "sample recorded") as bar:
-        _add_outputs(accumulators, first, samples, tuple(outputs), values, at_end.others, threads, bar.advance)
+        _add_outputs(accumulators, first, tuple(outputs), found, at_end.others, threads, bar.advance)
     shared = {
         "threads": min(tasks.threads, -(-samples // tasks.samples_per_task)),
         "compile_seconds": compiled - started,
@@ -497,8 +500,8 @@ def found_here(
     started, samples = time.perf_counter(), accumulator.missing
     at_end = AtEnd(setup, outputs)
     simulate = _simulator(at_end, tasks, (accumulator,))
-    values = _add_all((accumulator,), itertools.starmap(simulate, tasks.of_samples(first, samples)))
-    _add_outputs((accumulator,), first, samples, tuple(outputs), values, at_end.others)
+    found = _add_all((accumulator,), itertools.starmap(simulate, tasks.of_samples(first, samples)))
+    _add_outputs((accumulator,), first, tuple(outputs), found, at_end.others)
     spent = time.perf_counter() - started
     return accumulator.found() | {"threads": 1, "compile_seconds": 0.0, "run_seconds": spent}
 
@@ -507,26 +510,28 @@ def _add_all(
     accumulators: Sequence[EnsembleAccumulator],
     done: Iterable[_Parts],
     advance: Callable[[int], object] = lambda number: None,
-) -> Values:
-    """Add the parts that are `done`, of consecutive samples; returns the outputs that are found with them."""
-    found: list[Values] = []
+) -> tuple[np.ndarray, Values]:
+    """Add the parts that are `done`, of consecutive samples; returns which have finished, and outputs of all."""
+    finished, found = [], []
     for parts, values in done:
         for accumulator, part in zip(accumulators, parts, strict=True):
             accumulator.add(part)
-        finished = np.equal(parts[0].results.status, Status.FINISHED)
-        found.append({name: np.where(finished, column, np.nan) for name, column in values.items()})
-        advance(len(finished))
-    return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
+        finished.append(np.equal(parts[0].results.status, Status.FINISHED))
+        found.append(values)
+        advance(len(finished[-1]))
+    return np.concatenate(finished), {name: np.concatenate([values[name] for values in found]) for name in found[0]}
 
 
 def _add_outputs(
-    accumulators: Sequence[EnsembleAccumulator], first: int, samples: int, names: Sequence[str], values: Values,
+    accumulators: Sequence[EnsembleAccumulator], first: int, names: Sequence[str], found: tuple[np.ndarray, Values],
     others: OutputRunner | None, threads: int = 1, advance: Callable[[int], object] = lambda number: None,
 ) -> None:  # fmt: skip
-    """Add the outputs of samples `first`, ``first + 1``, ...: those of `values`, and the `others`, which are found."""
-    found = values if others is None else values | others.values(first, samples, threads, advance)
+    """Add the outputs of samples `first`, ``first + 1``, ..., of which some are `found`, and what `others` finds."""
+    finished, values = found
+    if others is not None:
+        values = values | others.values(first, len(finished), threads, advance)
     for accumulator in accumulators:
-        accumulator.add_outputs({name: found[name] for name in names})
+        accumulator.add_outputs({name: np.where(finished, values[name], np.nan) for name in names})
 
 
 class _Tasks(NamedTuple):
@@ -569,8 +574,8 @@ def _simulator(at_end: AtEnd, tasks: _Tasks, accumulators: Sequence[EnsembleAccu
         results, sticks = run(first, number)
         totals, values = results, Values()
         if isinstance(results, WatchedTotals):
-            totals, values = results.totals, at_end.values(first, results)
-        totals, values = jax.tree.map(lambda column: column[:number], (totals, values))
+            totals, values = results.totals, at_end.values(first, number, results)
+        totals = jax.tree.map(lambda column: column[:number], totals)
 
         def part(track: int | None, to: EnsembleAccumulator) -> EnsemblePart:
             results = totals.of_track(track)
