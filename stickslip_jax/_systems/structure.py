@@ -365,6 +365,7 @@ def _coefficients(laws: tuple[FrictionLaw, ...], velocity: FloatArray) -> FloatA
 # Terms that reach round-off in the longest steps allowed, a tenth of the shortest period: a term is at most r^k / k!,
 # r = 0.63 without damping, and with it 1.02 (where the decay rate is as high as the frequency).
 _TERMS = {8: (16, 18), 4: (10, 11)}
+_TERMS_OF_SLOPE = 12  # to 1e-7 of it: an extreme is wrong by the square of what its instant is
 
 
 class ArcsModel(StructureModel):
@@ -390,7 +391,7 @@ class ArcsModel(StructureModel):
             share, value, slope = tau / length, jnp.zeros_like(tau), jnp.zeros_like(tau)
             for power in reversed(range(len(terms))):
                 value = value * share + terms[power]
-            for power in reversed(range(1, min(len(terms), 12))):
+            for power in reversed(range(1, min(len(terms), _TERMS_OF_SLOPE))):
                 slope = slope * share + power * terms[power]
             return value, slope / length
 

@@ -50,15 +50,6 @@ def of_form(form: Form, numbers: State) -> FloatArray:
     return reduce(add, (weight * numbers[place] for place, weight in form))
 
 
-def weights_of(forms: tuple[Form, ...], numbers: int) -> np.ndarray:
-    """The weights of so many numbers in the forms, (forms, numbers)."""
-    weights = np.zeros((len(forms), numbers))
-    for row, form in zip(weights, forms, strict=True):
-        for place, weight in form:
-            row[place] += weight
-    return weights
-
-
 class Segments(NamedTuple):
     """The present segments of what is piecewise linear: base velocity, ground acceleration, force and normal forces."""
 
@@ -231,7 +222,10 @@ class SwitchedModel(eqx.Module, Generic[F]):
 
     def along(self, forcing: F, y: State, h: FloatScalar, sign: FloatArray, forms: tuple[Form, ...]) -> Along:
         """The `forms` of the state within a step of the length `h` (s) in the mode of this `sign`."""
-        weights = weights_of(forms, len(self.numbers(y)))
+        weights = np.zeros((len(forms), len(self.numbers(y))))
+        for row, form in zip(weights, forms, strict=True):
+            for place, weight in form:
+                row[place] += weight
 
         def at(one: tuple[FloatScalar, FloatArray]) -> FloatPair:
             tau, weight = one

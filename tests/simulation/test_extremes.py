@@ -3,6 +3,7 @@
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -164,3 +165,12 @@ def test_motor_and_cart():
     for name, values in zip(("angle", "angular velocity", "current"), cart.evaluate(times), strict=True):
         on_grid = float(values.max())
         assert on_grid - 1e-9 <= float(cart.maximum(name)) <= on_grid + 1e-2 * abs(on_grid), name
+
+
+def test_precision_is_that_of_the_motion():
+    """In single precision beside double precision, as of a base whose numbers are of 32 bits."""
+    base = ss.Harmonic(jnp.float32(1.0), jnp.float32(0.7))
+    one = ss.simulate(SYSTEM, base, t1=5.0, y0=(0.0, 1.0))
+    assert one.maximum().dtype == one.final_state[0].dtype == jnp.float32
+    times = np.linspace(0, 5, 5001)
+    assert float(one.maximum()) == pytest.approx(float(np.max(one.evaluate(times)[0])), abs=1e-5)

@@ -137,6 +137,27 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
         """The results of one sample."""
 
 
+class _AroundEngine(Engine):
+    """An engine that does something beside what another one, its `template`, does."""
+
+    template: eqx.AbstractVar[Any]
+
+    @property
+    def tracks(self) -> int | None:
+        return self.template.tracks
+
+    @property
+    def compiles_natively(self) -> bool:
+        return self.template.compiles_natively
+
+    @property
+    def lanes(self) -> int:
+        return self.template.lanes
+
+    def asked(self, quantities: tuple[str, ...]) -> "Engine":
+        return dataclasses.replace(self, template=self.template.asked(quantities))
+
+
 # Lanes that also know where each sample ended, and the extremes on its way: outputs of a user's own are made of these.
 
 
@@ -165,51 +186,36 @@ class _Watched(NamedTuple):
     extremes: FloatArray
 
 
-class WatchedEngine(Engine):
-    """The `engine`, which also keeps extremes of `forms` of the state, and the end of each sample."""
+class WatchedEngine(_AroundEngine):
+    """The `template`, which also keeps extremes of `forms` of the state, and the end of each sample."""
 
-    engine: Any
+    template: Any
     forms: tuple[Form, ...] = eqx.field(static=True)
 
-    @property
-    def tracks(self) -> int | None:
-        return self.engine.tracks
-
-    @property
-    def compiles_natively(self) -> bool:
-        return self.engine.compiles_natively
-
-    @property
-    def lanes(self) -> int:
-        return self.engine.lanes
-
-    def asked(self, quantities: tuple[str, ...]) -> "WatchedEngine":
-        return dataclasses.replace(self, engine=self.engine.asked(quantities))
-
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, _Watched]:
-        sample, motion = self.engine.begin(key_data, dtype)
+        sample, motion = self.template.begin(key_data, dtype)
         return sample, _Watched(motion, jnp.full((len(SIGNS), len(self.forms)), -jnp.inf, dtype))
 
     def shared(self, dtype) -> Any:
-        return self.engine.shared(dtype)
+        return self.template.shared(dtype)
 
     def draw(self, sample: Any, number: Array, dtype) -> Any:
-        return self.engine.draw(sample, number, dtype)
+        return self.template.draw(sample, number, dtype)
 
     def step(self, shared: Any, sample: Any, motion: _Watched, drawn: Any) -> tuple[_Watched, Any]:
         if not self.forms:
-            moved, record = self.engine.step(shared, sample, motion.motion, drawn)
+            moved, record = self.template.step(shared, sample, motion.motion, drawn)
             return motion._replace(motion=moved), record
-        moved, record, found = self.engine.watched(shared, sample, motion.motion, drawn, self.forms)
+        moved, record, found = self.template.watched(shared, sample, motion.motion, drawn, self.forms)
         return _Watched(moved, jnp.maximum(motion.extremes, found)), record
 
     def ended(self, motion: _Watched, before: _Watched) -> BoolArray:
-        return self.engine.ended(motion.motion, before.motion)
+        return self.template.ended(motion.motion, before.motion)
 
     def results(self, sample: Any, motion: _Watched) -> WatchedTotals:
-        end = self.engine.end(sample, motion.motion)
+        end = self.template.end(sample, motion.motion)
         extremes = jnp.maximum(motion.extremes, np.array(SIGNS)[:, None] * values_of_forms(self.forms, end.state)[None])
-        return WatchedTotals(self.engine.results(sample, motion.motion), end, extremes)
+        return WatchedTotals(self.template.results(sample, motion.motion), end, extremes)
 
 
 # Lanes whose system, excitation or start differ from sample to sample.
@@ -222,7 +228,7 @@ class _Common(eqx.Module):
     leaf_numbers: tuple[int, ...] = eqx.field(static=True)
 
 
-class VaryingEngine(Engine):
+class VaryingEngine(_AroundEngine):
     """An engine with numbers of its own for every sample.
 
     `template`: the engine of any sample. `leaf_numbers`: which of its leaves vary, in the order of ``jax.tree.leaves``.
@@ -235,21 +241,6 @@ class VaryingEngine(Engine):
     def looks_back(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         """That of the template."""
         return self.template.looks_back
-
-    @property
-    def tracks(self) -> int | None:
-        return self.template.tracks
-
-    @property
-    def compiles_natively(self) -> bool:
-        return self.template.compiles_natively
-
-    @property
-    def lanes(self) -> int:
-        return self.template.lanes
-
-    def asked(self, quantities: tuple[str, ...]) -> "VaryingEngine":
-        return VaryingEngine(self.template.asked(quantities), self.leaf_numbers)
 
     def of_sample(self, varying: tuple[Array, ...]) -> Any:
         """The engine of the sample with its `varying` leaves."""

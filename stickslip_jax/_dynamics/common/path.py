@@ -6,9 +6,9 @@ import abc
 import operator
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from functools import reduce
+from functools import partial, reduce
 from itertools import islice
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import equinox.internal as eqxi
@@ -181,9 +181,9 @@ def sample_totals(
 # The extremes of linear forms of the state, where the motion is known as a function of time inside each step.
 #
 # Each is at the beginning of a step, at the end of the last, or inside a step where the slope is zero. There it is
-# found by the slope's sign at a few instants, and then by secants with a bisection now and then. The instants need no
-# derivative: an extreme at an inner instant moves, to first order, as the value there does (envelope theorem), and one
-# at the beginning of a step as the state there does, events included.
+# found by the slope's sign at a few instants, and then by Newton's method in a short step, else by secants with a
+# bisection now and then. The instants need no derivative: an extreme at an inner instant moves, to first order, as the
+# value there does (envelope theorem), and one at the beginning of a step as the state there does, events included.
 
 
 _Step = TypeVar("_Step")
@@ -238,7 +238,8 @@ def largest_in_step(
     side = jnp.broadcast_to(jnp.asarray(signs, length.dtype)[:, None], (len(signs), len(start)))
     here, everywhere = jax.vmap(fixed), jax.vmap(along)
     # The time since the beginning of the step at which an inner maximum is largest; 0 if there is none.
-    at = length * np.repeat(np.array(_FEW_INSTANTS if is_short else _INSTANTS)[:, None], len(start), axis=1)
+    instants = np.repeat(np.array(_FEW_INSTANTS if is_short else _INSTANTS)[:, None], len(start), axis=1)
+    at = length * jnp.asarray(instants, length.dtype)
     values, slopes = (side[None] * found[:, None] for found in here(at))
     at = jnp.broadcast_to(at[:, None], slopes.shape)
     turns = (slopes[:-1] > 0) & (slopes[1:] < 0)
@@ -413,6 +414,8 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
     step_length: Scalar
     most_steps: AnyInteger | int
     quantities: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
+    knows_motion: ClassVar[bool] = False
+    """Whether a step has computed the motion that `inside` gives."""
 
     @property
     def tracks(self) -> int | None:
@@ -487,10 +490,13 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
     def watched(
         self, shared: StepsShared, sample: Signal | None, motion: StepsLane, drawn: None, forms: tuple[Form, ...]
     ) -> tuple[StepsLane, StickRecord, FloatArray]:
-        lane, record, passage = self.advanced(shared, sample, motion)
-        # One form after the other: for more at once some operation is so large that XLA refuses the native loop.
-        given = self, sample, motion, lane, passage
-        found = jnp.concatenate([_extremes_in_step(*given, Forms((form,))) for form in forms], axis=1)
+        if self.knows_motion:
+            lane, record, found = _step_with_extremes(self, shared, sample, motion, _Forms(forms))
+        else:
+            lane, record, passage = self.advanced(shared, sample, motion)
+            # One form after the other: for more at once some operation is so large that XLA refuses the native loop.
+            given = self, sample, motion, lane, passage
+            found = jnp.concatenate([_extremes_alone(*given, _Forms((form,))) for form in forms], axis=1)
         return lane, of_track(record, self.system), found
 
     def end(self, sample: Signal | None, motion: StepsLane) -> End:
@@ -509,14 +515,14 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         return status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))
 
 
-class Forms(eqx.Module):
+class _Forms(eqx.Module):
     """The forms of a state whose extremes are asked for."""
 
     all: tuple[Form, ...] = eqx.field(static=True)
 
 
-def extremes_in_step(
-    engine: StepsEngine, smooth: Signal | None, before: Any, after: Any, passage: Any, forms: Forms
+def _extremes(
+    engine: StepsEngine, smooth: Signal | None, before: Any, after: Any, passage: Any, forms: _Forms
 ) -> FloatArray:
     """Of lanes before and after a step, and what the path keeps of it: as `Engine.watched`."""
     length, end = after.t - before.t, engine.numbers(smooth, after)
@@ -525,4 +531,13 @@ def extremes_in_step(
     return largest_in_step(along, along, start, length, SIGNS, is_short=engine.steps_are_short(smooth))
 
 
-_extremes_in_step = sharing(extremes_in_step)
+_extremes_alone = sharing(_extremes)
+
+
+@partial(sharing, whole=True)
+def _step_with_extremes(
+    engine: StepsEngine, shared: StepsShared, smooth: Signal | None, lane: Any, forms: _Forms
+) -> tuple[Any, StickRecord, FloatArray]:
+    """Cut together: the motion in the step is computed once."""
+    moved, record, passage = engine.advanced(shared, smooth, lane)
+    return moved, record, _extremes(engine, smooth, lane, moved, passage, forms)

@@ -5,7 +5,7 @@ trajectory.
 import math
 from contextlib import suppress
 from functools import partial, reduce
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -39,18 +39,15 @@ from ..._systems.system import System
 from ..common.lanes import SampleTotals
 from ..common.method import Arguments, Exact, max_steps_advice, time_scales_of
 from ..common.path import (
-    Forms,
     MotionPath,
     Run,
     SegmentLaws,
     StepsEngine,
     StepsShared,
-    extremes_in_step,
     following_segments,
     is_short,
     is_spent,
     largest_in_steps,
-    of_track,
     padded_length,
     sample_totals,
     to_digits,
@@ -647,6 +644,7 @@ class SwitchedEngine(StepsEngine[Lane]):
     """Time steps in which events are located; slips without closed forms are solved by `solver`."""
 
     solver: Any
+    knows_motion: ClassVar[bool] = True
 
     def lane(
         self,
@@ -689,12 +687,6 @@ class SwitchedEngine(StepsEngine[Lane]):
     def steps_are_short(self, smooth: Signal | None) -> bool:
         return self._model(smooth).has_short_steps
 
-    def watched(
-        self, shared: StepsShared, sample: Signal | None, motion: Lane, drawn: None, forms: tuple[Form, ...]
-    ) -> tuple[Lane, StickRecord, FloatArray]:
-        lane, record, found = _watched(self, shared, sample, motion, Forms(forms))
-        return lane, of_track(record, self.system), found
-
     def totals(self, lane: Lane) -> Totals:
         return lane.totals
 
@@ -719,15 +711,6 @@ class SwitchedEngine(StepsEngine[Lane]):
     def results(self, sample: Signal | None, motion: Lane) -> SampleTotals:
         status, near = self.status(motion), motion.near_grazing_count
         return sample_totals(self.system, motion.totals, motion.at_start, status, near)
-
-
-@partial(sharing, whole=True)
-def _watched(
-    engine: SwitchedEngine, shared: StepsShared, smooth: Signal | None, lane: Lane, forms: Forms
-) -> tuple[Lane, StickRecord, FloatArray]:
-    """A step and the extremes in it, cut together: the motion in it is computed once."""
-    moved, record, begun = engine.advanced(shared, smooth, lane)
-    return moved, record, extremes_in_step(engine, smooth, lane, moved, begun, forms)
 
 
 # One trajectory in time steps with located events, and the state along it.
