@@ -700,7 +700,10 @@ def _but_for_closed_pages(loop: asyncio.AbstractEventLoop, failure: dict[str, An
 
 
 def serve(scene: Scene, *, port: int, opens: bool, say: Callable[[str], None]) -> None:
-    """Serve the explorer until Ctrl-C. `port` 0: any free one. Raises OSError for one that is taken."""
+    """Serve the explorer until Ctrl-C or SIGTERM, then call what handles it elsewhere. `port` 0: any free one.
+
+    Raises OSError for a port that is taken.
+    """
     with socket.socket() as tried:
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -728,6 +731,18 @@ def serve(scene: Scene, *, port: int, opens: bool, say: Callable[[str], None]) -
     # A page that closes while it is sent something is no fault.
     logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
     server.io_loop.asyncio_loop.set_exception_handler(_but_for_closed_pages)
+    loop, stops = server.io_loop.asyncio_loop, list[signal.Signals]()
+
+    def stop(number: signal.Signals) -> None:
+        stops.append(number)
+        loop.stop()
+
+    # Between two callbacks: the loop reports what is raised inside one, and goes on.
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    usual = {number: handler for number, handler in usual.items() if callable(handler)}
+    with suppress(NotImplementedError):  # Windows
+        for number in usual:
+            loop.add_signal_handler(number, stop, number)
     say(f"The explorer is at {address}\nCtrl-C ends it.")
     if opens:
         webbrowser.open(address)
@@ -740,3 +755,9 @@ def serve(scene: Scene, *, port: int, opens: bool, say: Callable[[str], None]) -
     finally:
         processes.end()
         server.stop()
+        for number, handler in usual.items():
+            with suppress(NotImplementedError):
+                loop.remove_signal_handler(number)
+            signal.signal(number, handler)
+    for number in stops:
+        usual[number](number, None)

@@ -405,8 +405,12 @@ def test_interrupt_ends_the_server(tmp_path):
         urllib.request.urlopen(one.address)
 
 
-def test_terminated_server_says_so(tmp_path):
-    code, said = Served(tmp_path).interrupt(signal.SIGTERM)
+@pytest.mark.parametrize("seconds", [0.0, 0.5])
+def test_terminated_server_says_so(tmp_path, seconds):
+    """At once it is within a callback, which would swallow the exception."""
+    one = Served(tmp_path)
+    time.sleep(seconds)
+    code, said = one.interrupt(signal.SIGTERM, 20)
     assert (code, said.splitlines()[-1]) == (143, "stickslip: Terminated; the explorer has ended.")
 
 
