@@ -25,7 +25,7 @@ from .._foundation.extras import require
 from .._foundation.fields import in_one_line
 from .._foundation.files import file_for_user, file_to_write
 from .._foundation.types import InitialState, Status
-from .._numerics.sums import DyadicCounts, PowerSums
+from .._numerics.sums import DyadicCounts, Moments, PowerSums
 from .._statistics.distribution import BINS, Clusters, Distribution
 from .._statistics.ensemble_statistics import EnsembleStatistics, Summary, shown, table_of
 from .._statistics.estimate import origin_of
@@ -417,7 +417,7 @@ class Ensemble(EnsembleData):
             f"Ensemble of {self.samples} samples on [0, {self.t1:g}] s",
             f"  system    {_brief(self.system)}",
             f"  law       {_brief(self.law)}",
-            f"  sticks    {_sticks(self)} found" + ("" if self.flat_sticks is None else ", all kept"),
+            f"  sticks    {_sticks(self.moments)} found" + ("" if self.flat_sticks is None else ", all kept"),
         ]
         if self.run_seconds:
             lines.append(f"  time      {self.run_seconds:.3g} s to run, {self.compile_seconds:.3g} s to compile")
@@ -542,7 +542,8 @@ class ContactEnsembles:
     t1: float
     status_counts: dict[Status, int]
     near_grazing_samples: int
-    _ensembles: tuple[Ensemble, ...]
+    _fields: tuple[Fields, ...]
+    _made: dict[int, Ensemble] = dataclasses.field(default_factory=dict)
 
     def of_contact(self, number: int) -> Ensemble:
         """The ensemble in which the sticks of one contact are counted, that of ``system.of_contact(number)``.
@@ -553,32 +554,46 @@ class ContactEnsembles:
         Raises:
             ValueError: For a number that is not one of its contacts.
         """
-        return self._ensembles[checks.whole_number("number", number, minimum=0, maximum=self.contacts - 1)]
+        return self._of_track(checks.whole_number("number", number, minimum=0, maximum=self.contacts - 1))
 
     def of_all_contacts(self) -> Ensemble:
         """The ensemble in which the times are counted when every closed contact sticks."""
-        return self._ensembles[-1]
+        return self._of_track(self.contacts)
+
+    def _of_track(self, track: int) -> Ensemble:
+        """Made when it is asked for: a chain may have a thousand contacts."""
+        if track not in self._made:
+            assert isinstance(self.system, WithContacts)
+            one = self.system.of_contact(track) if track < self.contacts else self.system.of_all_contacts()
+            self._made[track] = Ensemble(**{"system": one, **self._fields[track]})
+        return self._made[track]
 
     @property
     def input_values(self) -> dict[str, np.ndarray]:
         """The values of the numbers that differ from sample to sample, by name, arrays (samples,)."""
-        return self._ensembles[0].input_values
+        return self._of_track(0).input_values
 
     def realization(self, number: int) -> data.Realization:
         """The system, the base motion and the initial state of sample `number`, with which `simulate` repeats it."""
-        system, base, y0 = self._ensembles[0].realization(number)
+        system, base, y0 = self._of_track(0).realization(number)
         assert isinstance(system, WithContacts)
         return data.Realization(system._counting(None), base, y0)
 
     def __repr__(self) -> str:
-        first, *lines = repr(dataclasses.replace(self._ensembles[0], system=self.system)).split("\n")
-        counts = ", ".join(f"{_sticks(one):,}" for one in self._ensembles[:-1])
-        found = f"  sticks    {counts} of the contacts, {_sticks(self._ensembles[-1]):,} of all at once"
+        first, *lines = repr(dataclasses.replace(self._of_track(0), system=self.system)).split("\n")
+        *counts, of_all = (_sticks(fields["moments"]) for fields in self._fields)
+        shown = ", ".join(f"{count:,}" for count in counts)
+        if len(counts) > _MOST_SHOWN:
+            shown = f"{min(counts):,} to {max(counts):,}, in all {sum(counts):,}"
+        found = f"  sticks    {shown} of the contacts, {of_all:,} of all at once"
         return "\n".join([first, *(found if line.startswith("  sticks") else line for line in lines)])
 
 
-def _sticks(ensemble: Ensemble) -> int:
-    return round(float(ensemble.moments.mean[TOTALS.index("stick_count")] * ensemble.moments.number))
+_MOST_SHOWN = 16  # contacts
+
+
+def _sticks(moments: Moments) -> int:
+    return round(float(moments.mean[TOTALS.index("stick_count")] * moments.number))
 
 
 def simulate_contacts(
@@ -653,14 +668,11 @@ def simulate_contacts(
     number, first = setup.inputs.samples - int(first_sample), int(first_sample)
     accumulators = [EnsembleAccumulator(number, keep) for _ in setup.tracks]
     found = found_by(setup, first, accumulators, threads, chunk, progress, wanted)
-    contacts = len(setup.tracks) - 1
-    counted = [*(system.of_contact(number) for number in range(contacts)), system.of_all_contacts()]
     shared: Fields = setup.fields() | {"samples": number, "first_sample": first} | fields_of_outputs(wanted)
-    ensembles = [Ensemble(**{**shared, "system": one, **fields}) for one, fields in zip(counted, found, strict=True)]
-    one = ensembles[0]
-    return ContactEnsembles(
-        system, contacts, number, one.t1, one.status_counts, one.near_grazing_samples, tuple(ensembles)
-    )
+    del shared["system"]
+    fields = tuple(shared | of_track for of_track in found)
+    noted = fields[0]["status_counts"], fields[0]["near_grazing_samples"]
+    return ContactEnsembles(system, len(setup.tracks) - 1, number, setup.t1, *noted, fields)
 
 
 # `concatenate` joins ensembles, `load` reads one from a file.

@@ -1,8 +1,9 @@
 """Small matrices without LAPACK: products, solutions, orthogonal bases, reductions over contacts."""
 
+from collections.abc import Sequence
 from functools import reduce
 from operator import add
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ from jaxtyping import Array
 
 from .._compiler.programs import kept_jit
 from .._foundation import checks
-from .._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray
+from .._foundation.types import BoolArray, BoolScalar, DType, FloatArray, FloatScalar, IntArray
 from .derivatives import without_derivatives
 
 # Products of small matrices, solutions of their linear equations and what of their eigenvalues is needed: in lanes.
@@ -187,6 +188,18 @@ def _cleared(matrix: FloatArray) -> FloatArray:
         return rows - factors[:, None] * rows[None, k]
 
     return lax.fori_loop(0, len(matrix), clear, matrix)
+
+
+_GROUP = 64
+
+
+def stacked(values: Sequence[Any], dtype: DType) -> Array:
+    """Numbers, or arrays of a shape, as one array.
+
+    Many are stacked in groups, all by the same program: for a thousand operands XLA takes a minute.
+    """
+    given = [jnp.asarray(value, dtype) for value in values]
+    return jnp.concatenate([jnp.stack(given[first : first + _GROUP]) for first in range(0, len(given), _GROUP)])
 
 
 # Orthogonal bases by Gram and Schmidt, without LAPACK, which batches of many cannot call.

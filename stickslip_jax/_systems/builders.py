@@ -10,7 +10,7 @@ from .._foundation.fields import Checked, Quantity
 from .._foundation.types import AnyArray, Number
 from .contacts import Contact, ForceQuantity, NormalForce, entries_of
 from .friction import Coulomb, FrictionLaw, require_law
-from .structure import BLOCKS, STOREYS, LinearStructure, check_forces, numbers_in
+from .structure import BLOCKS, MOST_CONTACTS, STOREYS, LinearStructure, check_forces, numbers_in
 
 # Structures that everyone draws: blocks in a row, storeys over a sliding bearing.
 
@@ -34,7 +34,7 @@ def block_row(
     it; the base is the floor.
 
     Args:
-        blocks: Their number, at most 64.
+        blocks: Their number, at most 1000.
         mass: Of each, kg, positive.
         between: Stiffness of the springs between neighbours, N/m, zero or positive.
         to_ground: Stiffness of the spring from each to the ground, N/m, zero or positive.
@@ -53,7 +53,7 @@ def block_row(
      [-1.   2.1 -1. ]
      [ 0.  -1.   1.1]]
     """
-    number = checks.whole_number("blocks", blocks, maximum=64)
+    number = checks.whole_number("blocks", blocks, maximum=MOST_CONTACTS)
     checks.positive("mass", mass, "kg")
     for name, value in (("between", between), ("to_ground", to_ground), ("damping", damping)):
         checks.non_negative(name, value)

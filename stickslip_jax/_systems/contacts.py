@@ -33,7 +33,7 @@ from .._foundation.types import (
     State,
 )
 from .._numerics.derivatives import without_derivatives
-from .._numerics.matrices import linear_solve, times
+from .._numerics.matrices import WRITTEN_OUT, linear_solve, stacked, times
 from .._numerics.steps import relative_error, runge_kutta_step
 from .friction import FrictionLaw, require_law
 from .switched_model import NOISE_ULPS, Decision, Forcing, Guard, Question, SwitchedModel, later, with_change
@@ -80,14 +80,16 @@ def force_at(force: NormalForce | None, times: FloatArray) -> FloatArray:
     return force.value(times) if isinstance(force, _PIECES) else jnp.full_like(times, 0.0 if force is None else force)
 
 
+Forces: TypeAlias = tuple[NormalForce | None, ...] | FloatArray
+"""Several; an array where all are numbers of one `Alike`."""
 Recordings: TypeAlias = tuple[tuple[FloatScalar, FloatScalar], ...]
 """Values and slopes, at a time, of those forces of several that are `recorded_in` them."""
 
 
-def values_at(
-    forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: Recordings, tau: FloatScalar | float = 0.0
-) -> FloatArray:
+def values_at(forces: Forces, t: FloatScalar, recorded: Recordings, tau: FloatScalar | float = 0.0) -> FloatArray:
     """Forces (forces,) at the time ``t + tau`` (s), N, of which None is zero; `recorded`: at `t`."""
+    if not isinstance(forces, tuple):
+        return forces.astype(t.dtype)
     values, pieces = [], iter(recorded)
     for one in forces:
         if isinstance(one, Signal):
@@ -99,8 +101,10 @@ def values_at(
     return jnp.stack([jnp.asarray(value, t.dtype) for value in values])
 
 
-def rates_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: Recordings) -> FloatArray:
+def rates_at(forces: Forces, t: FloatScalar, recorded: Recordings) -> FloatArray:
     """The time derivatives (forces,) of `forces` at the time `t`."""
+    if not isinstance(forces, tuple):
+        return jnp.zeros(forces.shape, t.dtype)
     pieces = iter(recorded)
     rates = [
         one.rate(t) if isinstance(one, Signal) else next(pieces)[1] if isinstance(one, _PIECES) else 0.0
@@ -109,15 +113,15 @@ def rates_at(forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: R
     return jnp.stack([jnp.asarray(rate, t.dtype) for rate in rates])
 
 
-def power_series_of(
-    forces: tuple[NormalForce | None, ...], t: FloatScalar, recorded: Recordings, terms: int
-) -> list[FloatArray | None]:
+def power_series_of(forces: Forces, t: FloatScalar, recorded: Recordings, terms: int) -> list[FloatArray | None]:
     """The coefficients (forces,) of the power series of `forces` in the time since `t`; None where all are zero.
 
     Signals must be harmonic.
     """
-    if not forces:
+    if not len(forces):
         return [None] * terms
+    if not isinstance(forces, tuple):
+        return [values_at(forces, t, recorded), *[None] * (terms - 1)]
     harmonic = [cast(Harmonic | SumOfHarmonics, one) for one in forces if isinstance(one, Signal)]
     waves, pieces = iter([one.power_series(t, terms) for one in harmonic]), iter(recorded)
     none = jnp.zeros_like(t)
@@ -155,7 +159,7 @@ def largest_of(normal_force: NormalForce) -> Scalar | None:
     )
 
 
-def periods_of(normal_forces: tuple[NormalForce, ...]) -> dict[str, Scalar | None]:
+def periods_of(normal_forces: Forces) -> dict[str, Scalar | None]:
     """The shortest period (s) of each that is a smooth function of time, by what it is called."""
     return {
         f"shortest period of normal force {number}": one.shortest_period
@@ -223,9 +227,41 @@ class Contact(Checked):
         return cls(_unit(first, masses) - _unit(second, masses), normal_force, friction, on_base=0.0)
 
 
+class Alike(eqx.Module):
+    """Many contacts that differ by their numbers alone, as `each`, whose numbers are arrays (number, ...).
+
+    JAX would trace, and XLA compile, the numbers of a thousand contacts one by one.
+    """
+
+    each: Contact
+    number: int = eqx.field(static=True)
+
+    @staticmethod
+    def of(contacts: tuple[Contact, ...]) -> "tuple[Contact, ...] | Alike":
+        """`contacts` as one, if they are many and alike, else as they are."""
+        first = contacts[0]
+        remembers = first.friction.grows or first.friction.inner_state is not None
+        if len(contacts) <= WRITTEN_OUT or remembers or is_function(first.normal_force):
+            return contacts
+        if len({(jax.tree.structure(one), tuple(map(np.shape, jax.tree.leaves(one)))) for one in contacts}) > 1:
+            return contacts
+        each = jax.tree.map(lambda *leaves: stacked(leaves, jnp.result_type(float)), *contacts)
+        return Alike(each, len(contacts))
+
+    def __len__(self) -> int:
+        return self.number
+
+
+def laws_in(contacts: "tuple[Contact, ...] | Alike") -> tuple[FrictionLaw, ...]:
+    """The friction laws of all, or the one of those that are alike."""
+    return tuple(one.friction for one in (contacts if isinstance(contacts, tuple) else (contacts.each,)))
+
+
 def _unit(index: int, masses: int) -> np.ndarray:
     checks.whole_number("index", index, minimum=0, maximum=masses - 1)
-    return np.eye(masses)[index]
+    unit = np.zeros(masses)
+    unit[index] = 1
+    return unit
 
 
 # The friction forces in several contacts at once, and which of the contacts they can hold.

@@ -36,7 +36,7 @@ class _Remembering(eqx.Module):
         """As of every model."""
         return self.inner.varying
 
-    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+    def start(self, y0: tuple[Number, ...] | FloatArray, dtype: DType) -> State:
         """The state with these numbers, one for each coordinate of the system."""
         remembered = jnp.stack([jnp.asarray(value, dtype) for value in y0[self.size :]])
         return *self.inner.start(y0[: self.size], dtype), remembered if self.contacts else remembered[0]

@@ -174,7 +174,7 @@ class PlacedContact(SwitchedModel[F]):
     def forcing(self, t: FloatScalar, segments: Any) -> Any:
         return self.inner.forcing(t, segments)
 
-    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+    def start(self, y0: tuple[Number, ...] | FloatArray, dtype: DType) -> State:
         return tuple(jnp.asarray(value, dtype) for value in y0)
 
     def stuck(self, sign: FloatArray) -> BoolArray:

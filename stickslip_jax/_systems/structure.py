@@ -1,5 +1,6 @@
 """Linear structures with dry-friction contacts: masses, springs and dampers as matrices, and their motion."""
 
+import math
 from functools import reduce
 from operator import add
 from typing import Any, ClassVar, NamedTuple, TypeVar, cast
@@ -34,11 +35,14 @@ from .._numerics.matrices import (
     largest_eigenvalue,
     linear_solve,
     magnitudes,
+    stacked,
     times,
 )
 from .contacts import (
+    Alike,
     Contact,
     ContactsModel,
+    Forces,
     Gain,
     InMode,
     Instant,
@@ -50,6 +54,7 @@ from .contacts import (
     holding,
     is_function,
     largest_of,
+    laws_in,
     numbers_of,
     periods_of,
     power_series_of,
@@ -86,7 +91,7 @@ from .system import (
 # Checks of the arguments of a `LinearStructure`.
 
 
-MOST_CONTACTS = 64
+MOST_CONTACTS = 1000
 _MOST_DAMPED, _MOST_IN_CACHE = 6, 40  # masses, of which 256 lanes move in lock step
 _ROUND_OFF = 1e-10  # of the largest entry of a matrix
 _LEAST = 1e-12  # the smallest eigenvalue over the largest: a smaller one is round-off
@@ -256,7 +261,7 @@ class StructureModel(ContactsModel):
 
     @property
     def time_scales_are_known(self) -> bool:
-        given = (self.smooth, *(self.structure.force or ()), *self.structure.normal_forces)
+        given = (self.smooth, *self.structure.functions)
         return all(one.shortest_period is not None for one in given if isinstance(one, Signal))
 
     def implicit_changes(
@@ -274,9 +279,9 @@ class StructureModel(ContactsModel):
         aged = [AtAge(law, age[i]) for i, law in enumerate(laws)]
         return eqx.tree_at(lambda model: [contact.friction for contact in model.structure.contacts], self, aged)
 
-    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+    def start(self, y0: tuple[Number, ...] | FloatArray, dtype: DType) -> State:
         size = self.structure.size
-        values = jnp.stack([jnp.asarray(value, dtype) for value in y0])
+        values = stacked(y0, dtype) if isinstance(y0, tuple) else y0.astype(dtype)
         return values[:size], values[size:]
 
     def numbers(self, y: State) -> State:
@@ -302,12 +307,12 @@ class StructureModel(ContactsModel):
 
     def limits_under(self, normal: FloatArray, velocity: FloatArray) -> Limits:
         """The forces that friction can exert at these relative velocities, under these normal forces."""
-        laws = tuple(contact.friction for contact in self.structure.contacts)
-        return Limits(*(normal[:, None] * _coefficients(laws, velocity)).T)
+        return Limits(*(normal[:, None] * _coefficients(self.structure.contacts, velocity)).T)
 
     @property
     def varying(self) -> tuple[int, ...]:
-        return tuple(number for number, one in enumerate(self.structure.normal_forces) if is_function(one))
+        forces = self.structure.normal_forces
+        return tuple(i for i, one in enumerate(forces) if is_function(one)) if isinstance(forces, tuple) else ()
 
     def normal_scale(self, forcing: Forcing, y: State) -> FloatArray:
         return jnp.stack([size_of(self.structure.normal_forces[number], forcing.t) for number in self.varying])
@@ -344,7 +349,7 @@ def in_dtype(tree: _Tree, dtype: DType) -> _Tree:
     return jax.tree.map(lambda values: values.astype(dtype), tree)
 
 
-def _coefficients(laws: tuple[FrictionLaw, ...], velocity: FloatArray) -> FloatArray:
+def _coefficients(contacts: tuple[Contact, ...] | Alike, velocity: FloatArray) -> FloatArray:
     """The friction coefficients (contacts, 4) of slips forward and backward and of sticks that break into them."""
 
     def of_one(law: FrictionLaw, v: FloatScalar) -> FloatArray:
@@ -353,6 +358,9 @@ def _coefficients(laws: tuple[FrictionLaw, ...], velocity: FloatArray) -> FloatA
         values += [law.stick_limit(one), law.stick_limit(-one)]
         return jnp.stack([jnp.asarray(value, v.dtype) for value in values])
 
+    if isinstance(contacts, Alike):
+        return jax.vmap(of_one)(contacts.each.friction, velocity)
+    laws = laws_in(contacts)
     if len({jax.tree.structure(law) for law in laws}) == 1:  # the same law with other numbers
         stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves]), *laws)
         return jax.vmap(of_one)(stacked, velocity)
@@ -514,7 +522,7 @@ class LinearStructure(WithContacts):
         mass: kg (or kg m^2), (d, d) symmetric and positive definite, or (d,) for a diagonal one.
         stiffness: N/m (or N m/rad), (d, d) symmetric, or (d,); zeros for masses without springs.
         damping: N s/m (or N m s/rad), likewise; None is zero.
-        contacts: Up to 64, each a `Contact`.
+        contacts: Up to 1000, each a `Contact`.
         force: External forces, N (or N m): for each mass None, a number, a `Signal`, a `Recorded` or a `ForceSteps`;
             None for no forces.
         uncoupled: Whether friction in one contact has no effect on the relative velocity of another, which is faster.
@@ -553,13 +561,20 @@ class LinearStructure(WithContacts):
         return Tracks(len(self.contacts), self._counted)
 
     @property
-    def normal_forces(self) -> tuple[NormalForce, ...]:
+    def normal_forces(self) -> Forces:
         """The normal force of each contact."""
         return tuple(contact.normal_force for contact in self.contacts)
 
     @property
+    def functions(self) -> tuple[NormalForce, ...]:
+        """The forces that are functions of time."""
+        normal = self.normal_forces if isinstance(self.normal_forces, tuple) else ()
+        return tuple(one for one in (*(self.force or ()), *normal) if one is not None and is_function(one))
+
+    @property
     def recorded(self) -> RecordedForces:
-        return RecordedForces(recorded_in(self.force or ()), recorded_in(self.normal_forces))
+        normal = self.normal_forces if isinstance(self.normal_forces, tuple) else ()
+        return RecordedForces(recorded_in(self.force or ()), recorded_in(normal))
 
     @property
     def size(self) -> int:
@@ -577,7 +592,7 @@ class LinearStructure(WithContacts):
 
     @property
     def memory(self) -> Memory:
-        laws = tuple(contact.friction for contact in self.contacts)
+        laws = laws_in(self.contacts)
         return Memory(ages_of(len(laws)) if any(law.grows for law in laws) else (), inner_laws_of(laws))
 
     @property
@@ -589,7 +604,7 @@ class LinearStructure(WithContacts):
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel | AgeingContacts":
         kind = ArcsModel if solver is None and self._has_arcs(smooth) else StructureModel
         model = kind(diffrax.Dopri8() if solver is None else solver, smooth, self, self.matrices)
-        times = [contact.friction.growth_time for contact in self.contacts if contact.friction.grows]
+        times = [law.growth_time for law in laws_in(self.contacts) if law.grows]
         return with_ages(model, 2 * self.size, bool(times), least(*times))
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
@@ -601,15 +616,14 @@ class LinearStructure(WithContacts):
     def _has_arcs(self, smooth: Signal | RandomSignal | None) -> bool:
         """Whether every mode is linear with constant coefficients, under forces of which power series are known."""
         smooth = smooth.signal if isinstance(smooth, RandomPhase) else smooth
-        functions = (smooth, *(self.force or ()), *self.normal_forces)
-        of_time = [one for one in functions if isinstance(one, (Signal, RandomSignal))]
+        of_time = [one for one in (smooth, *self.functions) if isinstance(one, (Signal, RandomSignal))]
         are_known = all(isinstance(one, Signal) and one.is_harmonic for one in of_time)
-        return are_known and all(contact.friction.constant for contact in self.contacts)
+        return are_known and all(law.constant for law in laws_in(self.contacts))
 
     @property
     def matrices(self) -> Matrices:
         """What the equations of motion need of linear algebra."""
-        directions = jnp.stack([jnp.asarray(contact.direction, float) for contact in self.contacts])
+        directions = stacked([contact.direction for contact in self.contacts], jnp.result_type(float))
         by_force = _inverse_times(self.mass, directions.T)
         return Matrices(
             inverse_mass=_inverse_times(self.mass, jnp.eye(self.size)),
@@ -619,14 +633,14 @@ class LinearStructure(WithContacts):
             by_force=by_force,
             # Contacts that share no mass, directly or through the mass matrix, have no effect on each other.
             gain=Uncoupled.of(jnp.sum(directions.T * by_force, axis=0)) if self.uncoupled else directions @ by_force,
-            on_base=jnp.stack([jnp.asarray(contact.on_base, float) for contact in self.contacts]),
+            on_base=stacked([contact.on_base for contact in self.contacts], jnp.result_type(float)),
             fastest=self.fastest,
         )
 
     def ready(self) -> "LinearStructure":
         if type(self) is not LinearStructure:  # a user's subclass may have methods of its own
             return self
-        return with_fields(self, ReadyStructure, known=self.matrices.by_bands())
+        return with_fields(self, ReadyStructure, known=self.matrices.by_bands(), contacts=Alike.of(self.contacts))
 
     @property
     def redundant(self) -> BoolScalar | None:
@@ -654,7 +668,8 @@ class LinearStructure(WithContacts):
         Sticks only constrain it, which raises none of them. A scale, without derivatives: masses without springs have
         equal eigenvalues, which have none.
         """
-        return _fastest(*without_derivatives((self.mass, self.stiffness, self.damping)))
+        numbers = self.mass, self.stiffness, self.damping
+        return (_fastest if any(map(checks.is_traced, numbers)) else _fastest_known)(*without_derivatives(numbers))
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         signals = [force for force in self.force or () if isinstance(force, Signal)]
@@ -671,7 +686,7 @@ class LinearStructure(WithContacts):
 
     @property
     def static_exceeds_kinetic(self) -> bool:
-        return any(contact.friction.static_exceeds_kinetic for contact in self.contacts)
+        return any(law.static_exceeds_kinetic for law in laws_in(self.contacts))
 
     def sizes(self, excitation: Excitation) -> Sizes:
         """Of each contact; the speed is what friction changes in the time of one radian of the masses it pushes."""
@@ -716,20 +731,47 @@ class LinearStructure(WithContacts):
 class ReadyStructure(LinearStructure):
     """A `LinearStructure` whose matrices are `known`; a change of its numbers does not change them."""
 
+    contacts: Any = eqx.field(default=(), converter=entries_of)  # or `Alike`
     known: Matrices | None = eqx.field(default=None, kw_only=True)
+
+    @property
+    def normal_forces(self) -> Forces:
+        if not isinstance(self.contacts, Alike):
+            return super().normal_forces
+        return cast(FloatArray, self.contacts.each.normal_force)
 
     @property
     def matrices(self) -> Matrices:
         assert self.known is not None
         return self.known
 
+    @property
+    def fastest(self) -> FloatScalar:
+        return self.matrices.fastest
+
+
+def _fastest_known(mass: Any, stiffness: Any, damping: Any) -> FloatScalar:
+    mass = np.asarray(mass, float)
+    scales = np.diag(1 / np.sqrt(mass)) if mass.ndim == 1 else np.linalg.inv(np.linalg.cholesky(mass))
+
+    def largest(matrix: Any) -> float:
+        values = np.asarray(matrix, float)
+        values = np.diag(values) if values.ndim == 1 else values
+        return np.max(np.abs(np.linalg.eigvalsh(scales @ values @ scales.T)))
+
+    fastest = max(math.sqrt(largest(stiffness)), 0.0 if damping is None else largest(damping))
+    return jnp.asarray(max(fastest, _lowest()), float)
+
 
 @kept_jit
 def _fastest(mass: Any, stiffness: Any, damping: Any) -> FloatScalar:
-    lowest = 1e-3 * jnp.sqrt(jnp.finfo(jnp.result_type(float)).tiny)
     squared = largest_eigenvalue(_inverse_times(mass, _matrix(stiffness)))
     decay = 0.0 if damping is None else largest_eigenvalue(_inverse_times(mass, _matrix(damping)))
-    return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), lowest)
+    return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), _lowest())
+
+
+def _lowest() -> float:
+    return 1e-3 * math.sqrt(jnp.finfo(jnp.result_type(float)).tiny)
 
 
 def _matrix(values: Any) -> FloatArray:

@@ -182,7 +182,7 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """Whether all time scales are known, whatever the state: a step that suits them is short enough everywhere."""
         return False
 
-    def start(self, y0: tuple[Number, ...], dtype: DType) -> State:
+    def start(self, y0: tuple[Number, ...] | FloatArray, dtype: DType) -> State:
         """The state with these numbers, one for each coordinate of the system."""
         return tuple(jnp.asarray(value, dtype) for value in y0)
 

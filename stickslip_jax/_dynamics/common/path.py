@@ -410,7 +410,7 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
     system: System
     excitation: Excitation
     t1: Scalar
-    y0: tuple[Number, ...]
+    y0: tuple[Number, ...] | FloatArray
     step_length: Scalar
     most_steps: AnyInteger | int
     quantities: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)

@@ -22,7 +22,7 @@ from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState, segment_at
 from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Number, Scalar
 from ..._numerics.derivatives import NotKnown, OwnDerivative, largest, smallest, with_slopes, without_derivatives
-from ..._numerics.matrices import any_of, largest_of, sum_of
+from ..._numerics.matrices import WRITTEN_OUT, any_of, largest_of, stacked, sum_of
 from ..._numerics.steps import look_ahead
 from ..._systems.switched_model import (
     NOISE_ULPS,
@@ -327,7 +327,7 @@ def start_lane(
     model: SwitchedModel,
     segment_laws: SegmentLaws,
     segment_states: tuple[SegmentState, ...],
-    y0: tuple[Number, ...],
+    y0: tuple[Number, ...] | FloatArray,
     step: FloatArray,
     quantities: tuple[str, ...],
     t0: FloatArray,
@@ -399,7 +399,7 @@ def advance(
     model, lane = given[0], before
     idle = (lane.sign != 0) & (trial.s0 == 0) & (trial.d0 == 0) & (trial.s1 == 0) & (trial.d1 == 0)
     # Events that coincide end a step at the same time: its derivatives are those of the first.
-    first = ends if ends.ndim == 0 else ends & (jnp.cumsum(ends) == 1)
+    first = ends if ends.ndim == 0 else ends & (jnp.arange(len(ends)) == jnp.argmax(ends))
     just_before = None
     if model.has_kinks:
         # So long before the event its guard is above its round-off; at a grazing event, which ensembles count, not
@@ -560,6 +560,7 @@ MOST_STEPS = 2**30  # steps are counted in 32 bits
 _SPARE = 4  # times as many steps where it is not known before the call how fast the motion is
 _ROOM = 96  # steps more, for short trajectories
 _FEWEST = 256  # steps that one trajectory has room for: all short ones share a program
+_PER_GROUP = 16  # contacts whose events need as many steps as the motion
 _PER_SEGMENT = 8  # time steps in a segment of a record where neither is known
 
 
@@ -622,7 +623,9 @@ def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, 
     except NotKnown:
         shortest /= _SPARE
     segments = sum(law.segments(horizon) for law in laws)
-    steps = 1.5 * (horizon / shortest) + 2 * segments + _ROOM
+    # Each contact has events of its own, the first soon after the start.
+    groups = (system.tracks.contacts or 0) // _PER_GROUP
+    steps = 1.5 * (1 + groups) * (horizon / shortest) + 2 * segments + _ROOM * (1 + groups / 2)
     if steps > MOST_STEPS:
         known = {math.inf: ""}
         for which, of in time_scales_of(system, excitation).scales.items():
@@ -664,8 +667,7 @@ class SwitchedEngine(StepsEngine[Lane]):
             t0 = jnp.zeros((), dtype)
         else:
             states = tuple(segment_at(law, first, t0) for law, first in zip(segment_laws.all, states, strict=True))
-        y0 = tuple(jnp.asarray(value, dtype) for value in self.y0)
-        return start_lane(self._model(smooth), segment_laws, states, y0, step, self.quantities, t0, resting)
+        return start_lane(self._model(smooth), segment_laws, states, self.y0, step, self.quantities, t0, resting)
 
     def advanced(
         self, shared: StepsShared, smooth: Signal | None, lane: Lane
@@ -777,12 +779,15 @@ def follow_steps(system: System, base: Any, method: Exact, t1: Scalar, y0: tuple
         )
     if method.max_steps is None and not is_compiling():
         steps = max(steps, _FEWEST)
-    run: Run = _follow_steps(system, excitation, method.solver, t1, y0, step, steps=steps, dtype=dtype)
+    start: Any = y0
+    if (system.tracks.contacts or 0) > WRITTEN_OUT:  # few arrays: JAX would trace the numbers of each contact
+        system, start = system.ready(), stacked(y0, dtype)
+    run: Run = _follow_steps(system, excitation, method.solver, t1, start, step, steps=steps, dtype=dtype)
     for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
         if not is_short(run.status):
             break
         steps *= 2
-        run = _follow_steps(system, excitation, method.solver, t1, y0, step, steps=steps, dtype=dtype)
+        run = _follow_steps(system, excitation, method.solver, t1, start, step, steps=steps, dtype=dtype)
     return run
 
 
