@@ -35,6 +35,7 @@ from .setups import (
     basin_name,
     chain,
     chain_name,
+    chain_time,
     diagram_name,
     inner_name,
     quake,
@@ -172,7 +173,7 @@ def _stepped(name: str, threads: int, sizes: Sizes) -> Run:
 def _blocks(blocks: int, threads: int, sizes: Sizes) -> Run:
     """Blocks on a belt that begin anywhere without velocity, the sticks of all counted; 0: the two unequal blocks."""
     system, samples = (chain(blocks), sizes.chain_blocks // blocks) if blocks else (TWO_BLOCKS, sizes.two_blocks)
-    still, t1 = np.zeros(system.size), sizes.blocks_t1
+    still, t1 = np.zeros(system.size), chain_time(blocks, sizes)
 
     def run(number: int) -> Work:
         many = ss.simulate_contacts(

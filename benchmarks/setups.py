@@ -84,6 +84,11 @@ def chain(blocks: int) -> ss.LinearStructure:
     return ss.block_row(blocks, mass=1.0, between=1.0, to_ground=0.2, normal_force=1.0, friction=ss.Coulomb(0.3))
 
 
+def chain_time(blocks: int, sizes: Sizes) -> float:
+    """The horizon of such a chain, s."""
+    return sizes.blocks_t1 / (1 if blocks <= 64 else 10)
+
+
 def chain_name(blocks: int) -> str:
     """What its case is called."""
     return f"chain of {blocks} block{'s' * (blocks > 1)}"

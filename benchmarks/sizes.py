@@ -25,6 +25,8 @@ class Sizes(NamedTuple):
     """Samples of two blocks on a belt."""
     chains: tuple[int, ...]
     """Lengths of chains of blocks."""
+    chains_by_numba: tuple[int, ...]
+    """Those of them that a scalar loop follows too."""
     chain_blocks: int
     """Blocks in all samples of a chain."""
     shaken: int
@@ -56,8 +58,9 @@ FULL = Sizes(
     harmonics=(8, 16, 64),
     sensitivity_compiled=4_096,
     two_blocks=8_192,
-    chains=(1, 2, 4, 8, 10, 16, 32, 64),
-    chain_blocks=8_192,
+    chains=(1, 2, 4, 8, 10, 16, 32, 64, 100, 1000),
+    chains_by_numba=(10, 100, 1000),
+    chain_blocks=16_384,
     shaken=500,
     blocks_t1=60.0,
     diagrams=(200, 400),
@@ -81,6 +84,7 @@ TINY = Sizes(
     sensitivity_compiled=64,
     two_blocks=64,
     chains=(10,),
+    chains_by_numba=(10,),
     chain_blocks=80,
     shaken=8,
     blocks_t1=5.0,

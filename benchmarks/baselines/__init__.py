@@ -17,6 +17,8 @@ Those are dimensionless (`z`, `u`, `omega t`; `rate` is `lambda / omega`) and ke
   `given(*, mu, t1, theta, alpha0, step=1e-4, threads=1) -> Sticks`
 - `numba_two_blocks`: two coupled blocks on a belt, closed forms of each stick pattern.
   `given(x1, x2, *, t1, threads=1) -> Sticks`
+- `numba_chain`: a chain of blocks on a belt, power series of all blocks, neighbours only.
+  `given(x, *, t1, threads=1) -> Sticks`
 - `scipy_harmonic`: a mass on a harmonic base by a general ODE solver with event location, once a period.
 - `scipy_lugre`: a mass on bristles by an implicit ODE solver, one trajectory.
   `simulate(x, v, *, t1, method, tolerance) -> (position, velocity)`

@@ -41,7 +41,7 @@ from .._excitation.excitation import is_random, key_data_for, law_of
 from .._excitation.motion import Signal
 from .._foundation import checks
 from .._foundation.extras import progress_bar
-from .._foundation.processes import lanes_at_once, usual_threads
+from .._foundation.processes import device, lanes_at_once, usual_threads
 from .._foundation.types import AnyArray, DType, FloatArray, Number, Scalar, Status
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
@@ -456,6 +456,7 @@ _Simulate = Callable[[int, int], _Parts]
 _Run = Callable[[int, int], tuple[SampleTotals | WatchedTotals, StickStream | None]]
 """Of the same samples: their results, and, unless only these are kept, their sticks, each track as a sample."""
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
+_MANY_NUMBERS = 100  # of a state
 _RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
 
 
@@ -555,6 +556,9 @@ class _Tasks(NamedTuple):
             # And of fewer than are computed with at once the numbers are rounded otherwise.
             lanes = min(lanes, max(_FEWEST, 1 << (chunk - 1).bit_length()))
             return cls(lanes, -(-chunk // lanes), chunk, threads)
+        if len(setup.inputs.model.y0) > _MANY_NUMBERS and device().platform == "cpu":
+            # A lane is long enough to keep the processor busy: none is wasted.
+            lanes = min(lanes, max(_FEWEST, 1 << (-(-samples // threads) - 1).bit_length()))
         # Small runs are divided into smaller tasks, so that every thread has work.
         fair = -(-samples // (4 * threads * lanes)) * lanes
         return cls(lanes, rows, min(fair, lanes * rows), threads)

@@ -16,6 +16,7 @@ import stickslip_jax as ss
 from benchmarks.baselines import (
     c_yardstick,
     diffrax_events,
+    numba_chain,
     numba_regularized,
     numba_scalar,
     numba_two_blocks,
@@ -144,6 +145,24 @@ def test_a_chain_by_scipy():
         assert found.count.sum() > 10
         np.testing.assert_array_equal([each.sticks[sample] for each in totals], found.count)
         np.testing.assert_allclose([each.stick_time[sample] for each in totals], found.time, atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("blocks", "t1"), [(10, 60.0), (100, 10.0), (1000, 2.0)])
+def test_a_chain_by_numba(blocks, t1):
+    """8 starts; every stick of every block."""
+    x = np.random.default_rng(2).uniform(-1, 1, (blocks, 8))
+    chain = ss.block_row(blocks, mass=1.0, between=1.0, to_ground=0.2, normal_force=1.0, friction=ss.Coulomb(0.3))
+    y0 = (*x, *np.zeros(blocks))
+    many = ss.simulate_contacts(chain, ss.Constant(0.2), t1=t1, samples=8, y0=y0, keep="totals")
+    expected = numba_chain.given(x, t1=t1)
+    assert expected.count.sum() > 100
+    totals = [many.of_contact(contact).totals for contact in range(blocks)]
+    clear = totals[0].near_grazing_count == 0  # in the others the last digits decided
+    assert np.sum(clear) > 2
+    sticks, time = (np.stack([getattr(each, name) for each in totals], 1)[clear] for name in ("sticks", "stick_time"))
+    np.testing.assert_array_equal(sticks, expected.count[clear])
+    np.testing.assert_allclose(time, expected.time[clear], rtol=0, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ def pair(**changed):
         ({"contacts": (contact(1.0, 0.0, 0.0),)}, "Argument direction of contact 0 must hold 2 numbers"),
         ({"contacts": (contact(0.0, 0.0),)}, "Argument direction of contact 0 must not be zero"),
         ({"contacts": (contact(1.0, 0.0), contact(2.0, 0.0))}, "Argument contacts must be independent of each other"),
-        ({"contacts": (contact(1.0, 0.0),) * 65}, "Argument contacts must hold at most 64, but 65 were given"),
+        ({"contacts": (contact(1.0, 0.0),) * 1001}, "Argument contacts must hold at most 1000, but 1001 were given"),
         ({"force": (1.0,)}, "Argument force must be a tuple of 2 forces"),
         ({"force": (1.0, "2")}, r"Argument force\[1\] must be a number, a Signal, a Recorded, a ForceSteps or None"),
     ],
