@@ -33,6 +33,7 @@ from .sticks import (
     Sticks,
     Totals,
     of_contact,
+    shown_counts,
     slip_variables,
     slips_between,
     stick_columns,
@@ -699,7 +700,7 @@ class Simulation(WithMethods):
             return f"Simulation of {type(self.system).__name__}, NOT FINISHED: {why}"
         near = f", {int(self.near_grazing_count)} near-grazing" if self.near_grazing_count else ""
         if self.sticks.contact is not None:
-            counts = ", ".join(str(int(count)) for count in self.totals.sticks)
+            counts = shown_counts([int(count) for count in self.totals.sticks])
             return (
                 f"Simulation of {type(self.system).__name__} on [0, {float(self.t1):g}] s: sticks of its contacts: "
                 f"{counts}{near}, {status.meaning}"

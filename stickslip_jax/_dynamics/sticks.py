@@ -2,7 +2,7 @@
 
 import abc
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
@@ -685,6 +685,16 @@ def slip_variables(start: np.ndarray, end: np.ndarray, censored: np.ndarray) -> 
         "slip_end": variable("slip", end, "time at which the slip ends", "s"),
         "slip_ending": variable("slip", censored.astype(np.int8), "whether the end, `t1`, cuts the slip", **meanings),
     }
+
+
+_MOST_SHOWN = 16  # contacts
+
+
+def shown_counts(counts: Sequence[int]) -> str:
+    """How a printed result shows the numbers of sticks of the contacts."""
+    if len(counts) <= _MOST_SHOWN:
+        return ", ".join(f"{count:,}" for count in counts)
+    return f"{min(counts):,} to {max(counts):,}, in all {sum(counts):,}"
 
 
 def table_of(columns: Columns) -> "pandas.DataFrame":

@@ -18,7 +18,7 @@ from jaxtyping import Array
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.simulate import Output, Outputs, checked_outputs
 from .._dynamics.simulation import Simulation
-from .._dynamics.sticks import Slips, Sticks, in_slots, stick_columns, time_columns, write_table
+from .._dynamics.sticks import Slips, Sticks, in_slots, shown_counts, stick_columns, time_columns, write_table
 from .._excitation.excitation import BaseMotion, is_random
 from .._foundation import checks, html
 from .._foundation.extras import require
@@ -582,14 +582,8 @@ class ContactEnsembles:
     def __repr__(self) -> str:
         first, *lines = repr(dataclasses.replace(self._of_track(0), system=self.system)).split("\n")
         *counts, of_all = (_sticks(fields["moments"]) for fields in self._fields)
-        shown = ", ".join(f"{count:,}" for count in counts)
-        if len(counts) > _MOST_SHOWN:
-            shown = f"{min(counts):,} to {max(counts):,}, in all {sum(counts):,}"
-        found = f"  sticks    {shown} of the contacts, {of_all:,} of all at once"
+        found = f"  sticks    {shown_counts(counts)} of the contacts, {of_all:,} of all at once"
         return "\n".join([first, *(found if line.startswith("  sticks") else line for line in lines)])
-
-
-_MOST_SHOWN = 16  # contacts
 
 
 def _sticks(moments: Moments) -> int:

@@ -32,7 +32,7 @@ from .._foundation.types import (
 )
 from .dynamic_friction import DynamicFriction
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, with_ages
-from .structure import MOST_CONTACTS, is_singular
+from .structure import is_singular
 from .system import (
     AGE,
     SHORTEST_TIME,
@@ -50,6 +50,8 @@ from .system import (
     shortest_period,
 )
 from .users_models import GeneralContactsModel, GeneralModel, UsersBase, depends_on_time, differs_between, records_in
+
+_MOST_CONTACTS = 64
 
 
 class SwitchedSystem(WithContacts):
@@ -368,7 +370,7 @@ def check_fields(system: Any) -> None:
         ratio = system.static_ratio
     if system.contacts is None:
         checks.numeric("static_ratio", ratio)
-    elif np.shape(ratio) not in ((), (checks.whole_number("contacts", system.contacts, maximum=MOST_CONTACTS),)):
+    elif np.shape(ratio) not in ((), (checks.whole_number("contacts", system.contacts, maximum=_MOST_CONTACTS),)):
         raise checks.refused("static_ratio", f"be one number or an array ({system.contacts},)", ratio)
     if not checks.is_traced(ratio) and np.min(np.asarray(ratio)) < 1:
         raise ValueError(
