@@ -169,6 +169,15 @@ def test_a_cycle_of_earthquakes_against_scipy():
     times = np.linspace(0.0, t1, 40_001)
     found, expected = (times[np.argmin(np.diff(x))] for x in (np.asarray(one.evaluate(times)[0]), run.sol(times)[0]))
     assert found == pytest.approx(expected, rel=1e-3)
+    # Between steps too the speed has its size, over all decades: no wave of a cubic.
+    fine = ss.simulate(system, ss.Constant(SPEED), t1=t1, y0=y0, method=dataclasses.replace(method, rtol=1e-7))
+    times = times[np.abs(times - expected) > 10]
+    (_, w, z), slip = run.sol(times), np.asarray(fine.evaluate(times)[1]) - SPEED
+    speeds = 2 * SPEED * np.sinh(w) * np.exp(-(0.6 + B * z) / A)
+    assert np.min(np.abs(speeds)) < 1e-12
+    np.testing.assert_array_equal(np.sign(slip), np.sign(speeds))
+    np.testing.assert_allclose(np.log10(np.abs(slip)), np.log10(np.abs(speeds)), rtol=0, atol=0.01)
+    assert float(fine.maximum("velocity")) <= SPEED
 
 
 @pytest.mark.slow

@@ -17,10 +17,11 @@ from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentTable
 from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
+from ..._foundation.fields import with_fields
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar, Status
-from ..._numerics.derivatives import NotKnown, largest, smallest, with_slopes
+from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, with_slopes, without_derivatives
 from ..._numerics.matrices import any_of
-from ..._systems.switched_model import Form, Segments, State, of_form
+from ..._systems.switched_model import Along, Form, Segments, State, of_form
 from ..._systems.system import System
 from ..common.method import Regularized, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
 from ..common.path import (
@@ -416,7 +417,11 @@ class CubicPath(MotionPath):
 
     def state(self, time: FloatArray) -> State:
         index = jnp.clip(jnp.searchsorted(self.t, time, side="right") - 1, 0, len(self.t) - 2)
-        tau, h = time - self.t[index], self.t[index + 1] - self.t[index]
+        return self._in_step(index, time - self.t[index])
+
+    def _in_step(self, index: Any, tau: FloatArray) -> State:
+        """The state `tau` (s) after the beginning of a step."""
+        h = self.t[index + 1] - self.t[index]
         return tuple(hermite(tau, h, self._cubic(number, index, index + 1, h)) for number in range(len(self.y)))
 
     def _cubic(self, number: int, begin: Any, end: Any, h: FloatArray) -> Cubic:
@@ -435,6 +440,41 @@ class CubicPath(MotionPath):
 
     def segments(self, time: FloatArray) -> Segments:
         return self.tables.at(time)
+
+
+class LogarithmicPath(CubicPath):
+    """The same where steps followed the logarithm of the relative velocity: a cubic of the velocity would swing by far
+    more than it is.
+    """
+
+    field: InnerField
+
+    def _in_step(self, index: Any, tau: FloatArray) -> State:
+        model, t, end = self.field.model, self.t[index], self.t[index + 1]
+        speed, segments = model.speed or 0, self.tables.at((t + end) / 2)
+
+        def logarithm(at: FloatArray, numbers: State, place: Any) -> FloatArray:
+            y = tuple(of[place] for of in numbers)
+            return model.with_logarithm(model.forcing(at, segments), y)[speed]
+
+        # By values alone: rates of the logarithm are round-off enlarged where the mass nearly rests.
+        begins, ends = logarithm(t, self.y, index), logarithm(end, self.y, index + 1)
+        share = tau / jnp.where(end > t, end - t, 1)
+        number = begins + share * (ends - begins)
+        if self.middles is not None:
+            bulge = logarithm((t + end) / 2, self.middles, index) - (begins + ends) / 2
+            number = number + 4 * share * (1 - share) * bulge
+        numbers = tuple(number if i == speed else of for i, of in enumerate(super()._in_step(index, tau)))
+        return model.without_logarithm(model.forcing(t, segments), tau, numbers)
+
+    def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
+        def inside(index: IntArray, is_fixed: bool) -> Along:
+            path = without_derivatives(self) if is_fixed else self
+            return partial(with_slope, lambda tau: of_form(form, path._in_step(index, tau)))
+
+        lengths, starts = jnp.diff(self.t), of_form(form, tuple(of[:-1] for of in self.y))
+        ends = sign, of_form(form, final)
+        return largest_in_steps(inside, jnp.arange(len(lengths)), starts, lengths, *ends, are_short=False)
 
 
 def follow_regularized(
@@ -483,8 +523,8 @@ def _follow(
     sizes: tuple[int, ...],
 ) -> Run:
     tables = Tables.of(system, excitation, _NO_KEY_DATA, sizes, t1.dtype)
+    field = field_of(system, excitation.signal, method, base_jumps=base_jumps(system, excitation, sizes))
     if method.solver is not None:
-        field = field_of(system, excitation.signal, method, base_jumps=base_jumps(system, excitation, sizes))
         solution, detector, kept = follow_adaptive(field, tables, t1, y0, method, longest, steps)
         end = solution.steps, solution.t[solution.steps], tuple(solution.y[solution.steps])
         status = status_of(solution, detector)
@@ -504,4 +544,6 @@ def _follow(
         end = lane.steps, lane.t, engine.numbers(excitation.signal, lane)
     records, passages = kept
     path = CubicPath.of(excitation.signal, tables, passages, *end)
+    if method.step is None and isinstance(field, InnerField) and field.in_logarithms:
+        path = with_fields(path, LogarithmicPath, field=field)
     return Run.of(system, records, detector.found.totals, status, *end[1:], jnp.zeros((), jnp.int32), path)
