@@ -171,12 +171,13 @@ def test_a_cycle_of_earthquakes_against_scipy():
     assert found == pytest.approx(expected, rel=1e-3)
     # Between steps too the speed has its size, over all decades: no wave of a cubic.
     fine = ss.simulate(system, ss.Constant(SPEED), t1=t1, y0=y0, method=dataclasses.replace(method, rtol=1e-7))
-    times = times[np.abs(times - expected) > 10]
     (_, w, z), slip = run.sol(times), np.asarray(fine.evaluate(times)[1]) - SPEED
     speeds = 2 * SPEED * np.sinh(w) * np.exp(-(0.6 + B * z) / A)
     assert np.min(np.abs(speeds)) < 1e-12
     np.testing.assert_array_equal(np.sign(slip), np.sign(speeds))
-    np.testing.assert_allclose(np.log10(np.abs(slip)), np.log10(np.abs(speeds)), rtol=0, atol=0.01)
+    off = np.abs(np.log10(np.abs(slip)) - np.log10(np.abs(speeds)))
+    assert np.max(off) < 0.1  # at an event, where the speed falls by four decades in a tenth of a second
+    assert np.mean(off < 0.001) > 0.999
     assert float(fine.maximum("velocity")) <= SPEED
 
 

@@ -470,7 +470,7 @@ class LogarithmicPath(CubicPath):
     def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
         def inside(index: IntArray, is_fixed: bool) -> Along:
             path = without_derivatives(self) if is_fixed else self
-            return partial(with_slope, lambda tau: of_form(form, path._in_step(index, tau)))
+            return partial(with_slope, jax.vmap(lambda tau: of_form(form, path._in_step(index, tau))))
 
         lengths, starts = jnp.diff(self.t), of_form(form, tuple(of[:-1] for of in self.y))
         ends = sign, of_form(form, final)
