@@ -19,6 +19,7 @@ from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, in_one_line, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
+from .._numerics.matrices import WRITTEN_OUT, stacked
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, Form, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
@@ -394,7 +395,11 @@ class Simulation(WithMethods):
             Position (m) and velocity (m/s), for a `MotorCart` angle (rad), angular velocity (rad/s) and current (A);
             NaN outside ``[0, time_reached]``.
         """
-        return self._at(partial(_evaluate, self, size=len(self.final_state)), self._checked(times))
+        size, times = len(self.final_state), self._checked(times)
+        if size <= 2 * WRITTEN_OUT:
+            return self._at(partial(_evaluate, self, size=size), times)
+        together = self._at(partial(_evaluate_together, self), times)
+        return tuple(together[..., i] for i in range(size))
 
     def base_velocity(self, times: AnyArray | float) -> FloatArray:
         """The base velocity at `times` (s, any shape), m/s; at a jump, the one after it. 0 for a `MotorCart`."""
@@ -635,7 +640,7 @@ class Simulation(WithMethods):
         """
         shape, given = times.shape, [values.reshape(-1) for values in (times, *along)]
         if is_compiling() or checks.holds_traced(self, times):
-            return jax.tree.map(lambda values: values.reshape(shape), compute(*given))
+            return jax.tree.map(lambda values: values.reshape(shape + values.shape[1:]), compute(*given))
         size, given = times.size, [np.asarray(values) for values in given]
         room = next((room for room in _ROOMS if size <= room), _ROOMS[-1])
         parts = [[values[at : at + room] for values in given] for at in range(0, max(size, 1), room)]
@@ -643,7 +648,8 @@ class Simulation(WithMethods):
         found = [compute(*(jax.device_put(np.resize(values, room)) for values in part)) for part in parts]
 
         def whole(*values: Array) -> Array:
-            return jax.device_put(np.concatenate([np.asarray(part) for part in values])[:size].reshape(shape))
+            joined = np.concatenate([np.asarray(part) for part in values])[:size]
+            return jax.device_put(joined.reshape(shape + joined.shape[1:]))
 
         return jax.tree.map(whole, *found)
 
@@ -726,6 +732,17 @@ def _evaluate(one: Simulation, times: FloatArray, *, size: int) -> tuple[FloatAr
         return tuple(jnp.where(inside, value, jnp.nan) for value in one._path.state(time))
 
     return jax.vmap(at)(times)[:size]
+
+
+@kept_jit
+def _evaluate_together(one: Simulation, times: FloatArray) -> FloatArray:
+    """Many numbers as one array, (times, numbers): XLA would compute the motion anew for each of them."""
+
+    def at(time):
+        inside = (time >= 0) & (time <= one.time_reached)
+        return jnp.where(inside, stacked(one._path.state(time), time.dtype), jnp.nan)
+
+    return jax.vmap(at)(times)
 
 
 @kept_jit

@@ -669,7 +669,9 @@ class LinearStructure(WithContacts):
         equal eigenvalues, which have none.
         """
         numbers = self.mass, self.stiffness, self.damping
-        return (_fastest if any(map(checks.is_traced, numbers)) else _fastest_known)(*without_derivatives(numbers))
+        if any(map(checks.is_traced, numbers)):
+            return _fastest(*without_derivatives(numbers))
+        return _fastest_known(*numbers)
 
     def time_scales(self, excitation: Excitation, solver: Solver | None) -> TimeScales:
         signals = [force for force in self.force or () if isinstance(force, Signal)]

@@ -47,6 +47,32 @@ def test_contacts_as_arrays_change_nothing():
     assert all(np.any(np.abs(np.asarray(slopes[0])) > 0.1) for _, slopes in found)
 
 
+@pytest.mark.slow
+def test_a_chain_inside_a_program():
+    """What is known in it (all but mu) is known to JAX as constants."""
+    y0 = (*starts(12), *np.zeros(12))
+
+    def stick_time(mu):
+        one = ss.simulate(row(12, mu=mu), BELT, t1=5.0, y0=y0, method=ss.Exact(max_steps=600))
+        return one.of_contact(3).stick_time, one.evaluate(jnp.linspace(0, 5, 7))[5]
+
+    inside, outside = jax.jit(stick_time)(0.4), stick_time(0.4)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-10), inside, outside)
+    assert outside[0] > 0.1
+
+
+@pytest.mark.slow
+def test_the_motion_of_many_numbers_between_steps():
+    """One array of all numbers holds what each has alone, for times of any shape."""
+    one = ss.simulate(row(12), BELT, t1=5.0, y0=(*starts(12), *np.zeros(12)))
+    times = np.linspace(0, 5, 6).reshape(2, 3)
+    found, alone = one.evaluate(times), [one._path.state(jnp.asarray(time)) for time in times.ravel()]
+    assert len(found) == 24
+    np.testing.assert_allclose(np.reshape(found, (24, 6)), np.transpose(alone), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(np.asarray(found)[:, -1, -1], one.final_state, rtol=0, atol=1e-12)
+    assert np.all(np.isnan(one.evaluate(6.0)))
+
+
 def test_which_contacts_are_alike():
     many, weight = row(10).contacts, ss.ForceSteps([0.0, 1.0], [1.0, 2.0])
     each = Alike.of(many)
@@ -73,6 +99,8 @@ def test_the_fastest_motion_of_known_and_of_traced_numbers(mass, damping):
         return ss.LinearStructure(mass, stiffness, damping, (contact,), uncoupled=True).fastest
 
     np.testing.assert_allclose(fastest(stiffness), jax.jit(fastest)(stiffness), rtol=1e-10)
+    # In a program, too, they may be known.
+    np.testing.assert_array_equal(jax.jit(lambda one: one * fastest(stiffness))(1.0), fastest(stiffness))
 
 
 @pytest.mark.slow

@@ -741,8 +741,10 @@ class StepPath(MotionPath):
         return self.beginnings.t
 
     def state(self, time: FloatArray) -> State:
-        begun = self.beginnings.at(time)
-        return self.model.numbers(state_in_step(self.model, begun, time - begun.t))
+        begun, model = self.beginnings.at(time), self.model
+        # Terms of a power series are not computed anew for each that follows.
+        inside = sharing(state_in_step) if model.has_short_steps else state_in_step
+        return model.numbers(inside(model, begun, time - begun.t))
 
     def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
         begun, model = self.beginnings, self.model
