@@ -430,7 +430,8 @@ def test_ensembles_are_single_runs(tmp_path):
     for sample in range(2):
         base = LAW.sample(jax.random.fold_in(key, sample), 20.0)
         one = ss.simulate(SYSTEM, base, t1=20.0, y0=(0.3, 0.1), method=method)
-        assert float(many.totals.stick_time[sample]) == pytest.approx(float(one.stick_time), rel=1e-9)
+        # XLA rounds one lane otherwise than eight, which adaptive steps enlarge: far less than `rtol`.
+        assert float(many.totals.stick_time[sample]) == pytest.approx(float(one.stick_time), rel=1e-8)
         assert int(many.totals.sticks[sample]) == int(one.sticks.count)
     many.save(tmp_path / "many.nc")
     assert str(ss.load(tmp_path / "many.nc").system) == str(SYSTEM)
