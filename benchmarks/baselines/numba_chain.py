@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numba import njit
 
-from .numba_two_blocks import FLAGS, Sticks, _suspect
+from .numba_two_blocks import FLAGS, Sticks, _narrowed, _suspect
 from .scipy_chain import BELT, BETWEEN, FORCE, TO_GROUND
 
 TERMS = 16
@@ -63,14 +63,7 @@ def _root(terms, i, offset, factor, at):
     low, high, tau = 0.0, at, at
     for _ in range(ROUNDS):
         value, slope = _at(terms, i, tau)
-        value, slope = offset + factor * value, factor * slope
-        if value > 0.0:
-            low = tau
-        else:
-            high = tau
-        trial = tau - value / slope if slope < 0.0 else math.inf
-        if not low <= trial <= high:
-            trial = 0.5 * (low + high)
+        low, high, trial = _narrowed(low, high, tau, offset + factor * value, factor * slope)
         if abs(trial - tau) <= FINE:
             return trial
         tau = trial

@@ -62,7 +62,18 @@ def _suspect(h, before, fall, after, rise):
 
 
 @njit(**FLAGS)
-def _both_slip(x1, x2, v1, v2, s1, s2, left):  # noqa: PLR0912 - one loop, as fast as it gets
+def _narrowed(low, high, tau, value, slope):
+    """The bracket of a fall through zero with the `value` at `tau`, and the next try: Newton's, within the bracket."""
+    if value > 0.0:
+        low = tau
+    else:
+        high = tau
+    trial = tau - value / slope if slope < 0.0 else math.inf
+    return low, high, trial if low <= trial <= high else 0.5 * (low + high)
+
+
+@njit(**FLAGS)
+def _both_slip(x1, x2, v1, v2, s1, s2, left):
     """Both slip: the time until one is as fast as the belt, and the state there."""
     f1, f2 = -s1 * KINETIC[0], -s2 * KINETIC[1]
     cp, cm = 0.5 * (f1 + f2) / SLOW**2, 0.5 * (f1 - f2) / FAST**2  # centres of half the sum and half the difference
@@ -96,13 +107,7 @@ def _both_slip(x1, x2, v1, v2, s1, s2, left):  # noqa: PLR0912 - one loop, as fa
                     )
                     value = sign * (a0 * c + b0 * s + of * (a1 * c1 + b1 * s1_) - BELT)
                     slope = sign * (SLOW * (b0 * c - a0 * s) + of * FAST * (b1 * c1 - a1 * s1_))
-                    if value > 0.0:
-                        low = tau
-                    else:
-                        high = tau
-                    trial = tau - value / slope if slope < 0.0 else math.inf
-                    if not low <= trial <= high:
-                        trial = 0.5 * (low + high)
+                    low, high, trial = _narrowed(low, high, tau, value, slope)
                     if abs(trial - tau) <= FINE:
                         break
                     tau = trial
@@ -126,7 +131,7 @@ def _both_slip(x1, x2, v1, v2, s1, s2, left):  # noqa: PLR0912 - one loop, as fa
 
 
 @njit(**FLAGS)
-def _one_slips(x, v, sign, kinetic, held, static, left):  # noqa: PLR0912, PLR0915
+def _one_slips(x, v, sign, kinetic, held, static, left):  # noqa: PLR0912
     """One slips beside the other, which is `held` at its position: the time until the first is as fast as the belt (1)
     or the other is pulled off (2).
     """
@@ -171,13 +176,7 @@ def _one_slips(x, v, sign, kinetic, held, static, left):  # noqa: PLR0912, PLR09
                     else:
                         value = static - side * (base + grows * tau + OTHER * tb / ALONE)
                         slope = -side * (grows - OTHER * ta)
-                    if value > 0.0:
-                        low = tau
-                    else:
-                        high = tau
-                    trial = tau - value / slope if slope < 0.0 else math.inf
-                    if not low <= trial <= high:
-                        trial = 0.5 * (low + high)
+                    low, high, trial = _narrowed(low, high, tau, value, slope)
                     if abs(trial - tau) <= FINE:
                         break
                     tau = trial

@@ -17,7 +17,7 @@ from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation import checks
 from .._foundation.types import AnyArray, DType, Number, Scalar
 from .._numerics.derivatives import largest
-from .._numerics.matrices import WRITTEN_OUT, stacked
+from .._numerics.matrices import MANY, stacked
 from .._systems.mass_spring import MassSpring
 from .._systems.system import System, is_built_in
 from .._uncertainty.inputs import Inputs
@@ -109,8 +109,7 @@ class Choice(NamedTuple):
             self.arguments.check_length()
             # Generous: a sample that needs more steps has failed, or its events accumulate at one instant.
             most = np.int32(min(method.max_steps or 20 * steps_for(system, excitation, t1, step), _MOST_COUNTED))
-            # Of a thousand blocks not each number by itself.
-            start = stacked(y0, jnp.result_type(float)) if len(y0) > 2 * WRITTEN_OUT else y0
+            start = stacked(y0, jnp.result_type(float)) if len(y0) > MANY else y0
             return SwitchedEngine(system.ready(), excitation, t1, start, step, most, method.solver)
         excitation = excitation_of(base, "law")
         system.check_excitation(excitation)

@@ -19,7 +19,7 @@ from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, in_one_line, with_fields
 from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
-from .._numerics.matrices import WRITTEN_OUT, stacked
+from .._numerics.matrices import MANY, stacked
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import F, Form, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System, one_contact_model
@@ -395,11 +395,9 @@ class Simulation(WithMethods):
             Position (m) and velocity (m/s), for a `MotorCart` angle (rad), angular velocity (rad/s) and current (A);
             NaN outside ``[0, time_reached]``.
         """
-        size, times = len(self.final_state), self._checked(times)
-        if size <= 2 * WRITTEN_OUT:
-            return self._at(partial(_evaluate, self, size=size), times)
-        together = self._at(partial(_evaluate_together, self), times)
-        return tuple(together[..., i] for i in range(size))
+        size = len(self.final_state)
+        found = self._at(partial(_evaluate, self, size=size), self._checked(times))
+        return found if isinstance(found, tuple) else tuple(found[..., i] for i in range(size))
 
     def base_velocity(self, times: AnyArray | float) -> FloatArray:
         """The base velocity at `times` (s, any shape), m/s; at a jump, the one after it. 0 for a `MotorCart`."""
@@ -726,21 +724,15 @@ def _largest(one: Simulation, form: Form, sign: Scalar) -> FloatArray:
 
 
 @kept_jit(static_argnames="size")
-def _evaluate(one: Simulation, times: FloatArray, *, size: int) -> tuple[FloatArray, ...]:
-    def at(time):
-        inside = (time >= 0) & (time <= one.time_reached)
-        return tuple(jnp.where(inside, value, jnp.nan) for value in one._path.state(time))
-
-    return jax.vmap(at)(times)[:size]
-
-
-@kept_jit
-def _evaluate_together(one: Simulation, times: FloatArray) -> FloatArray:
-    """Many numbers as one array, (times, numbers): XLA would compute the motion anew for each of them."""
+def _evaluate(one: Simulation, times: FloatArray, *, size: int) -> tuple[FloatArray, ...] | FloatArray:
+    """Each number (times,); many as one array (times, numbers): XLA would compute the motion anew for each of them."""
 
     def at(time):
-        inside = (time >= 0) & (time <= one.time_reached)
-        return jnp.where(inside, stacked(one._path.state(time), time.dtype), jnp.nan)
+        inside, numbers = (time >= 0) & (time <= one.time_reached), one._path.state(time)[:size]
+        return jax.tree.map(
+            lambda value: jnp.where(inside, value, jnp.nan),
+            stacked(numbers, time.dtype) if size > MANY else numbers,
+        )
 
     return jax.vmap(at)(times)
 

@@ -190,6 +190,8 @@ def _cleared(matrix: FloatArray) -> FloatArray:
     return lax.fori_loop(0, len(matrix), clear, matrix)
 
 
+MANY = 16
+"""Numbers of a state, beyond which they are one array for JAX, not each by itself."""
 _GROUP = 64
 
 

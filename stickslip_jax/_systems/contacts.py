@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import math
 from functools import partial
-from typing import Annotated, Any, NamedTuple, TypeAlias, cast
+from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -45,6 +45,7 @@ NormalForce: TypeAlias = Number | Signal | Recorded | ForceSteps
 """N: a number, or a function of time."""
 _PIECES = Recorded, ForceSteps
 _FUNCTIONS = Signal, *_PIECES
+_Tree = TypeVar("_Tree")
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -227,6 +228,13 @@ class Contact(Checked):
         return cls(_unit(first, masses) - _unit(second, masses), normal_force, friction, on_base=0.0)
 
 
+def as_one(trees: tuple[_Tree, ...]) -> _Tree | None:
+    """Trees that differ by their numbers alone as one, whose numbers are arrays (trees, ...); None of others."""
+    if len({(jax.tree.structure(one), tuple(map(np.shape, jax.tree.leaves(one)))) for one in trees}) > 1:
+        return None
+    return jax.tree.map(lambda *leaves: stacked(leaves, jnp.result_type(float)), *trees)
+
+
 class Alike(eqx.Module):
     """Many contacts that differ by their numbers alone, as `each`, whose numbers are arrays (number, ...).
 
@@ -243,10 +251,8 @@ class Alike(eqx.Module):
         remembers = first.friction.grows or first.friction.inner_state is not None
         if len(contacts) <= WRITTEN_OUT or remembers or is_function(first.normal_force):
             return contacts
-        if len({(jax.tree.structure(one), tuple(map(np.shape, jax.tree.leaves(one)))) for one in contacts}) > 1:
-            return contacts
-        each = jax.tree.map(lambda *leaves: stacked(leaves, jnp.result_type(float)), *contacts)
-        return Alike(each, len(contacts))
+        each = as_one(contacts)
+        return contacts if each is None else Alike(each, len(contacts))
 
     def __len__(self) -> int:
         return self.number

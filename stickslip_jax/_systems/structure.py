@@ -50,6 +50,7 @@ from .contacts import (
     NormalForce,
     Uncoupled,
     acceleration,
+    as_one,
     entries_of,
     holding,
     is_function,
@@ -358,12 +359,10 @@ def _coefficients(contacts: tuple[Contact, ...] | Alike, velocity: FloatArray) -
         values += [law.stick_limit(one), law.stick_limit(-one)]
         return jnp.stack([jnp.asarray(value, v.dtype) for value in values])
 
-    if isinstance(contacts, Alike):
-        return jax.vmap(of_one)(contacts.each.friction, velocity)
     laws = laws_in(contacts)
-    if len({jax.tree.structure(law) for law in laws}) == 1:  # the same law with other numbers
-        stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves]), *laws)
-        return jax.vmap(of_one)(stacked, velocity)
+    same = laws[0] if isinstance(contacts, Alike) else as_one(laws)
+    if same is not None:  # the same law with other numbers
+        return jax.vmap(of_one)(same, velocity)
     return jnp.stack([of_one(law, velocity[i]) for i, law in enumerate(laws)])
 
 

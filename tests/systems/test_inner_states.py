@@ -142,6 +142,58 @@ def test_steady_sliding_of_a_spring_slider_loses_stability(form):
     assert growth(1.01) < 0.8
 
 
+def in_logarithms(stiffness, y0, t1):
+    """By scipy: the position, w = asinh of the scaled slip (`slip_of`), and the inner state."""
+
+    def rates(t, y):
+        x, w, z = y
+        exponent = (0.6 + B * z) / A
+        v = 2 * SPEED * np.exp(-exponent) * np.sinh(w)
+        z_rate = SPEED / LENGTH * np.exp(-z) - abs(v) / LENGTH
+        per_velocity = np.exp(exponent - np.logaddexp(w, -w) + np.log(2)) / (2 * SPEED)
+        acceleration = (-stiffness * x - NORMAL * A * w) / MASS
+        return [v + SPEED, per_velocity * acceleration + np.tanh(w) * B / A * z_rate, z_rate]
+
+    start = [y0[0], np.arcsinh(-0.5 * np.exp(0.6 / A)), 0.0]
+    return solve_ivp(rates, (0, t1), start, method="Radau", rtol=1e-8, atol=[1e-12, 1e-10, 1e-10], dense_output=True)
+
+
+def slip_of(w, z):
+    return 2 * SPEED * np.sinh(w) * np.exp(-(0.6 + B * z) / A)
+
+
+@pytest.mark.slow
+def test_speeds_between_steps_of_smooth_sliding():
+    """As exact as at the ends of steps: there a curve by values of the logarithm alone would be off by 1e-4."""
+    stiffness, t1 = 1.2 * CRITICAL, 600.0
+    y0 = (0.6 * NORMAL / stiffness + 1e-6, 0.0)
+    law = ss.DieterichRuina(0.6, A, B, length=LENGTH, reference_speed=SPEED)
+    method = ss.Regularized(rtol=1e-6, threshold=1e-9, minimum_duration=1.0)
+    one = ss.simulate(ss.MassSpring(MASS, stiffness, NORMAL, law), ss.Constant(SPEED), t1=t1, y0=y0, method=method)
+    run = in_logarithms(stiffness, y0, t1)
+    times, (_, w, z) = run.t[5:], run.y[:, 5:]
+    assert len(np.unique(one._path.t)) < 0.5 * len(times)
+    np.testing.assert_allclose(np.asarray(one.evaluate(times)[1]) - SPEED, slip_of(w, z), rtol=3e-6)
+
+
+@pytest.mark.slow
+def test_extremes_of_slow_slip_as_outputs():
+    """Those of the path: a mass that nearly rests on its base is never faster than that."""
+    stiffness = 0.2 * CRITICAL
+    law = ss.DieterichRuina(0.6, A, B, length=LENGTH, reference_speed=SPEED)
+    system, method = ss.MassSpring(MASS, stiffness, NORMAL, law), ss.Regularized(threshold=1e-9, minimum_duration=1.0)
+    y0 = (0.6 * NORMAL / stiffness + np.array([1e-8, 1e-7]), np.zeros(2))
+    many = ss.simulate_ensemble(
+        system, ss.Constant(SPEED), t1=2500.0, samples=2, y0=y0, method=method, keep="totals", progress=False,
+        outputs={"fastest": lambda one: one.maximum("velocity"), "slowest": lambda one: one.minimum("velocity")},
+    )  # fmt: skip
+    for i, start in enumerate(y0[0]):
+        one = ss.simulate(system, ss.Constant(SPEED), t1=2500.0, y0=(start, 0.0), method=method)
+        assert many.output_values["fastest"][i] == pytest.approx(float(one.maximum("velocity")), rel=1e-9)
+        assert many.output_values["slowest"][i] == pytest.approx(float(one.minimum("velocity")), rel=1e-3)
+    assert np.all(many.output_values["fastest"] <= SPEED * (1 + 1e-12))
+
+
 @pytest.mark.slow
 def test_a_cycle_of_earthquakes_against_scipy():
     """The speed falls from 0.3 to 1e-14 m/s; scipy integrates its logarithm."""
@@ -154,17 +206,7 @@ def test_a_cycle_of_earthquakes_against_scipy():
     assert one.status == ss.Status.FINISHED
     assert one.method.max_steps == 16384
 
-    def rates(t, y):
-        x, w, z = y
-        exponent = (0.6 + B * z) / A
-        v = 2 * SPEED * np.exp(-exponent) * np.sinh(w)
-        z_rate = SPEED / LENGTH * np.exp(-z) - abs(v) / LENGTH
-        per_velocity = np.exp(exponent - np.logaddexp(w, -w) + np.log(2)) / (2 * SPEED)
-        acceleration = (-stiffness * x - NORMAL * A * w) / MASS
-        return [v + SPEED, per_velocity * acceleration + np.tanh(w) * B / A * z_rate, z_rate]
-
-    start = [y0[0], np.arcsinh(-0.5 * np.exp(0.6 / A)), 0.0]
-    run = solve_ivp(rates, (0, t1), start, method="Radau", rtol=1e-8, atol=[1e-12, 1e-10, 1e-10], dense_output=True)
+    run = in_logarithms(stiffness, y0, t1)
     assert one.final_state[0] == pytest.approx(run.y[0, -1], rel=3e-4)
     times = np.linspace(0.0, t1, 40_001)
     found, expected = (times[np.argmin(np.diff(x))] for x in (np.asarray(one.evaluate(times)[0]), run.sol(times)[0]))
@@ -172,7 +214,7 @@ def test_a_cycle_of_earthquakes_against_scipy():
     # Between steps too the speed has its size, over all decades: no wave of a cubic.
     fine = ss.simulate(system, ss.Constant(SPEED), t1=t1, y0=y0, method=dataclasses.replace(method, rtol=1e-7))
     (_, w, z), slip = run.sol(times), np.asarray(fine.evaluate(times)[1]) - SPEED
-    speeds = 2 * SPEED * np.sinh(w) * np.exp(-(0.6 + B * z) / A)
+    speeds = slip_of(w, z)
     assert np.min(np.abs(speeds)) < 1e-12
     np.testing.assert_array_equal(np.sign(slip), np.sign(speeds))
     off = np.abs(np.log10(np.abs(slip)) - np.log10(np.abs(speeds)))

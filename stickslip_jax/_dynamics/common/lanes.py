@@ -84,6 +84,11 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
         """How many lanes move in lock step on a CPU: the arrays of so many stay in the cache (benchmarks/README.md)."""
         return 256
 
+    @property
+    def knows_extremes(self) -> bool:
+        """Whether `watched` follows extremes as exactly as the path of one trajectory does."""
+        return True
+
     def asked(self, quantities: tuple[str, ...]) -> "Engine":
         """The same engine, whose records hold these `quantities` of each stick; without them it computes none."""
         return dataclasses.replace(self, quantities=quantities)

@@ -21,7 +21,7 @@ from ..._foundation.fields import with_fields
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar, Status
 from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, with_slopes, without_derivatives
 from ..._numerics.matrices import any_of
-from ..._systems.switched_model import Along, Form, Segments, State, of_form
+from ..._systems.switched_model import Along, Form, Segments, State, chosen_state, of_form
 from ..._systems.system import System
 from ..common.method import Regularized, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
 from ..common.path import (
@@ -442,9 +442,14 @@ class CubicPath(MotionPath):
         return self.tables.at(time)
 
 
+_SWINGS = 1e-3, 0.03  # of the slip's speed, from a curve by three values, and by two
+
+
 class LogarithmicPath(CubicPath):
-    """The same where steps followed the logarithm of the relative velocity: a cubic of the velocity would swing by far
-    more than it is.
+    """The same where steps followed the logarithm of the relative velocity (`InnerStates.with_logarithm`).
+
+    Where the mass nearly rests, rates are round-off, which a long step enlarges: a cubic of the velocity would swing by
+    decades more than it is. There it is found by values of the logarithm alone.
     """
 
     field: InnerField
@@ -452,20 +457,29 @@ class LogarithmicPath(CubicPath):
     def _in_step(self, index: Any, tau: FloatArray) -> State:
         model, t, end = self.field.model, self.t[index], self.t[index + 1]
         speed, segments = model.speed or 0, self.tables.at((t + end) / 2)
+        forcing, h = model.forcing(t, segments), end - t
 
         def logarithm(at: FloatArray, numbers: State, place: Any) -> FloatArray:
             y = tuple(of[place] for of in numbers)
             return model.with_logarithm(model.forcing(at, segments), y)[speed]
 
-        # By values alone: rates of the logarithm are round-off enlarged where the mass nearly rests.
         begins, ends = logarithm(t, self.y, index), logarithm(end, self.y, index + 1)
-        share = tau / jnp.where(end > t, end - t, 1)
-        number = begins + share * (ends - begins)
+        bulge, most = jnp.zeros_like(h), _SWINGS[1]
         if self.middles is not None:
-            bulge = logarithm((t + end) / 2, self.middles, index) - (begins + ends) / 2
-            number = number + 4 * share * (1 - share) * bulge
-        numbers = tuple(number if i == speed else of for i, of in enumerate(super()._in_step(index, tau)))
-        return model.without_logarithm(model.forcing(t, segments), tau, numbers)
+            bulge, most = logarithm((t + end) / 2, self.middles, index) - (begins + ends) / 2, _SWINGS[0]
+
+        def both(tau: FloatArray) -> tuple[State, State]:
+            cubic, share = CubicPath._in_step(self, index, tau), tau / jnp.where(h > 0, h, 1)
+            number = begins + share * (ends - begins) + 4 * share * (1 - share) * bulge
+            numbers = tuple(number if i == speed else of for i, of in enumerate(cubic))
+            return cubic, model.without_logarithm(forcing, tau, numbers)
+
+        def swings(tau: FloatArray) -> BoolArray:
+            cubic, by_values = (model.relative_velocity(forcing, tau, y) for y in both(tau))
+            return jnp.abs(cubic - by_values) > most * jnp.abs(by_values)
+
+        cubic, by_values = both(tau)
+        return chosen_state(swings(h / 4) | swings(3 * h / 4), by_values, cubic)
 
     def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
         def inside(index: IntArray, is_fixed: bool) -> Along:

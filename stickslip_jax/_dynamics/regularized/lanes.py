@@ -453,6 +453,11 @@ class AdaptiveEngine(RegularizedEngine[AdaptiveLane]):
     def compiles_natively(self) -> bool:
         return super().compiles_natively and len(self.y0) <= WRITTEN_OUT
 
+    @property
+    def knows_extremes(self) -> bool:
+        field = self.field(self.excitation.signal)
+        return not (isinstance(field, InnerField) and field.in_logarithms)
+
     def lane(self, smooth: Signal | None, key_data: Any, dtype) -> AdaptiveLane:
         field, segment_states, forcing, y = self.begun(smooth, key_data, dtype)
         zero = jnp.zeros((), dtype)

@@ -22,7 +22,7 @@ from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState, segment_at
 from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Number, Scalar
 from ..._numerics.derivatives import NotKnown, OwnDerivative, largest, smallest, with_slopes, without_derivatives
-from ..._numerics.matrices import WRITTEN_OUT, any_of, largest_of, stacked, sum_of
+from ..._numerics.matrices import MANY, any_of, largest_of, stacked, sum_of
 from ..._numerics.steps import look_ahead
 from ..._systems.switched_model import (
     NOISE_ULPS,
@@ -782,7 +782,7 @@ def follow_steps(system: System, base: Any, method: Exact, t1: Scalar, y0: tuple
     if method.max_steps is None and not is_compiling():
         steps = max(steps, _FEWEST)
     start: Any = y0
-    if (system.tracks.contacts or 0) > WRITTEN_OUT:  # few arrays: JAX would trace the numbers of each contact
+    if len(y0) > MANY:  # few arrays: JAX would trace the numbers of each contact
         system, start = system.ready(), stacked(y0, dtype)
     run: Run = _follow_steps(system, excitation, method.solver, t1, start, step, steps=steps, dtype=dtype)
     for _ in range(_MOST_DOUBLINGS if method.max_steps is None else 0):
