@@ -148,15 +148,15 @@ def _moved(y: State, h: FloatArray, weights: np.ndarray, slopes: list[State]) ->
 
 
 def relative_error(error: State, y: State, reached: State, gross: State) -> FloatArray:
-    """Largest relative error of a component of the state, for a step from `y` to `reached` with this `error`.
+    """Largest relative error of a number of the state, for a step from `y` to `reached` with this `error`.
 
     `gross`: the gross change of each component (`gross_changes`), the sum of those by each term of its rate alone.
     Where these terms cancel, the change is round-off, whose relative error no shorter step would reduce.
     """
-    worst = jnp.zeros_like(error[0])
+    worst = jnp.zeros((), error[0].dtype)
     for wrong, begin, end, alone in zip(error, y, reached, gross, strict=True):
         size = jnp.maximum(jnp.abs(begin), jnp.abs(end)) + jnp.abs(end - begin) + jnp.abs(alone)
-        worst = jnp.maximum(worst, jnp.abs(wrong) / jnp.where(size > 0, size, 1))
+        worst = jnp.maximum(worst, jnp.max(jnp.abs(wrong) / jnp.where(size > 0, size, 1)))
     return worst
 
 

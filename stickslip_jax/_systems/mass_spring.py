@@ -33,12 +33,14 @@ from .._foundation.types import (
 from .._numerics.derivatives import NotKnown, bounds_of, values_of
 from .._numerics.elementary import responses, sincos
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .contacts import Contact, ForceQuantity, force_at, is_function, recorded_in, stick_band
+from .contacts import Contact, ForceQuantity, SeriesStiffness, check_spring, force_at, is_function, recorded_in
+from .contacts_model import stick_band
 from .friction import AtAge, FrictionLaw, require_law, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
 from .places import FrictionByPlace, PlacedContact
-from .structure import LinearStructure, StructureModel
+from .structure import LinearStructure
+from .structure_models import StructureModel
 from .switched_model import Base, EnergyModel, FloatPair, Forcing, Powers, Terms, later, with_change
 from .system import (
     AGE,
@@ -313,9 +315,12 @@ class MassSpring(System):
         damping: Of a viscous damper to the ground, N s/m, zero or positive. None is zero.
         force: External force on the mass, N: a number, or a function of time: a `Signal` such as `Harmonic`, a
             `Recorded` or a `ForceSteps`; of a function of your own make a signal by `Signal.of`. None is zero.
+        series_stiffness: N/m, of a spring between the mass and a slider without mass, which rubs on the base and whose
+            sticks are counted: an element of Jenkins; see `Contact`. None: the mass itself rubs on it.
 
     Raises:
-        ValueError: If a number is out of its range or not finite, or `friction` or `force` is of another kind.
+        ValueError: If a number is out of its range or not finite, `friction` or `force` is of another kind, or there is
+            a `series_stiffness` before friction that depends on the speed or the age.
     """
 
     mass: Annotated[Number, Quantity("kg", above=0)]
@@ -332,20 +337,27 @@ class MassSpring(System):
     )
     # None rather than zero: a free system is then another pytree, whose motion has a closed form over whole intervals.
     force: Annotated[Any, ForceQuantity("N")] = eqx.field(default=None, converter=lambda v: None if _is_zero(v) else v)
+    series_stiffness: SeriesStiffness = None
 
     def check_parts(self) -> None:
-        require_law("friction", self.friction, may_differ_by_place=not is_function(self.normal_force))
+        require_law("friction", self.friction, may_differ_by_place=not self._is_structure)
+        check_spring(self.series_stiffness, self.friction)
 
     def check_relations(self) -> None:
         if not any(map(is_distribution, jax.tree.leaves(self.friction, is_leaf=is_distribution))):
             self.friction.check_directions()
 
     @property
+    def _is_structure(self) -> bool:
+        """Whether it moves as a structure with one contact: its normal force varies, or it rubs behind a spring."""
+        return is_function(self.normal_force) or self.series_stiffness is not None
+
+    @property
     def _as_structure(self) -> LinearStructure | None:
-        """The same mass as a structure with one contact, which may open, where the normal force varies; else None."""
-        if not is_function(self.normal_force):
+        """The same mass as a structure with one contact, where it moves as one; else None."""
+        if not self._is_structure:
             return None
-        contact = Contact(np.ones(1), self.normal_force, self.friction)
+        contact = Contact(np.ones(1), self.normal_force, self.friction, 1.0, self.series_stiffness)
         damping = None if self.damping is None else jnp.reshape(jnp.asarray(self.damping), (1,))
         mass, stiffness = (jnp.reshape(jnp.asarray(value), (1,)) for value in (self.mass, self.stiffness))
         force = None if self.force is None else (self.force,)
@@ -353,7 +365,7 @@ class MassSpring(System):
 
     @property
     def tracks(self) -> Tracks:
-        return Tracks(1, 0) if is_function(self.normal_force) else Tracks()
+        return Tracks(1, 0) if self._is_structure else Tracks()
 
     def ready(self) -> System:
         structure = self._as_structure
@@ -375,12 +387,13 @@ class MassSpring(System):
         It is ``a = mu_static * normal_force / stiffness``, infinite without a spring.
 
         Raises:
-            ValueError: Where the normal force varies.
+            ValueError: Where the normal force varies, or there is a `series_stiffness`.
         """
-        if is_function(self.normal_force):
+        if self._is_structure:
+            name = "normal_force" if self.series_stiffness is None else "series_stiffness"
             raise ValueError(
-                "stick_half_width is that of a constant normal force, but normal_force is "
-                f"{checks.show(self.normal_force)}."
+                "stick_half_width is that of a constant normal force without a spring in front of the contact, but "
+                f"{name} is {checks.show(getattr(self, name))}."
             )
         return _over(self.friction.static * self.normal_force, self.stiffness)
 
@@ -393,7 +406,8 @@ class MassSpring(System):
     def memory(self) -> Memory:
         place = Coordinate("place on the base", "m", r"\xi")
         places = (place,) if self._by_place is not None and self._by_place.on == "base" else ()
-        return Memory((AGE,) if self.friction.grows else (), inner_laws_of((self.friction,)), places)
+        elongations = () if self.series_stiffness is None else (Coordinate("elongation", "m", "e"),)
+        return Memory((AGE,) if self.friction.grows else (), inner_laws_of((self.friction,)), places, elongations)
 
     @property
     def _by_place(self) -> FrictionByPlace | None:
@@ -402,7 +416,8 @@ class MassSpring(System):
 
     @property
     def stick_position(self) -> Coordinate:
-        return Coordinate("position of the mass when the stick starts", "m", "x")
+        what = "mass" if self.series_stiffness is None else "slider"
+        return Coordinate(f"position of the {what} when the stick starts", "m", "x")
 
     @property
     def natural_frequency(self) -> Scalar | None:
@@ -416,7 +431,7 @@ class MassSpring(System):
     def traits(self) -> Traits:
         friction = self.friction
         is_simple = friction.constant and not (friction.static_exceeds_kinetic or friction.depends_on_direction)
-        is_free = self.damping is None and self.force is None and not is_function(self.normal_force)
+        is_free = self.damping is None and self.force is None and not self._is_structure
         by_place = self._by_place is not None
         is_plain = is_simple and is_free and not by_place and self._moves_as_it_says
         return Traits(has_interval_form=is_plain, jumps_at_places=by_place)
@@ -431,7 +446,7 @@ class MassSpring(System):
         """Whether slips between events are followed in closed form, without a solver: under constant kinetic friction
         and a force that is constant, piecewise linear in time, or harmonic.
         """
-        is_constant = self.friction.constant and not is_function(self.normal_force) and self._moves_as_it_says
+        is_constant = self.friction.constant and not self._is_structure and self._moves_as_it_says
         return is_constant and (not isinstance(self.force, Signal) or self.force.is_harmonic)
 
     def switched_model(
@@ -501,12 +516,14 @@ class MassSpring(System):
         friction, center = self.friction, None
         about_points = friction.constant and not friction.depends_on_direction and self.force is None
         about_points = about_points and self._by_place is None
-        if about_points and not _is_zero(self.stiffness) and not is_function(self.normal_force):
+        if about_points and not _is_zero(self.stiffness) and not self._is_structure:
             center = friction.kinetic(jnp.zeros(())) * self.normal_force / self.stiffness
+        motion = "mass", lambda state, base: mass_on_belt(state[0], base, bool(self.stiffness > 0))
+        if self.series_stiffness is not None:
+            return Look(*motion)
         mu = r"\mu" if friction.constant and not friction.static_exceeds_kinetic else r"\mu_\mathrm{s}"
         return Look(
-            "mass",
-            lambda state, base: mass_on_belt(state[0], base, bool(self.stiffness > 0)),
+            *motion,
             self._stick_band,
             band_symbols=rf"|x| \leq {mu} n/k",
             slip_center=center,

@@ -1,9 +1,7 @@
 """Linear structures with dry-friction contacts: masses, springs and dampers as matrices, and their motion."""
 
 import math
-from functools import reduce
-from operator import add
-from typing import Any, ClassVar, NamedTuple, TypeVar, cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -12,63 +10,43 @@ import numpy as np
 
 from .._compiler.programs import kept_jit
 from .._excitation.excitation import Excitation
-from .._excitation.motion import Harmonic, RandomPhase, RandomSignal, Signal, SumOfHarmonics
+from .._excitation.motion import RandomPhase, RandomSignal, Signal
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import with_fields
 from .._foundation.types import (
     BoolScalar,
-    DType,
     ExplicitSolver,
     FloatArray,
     FloatScalar,
-    Number,
     Solver,
-    State,
 )
 from .._numerics.derivatives import without_derivatives
 from .._numerics.matrices import (
     WRITTEN_OUT,
-    Matrix,
-    by_bands,
     dense,
     largest_eigenvalue,
     linear_solve,
-    magnitudes,
     stacked,
-    times,
 )
 from .contacts import (
     Alike,
     Contact,
-    ContactsModel,
     Forces,
-    Gain,
-    InMode,
-    Instant,
-    Limits,
     NormalForce,
-    Uncoupled,
-    acceleration,
-    as_one,
     entries_of,
-    holding,
     is_function,
     largest_of,
     laws_in,
     numbers_of,
     periods_of,
-    power_series_of,
-    rates_at,
     recorded_in,
-    size_of,
-    solved,
-    values_at,
 )
-from .friction import AtAge, FrictionLaw, least
+from .contacts_model import Uncoupled
+from .friction import least
 from .layouts import blocks, disks, storeys
 from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
-from .switched_model import Along, Forcing, Form, later, of_form
+from .structure_models import ArcsModel, Matrices, StructureModel
 from .system import (
     PERIOD,
     SOFT,
@@ -133,10 +111,16 @@ def check_forces(name: str, forces: Any, size: int) -> None:
 
 def is_uncoupled(mass: Any, contacts: tuple[Contact, ...]) -> bool:
     """Whether no two contacts have an effect on each other; False where it is not known."""
+    contacts = rigid_of(contacts)
     if any(checks.is_traced(value) for value in (mass, *(contact.direction for contact in contacts))):
-        return False
-    gain = _gain(mass, contacts)
+        return not contacts
+    gain = _gain(mass, contacts) if contacts else np.zeros((0, 0))
     return bool(np.all(gain == np.diag(np.diag(gain))))
+
+
+def rigid_of(contacts: tuple[Contact, ...]) -> tuple[Contact, ...]:
+    """Those without springs."""
+    return tuple(contact for contact in contacts if contact.series_stiffness is None)
 
 
 def is_singular(eigenvalues: np.ndarray) -> bool:
@@ -200,7 +184,8 @@ def _check_contacts(mass: Any, contacts: Any, size: int) -> None:
             raise ValueError(
                 f"Argument direction of contact {number} must not be zero: such a contact moves with no mass."
             )
-    if any(checks.is_traced(contact.direction) for contact in contacts):
+    contacts = rigid_of(contacts)
+    if not contacts or any(checks.is_traced(contact.direction) for contact in contacts):
         return  # `LinearStructure.redundant` tells the status
     # Contacts are independent if their directions are, whatever the masses.
     eigenvalues = np.linalg.eigvalsh(_gain(np.ones(size) if checks.is_traced(mass) else mass, contacts))
@@ -209,299 +194,6 @@ def _check_contacts(mass: Any, contacts: Any, size: int) -> None:
             "Argument contacts must be independent of each other, but the relative velocity of one is implied by "
             "others (their directions are linearly dependent); join contacts with the same direction in one."
         )
-
-
-# A linear structure with dry-friction contacts under its excitation.
-
-
-_Tree = TypeVar("_Tree")
-
-
-class Matrices(NamedTuple):
-    """What a `LinearStructure` needs of linear algebra.
-
-    - `inverse_mass`, and from the left by it: `stiffness`, `damping`, `by_force` (the `directions` of the contacts).
-    - `gain`: see `contact_forces`. `fastest`: see `LinearStructure.fastest`.
-    """
-
-    inverse_mass: Matrix
-    stiffness: Matrix
-    damping: Matrix | None
-    directions: Matrix
-    by_force: Matrix
-    gain: Gain
-    on_base: FloatArray
-    fastest: FloatScalar
-
-    def by_bands(self) -> "Matrices":
-        """The same, large matrices with few bands by these: of ten blocks in a row, 28 of the 100 stiffnesses."""
-        products = {
-            name: by_bands(getattr(self, name)) for name in ("inverse_mass", "stiffness", "directions", "by_force")
-        }
-        return self._replace(damping=None if self.damping is None else by_bands(self.damping), **products)
-
-
-class StructureModel(ContactsModel):
-    """A `LinearStructure` on a base. State: positions (d,) and velocities (d,)."""
-
-    smooth: Signal | None
-    structure: Any  # a LinearStructure, which makes this model
-    matrices: Matrices
-
-    @property
-    def fastest(self) -> FloatScalar:
-        return self.matrices.fastest
-
-    @property
-    def contacts(self) -> int:
-        return len(self.structure.contacts)
-
-    @property
-    def coupled(self) -> bool:
-        return not self.structure.uncoupled
-
-    @property
-    def time_scales_are_known(self) -> bool:
-        given = (self.smooth, *self.structure.functions)
-        return all(one.shortest_period is not None for one in given if isinstance(one, Signal))
-
-    def implicit_changes(
-        self, forcing: Forcing, tau: FloatScalar, y: State, weight: FloatScalar, sides: State
-    ) -> State:
-        of, (of_position, of_velocity) = self._in_precision_of(y), sides
-        matrix = jnp.eye(self.structure.size, dtype=weight.dtype) + weight**2 * dense(of.stiffness)
-        if of.damping is not None:
-            matrix = matrix + weight * dense(of.damping)
-        velocity = linear_solve(matrix, of_velocity - weight * times(of.stiffness, of_position))
-        return of_position + weight * velocity, velocity
-
-    def at_age(self, age: FloatArray) -> "StructureModel":
-        laws = [contact.friction for contact in self.structure.contacts]
-        aged = [AtAge(law, age[i]) for i, law in enumerate(laws)]
-        return eqx.tree_at(lambda model: [contact.friction for contact in model.structure.contacts], self, aged)
-
-    def start(self, y0: tuple[Number, ...] | FloatArray, dtype: DType) -> State:
-        size = self.structure.size
-        values = stacked(y0, dtype) if isinstance(y0, tuple) else y0.astype(dtype)
-        return values[:size], values[size:]
-
-    def numbers(self, y: State) -> State:
-        return tuple(part[..., i] for part in y for i in range(self.structure.size))
-
-    def stick_position(self, y: State) -> FloatArray:
-        return jnp.append(times(self._in_precision_of(y).directions, y[0]), y[0][0])
-
-    def instant(self, forcing: Forcing, tau: FloatScalar, y: State) -> Instant:
-        base, of = forcing.base_at(self.smooth, tau), self._in_precision_of(y)
-        pull = self._load(forcing, tau) - times(of.stiffness, y[0])
-        if of.damping is not None:
-            pull = pull - times(of.damping, y[1])
-        velocity = times(of.directions, y[1]) - of.on_base * base.velocity
-        drift = times(of.directions, pull) - of.on_base * base.acceleration
-        return Instant((y[1], pull), velocity, drift, of.gain)
-
-    def effect(self, forcing: Forcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
-        return jnp.zeros_like(y[0]), -times(self._in_precision_of(y).by_force, force)
-
-    def limits(self, forcing: Forcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
-        return self.limits_under(self.normal_forces_at(forcing, tau, y), velocity)
-
-    def limits_under(self, normal: FloatArray, velocity: FloatArray) -> Limits:
-        """The forces that friction can exert at these relative velocities, under these normal forces."""
-        return Limits(*(normal[:, None] * _coefficients(self.structure.contacts, velocity)).T)
-
-    @property
-    def varying(self) -> tuple[int, ...]:
-        forces = self.structure.normal_forces
-        return tuple(i for i, one in enumerate(forces) if is_function(one)) if isinstance(forces, tuple) else ()
-
-    def normal_scale(self, forcing: Forcing, y: State) -> FloatArray:
-        return jnp.stack([size_of(self.structure.normal_forces[number], forcing.t) for number in self.varying])
-
-    def normal_forces_at(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
-        return values_at(self.structure.normal_forces, forcing.t, forcing.normal, tau)
-
-    def velocity_scale(self, forcing: Forcing, y: State) -> FloatArray:
-        base, of = forcing.base_at(self.smooth, jnp.zeros_like(forcing.t)), self._in_precision_of(y)
-        return times(magnitudes(of.directions), jnp.abs(y[1])) + jnp.abs(of.on_base * base.velocity)
-
-    def gross_changes(self, forcing: Forcing, y: State, h: FloatScalar, friction: FloatArray) -> State:
-        x, v = jnp.abs(y[0]), jnp.abs(y[1])
-        of = self._in_precision_of(y)
-        load = jnp.abs(self._load(forcing, jnp.zeros_like(h))) + times(magnitudes(of.by_force), friction)
-        load = load + times(magnitudes(of.stiffness), x)
-        if of.damping is not None:
-            load = load + times(magnitudes(of.damping), v)
-        return h * (v + h * load), h * load
-
-    def _load(self, forcing: Forcing, tau: FloatScalar) -> FloatArray:
-        """What ground and external forces do to each mass, m/s^2."""
-        load = jnp.full((self.structure.size,), -later(forcing.ground, tau))
-        if self.structure.force is None:
-            return load
-        applied = values_at(self.structure.force, forcing.t, forcing.force, tau)
-        return load + times(in_dtype(self.matrices.inverse_mass, forcing.t.dtype), applied)
-
-    def _in_precision_of(self, y: State) -> Matrices:
-        return in_dtype(self.matrices, y[0].dtype)
-
-
-def in_dtype(tree: _Tree, dtype: DType) -> _Tree:
-    return jax.tree.map(lambda values: values.astype(dtype), tree)
-
-
-def _coefficients(contacts: tuple[Contact, ...] | Alike, velocity: FloatArray) -> FloatArray:
-    """The friction coefficients (contacts, 4) of slips forward and backward and of sticks that break into them."""
-
-    def of_one(law: FrictionLaw, v: FloatScalar) -> FloatArray:
-        one = jnp.ones_like(v)
-        values = [law.continued_coefficient(v, one), law.continued_coefficient(-v, -one)]
-        values += [law.stick_limit(one), law.stick_limit(-one)]
-        return jnp.stack([jnp.asarray(value, v.dtype) for value in values])
-
-    laws = laws_in(contacts)
-    same = laws[0] if isinstance(contacts, Alike) else as_one(laws)
-    if same is not None:  # the same law with other numbers
-        return jax.vmap(of_one)(same, velocity)
-    return jnp.stack([of_one(law, velocity[i]) for i, law in enumerate(laws)])
-
-
-# A linear structure whose modes are linear with constant coefficients: their motion as power series.
-
-
-# Terms that reach round-off in the longest steps allowed, a tenth of the shortest period: a term is at most r^k / k!,
-# r = 0.63 without damping, and with it 1.02 (where the decay rate is as high as the frequency).
-_TERMS = {8: (16, 18), 4: (10, 11)}
-_TERMS_OF_SLOPE = 12  # to 1e-7 of it: an extreme is wrong by the square of what its instant is
-
-
-class ArcsModel(StructureModel):
-    """A `StructureModel` with constant friction coefficients, whose excitation is piecewise linear or harmonic.
-
-    Each mode is linear then, with constant coefficients: a step is the power series of its solution, summed to
-    round-off, for any damping and with masses that no spring holds.
-    """
-
-    has_kinks: ClassVar[bool] = False
-    has_short_steps: ClassVar[bool] = True
-
-    def flow_and_error(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray) -> tuple[State, None]:
-        reached = tuple(reduce(add, reversed(series)) for series in _series(self, forcing, y, h, sign))
-        return self._held(forcing, h, reached, self._own(sign) == 0), None
-
-    def along(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray, forms: tuple[Form, ...]) -> Along:
-        of_numbers = self.numbers(tuple(jnp.stack(series) for series in _series(self, forcing, y, h, sign)))
-        terms = jnp.stack([of_form(form, of_numbers) for form in forms], axis=-1)
-        length = jnp.where(h > 0, h, 1)
-
-        def at(tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-            share, value, slope = tau / length, jnp.zeros_like(tau), jnp.zeros_like(tau)
-            for power in reversed(range(len(terms))):
-                value = value * share + terms[power]
-            for power in reversed(range(1, min(len(terms), _TERMS_OF_SLOPE))):
-                slope = slope * share + power * terms[power]
-            return value, slope / length
-
-        return at
-
-    def _sources(
-        self, held: "_Held", forcing: Forcing, y: State, sign: FloatArray, terms: int
-    ) -> list[FloatArray | None]:
-        """The coefficients in the power series of accelerations (masses,) that do not depend on the state."""
-        t, of, none = forcing.t, held.of, jnp.zeros_like(forcing.t)
-        # Constant friction coefficients: at any relative velocity.
-        share = self._closed(self.limits_under(jnp.ones_like(of.on_base), jnp.zeros_like(of.on_base)), sign)
-        slip = share.slip(self._own(sign))
-        normal = power_series_of(self.structure.normal_forces, t, forcing.normal, terms)
-        load = power_series_of(self.structure.force or (), t, forcing.force, terms)
-        base: tuple[FloatArray | None, ...] = (None,) * (terms + 1)
-        if self.smooth is not None:
-            base = cast(Harmonic | SumOfHarmonics, self.smooth).power_series(t, terms + 1)
-        sources: list[FloatArray | None] = []
-        for k, (of_normal, of_load, of_base) in enumerate(zip(normal, load, base[1:], strict=True)):
-            parts = [] if of_normal is None else [-times(of.by_force, slip * of_normal)]
-            if k < 2:
-                parts.append(jnp.full_like(y[0], -forcing.ground[k]))
-            if of_load is not None:
-                parts.append(times(of.inverse_mass, of_load))
-            found = [held(reduce(add, parts))] if parts else []
-            # The sticks follow the base.
-            following = none if of_base is None else (k + 1) * of_base
-            if k == 0 or of_base is not None:
-                found.append(held.by(of.on_base * (following + (forcing.base[1] if k == 0 else none))))
-            sources.append(reduce(add, found) if found else None)
-        return sources
-
-    def in_mode(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> tuple[InMode, InMode]:
-        of, own, sticks = self._in_precision_of(y), self._own(sign), self._own(sign) == 0
-        now = self.instant(forcing, tau, y)
-        t, normal = forcing.t + tau, self.normal_forces_at(forcing, tau, y)
-        normal_rate = rates_at(self.structure.normal_forces, t, forcing.normal)
-        limits, changing = (
-            self._closed(self.limits_under(forces, now.velocity), sign) for forces in (normal, normal_rate)
-        )
-        force = solved(now.gain, now.drift, limits.slip(own), sticks)
-        moving = now.rates[1] - times(of.by_force, force)
-        # The rate of what ground and external forces do to each mass, m/s^3.
-        load = jnp.full((self.structure.size,), -forcing.ground[1])
-        if self.structure.force is not None:
-            load = load + times(of.inverse_mass, rates_at(self.structure.force, t, forcing.force))
-        pull = load - times(of.stiffness, y[1])
-        if of.damping is not None:
-            pull = pull - times(of.damping, moving)
-        drift = times(of.directions, pull)
-        if self.smooth is not None:
-            drift = drift - of.on_base * self.smooth.curvature(t)
-        rate = solved(now.gain, drift, changing.slip(own), sticks)
-        velocity = acceleration(now.gain, now.drift, force)
-        (middle, limit), (middle_rate, limit_rate) = (forces.band(force) for forces in (limits, changing))
-        return (
-            InMode(now.velocity, force - middle, limit, self._varying(normal)),
-            InMode(velocity, rate - middle_rate, limit_rate, self._varying(normal_rate)),
-        )
-
-    def _varying(self, normal: FloatArray) -> FloatArray | None:
-        return normal[np.array(self.varying)] if self.varying else None
-
-
-@eqx.filter_jit  # traced once, so that `sharing` recognises it where it is asked for again
-def _series(
-    model: ArcsModel, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray
-) -> tuple[list[FloatArray], list[FloatArray]]:
-    """The terms of the power series of positions and velocities, (masses,) each, after the time `h` (s)."""
-    of, sticks = model._in_precision_of(y), model._own(sign) == 0
-    terms = _TERMS[h.dtype.itemsize][of.damping is not None]
-    held = _Held(of, holding(of.gain, sticks))
-    sources = model._sources(held, forcing, y, sign, terms)
-    x, v, power = [y[0]], [y[1]], jnp.ones_like(h)
-    for k, source in enumerate(sources):
-        pull = times(of.stiffness, x[k])
-        if of.damping is not None:
-            pull = pull + times(of.damping, v[k])
-        rate = -held(pull)
-        if source is not None:
-            rate = rate + power * source
-        share = (1 / (k + 1)) * h
-        x.append(share * v[k])
-        v.append(share * rate)
-        power = power * h
-    return x, v
-
-
-class _Held(NamedTuple):
-    """A structure whose sticks are held by friction; `hold`: see `holding`."""
-
-    of: Matrices
-    hold: FloatArray
-
-    def __call__(self, accelerations: FloatArray) -> FloatArray:
-        """`accelerations` (masses,) without what the friction of sticks takes away."""
-        return accelerations - self.by(times(self.of.directions, accelerations))
-
-    def by(self, relative: FloatArray) -> FloatArray:
-        """What the friction of sticks does, where they would have these `relative` accelerations (contacts,)."""
-        force = times(self.hold, relative) if self.hold.ndim > 1 else self.hold * relative
-        return times(self.of.by_force, force)
 
 
 # Linear structures with dry-friction contacts: masses, springs and dampers as matrices.
@@ -591,8 +283,16 @@ class LinearStructure(WithContacts):
 
     @property
     def memory(self) -> Memory:
-        laws = laws_in(self.contacts)
-        return Memory(ages_of(len(laws)) if any(law.grows for law in laws) else (), inner_laws_of(laws))
+        laws, elastic = laws_in(self.contacts), () if self.elastic is None else np.flatnonzero(self.elastic)
+        springs = tuple(Coordinate(f"elongation {i}", "m", f"e_{{{i}}}") for i in elastic)
+        ages = ages_of(len(laws)) if any(law.grows for law in laws) else ()
+        return Memory(ages, inner_laws_of(laws), elongations=springs)
+
+    @property
+    def elastic(self) -> np.ndarray | None:
+        """Which contacts have springs in front of them, (contacts,); None where none has."""
+        elastic = np.array([contact.series_stiffness is not None for contact in self.contacts])
+        return elastic if np.any(elastic) else None
 
     @property
     def stick_position(self) -> Coordinate:
@@ -604,7 +304,8 @@ class LinearStructure(WithContacts):
         kind = ArcsModel if solver is None and self._has_arcs(smooth) else StructureModel
         model = kind(diffrax.Dopri8() if solver is None else solver, smooth, self, self.matrices)
         times = [law.growth_time for law in laws_in(self.contacts) if law.grows]
-        return with_ages(model, 2 * self.size, bool(times), least(*times))
+        moving = 2 * self.size + len(self.memory.elongations)
+        return with_ages(model, moving, bool(times), least(*times))
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
         laws = self.memory.laws
@@ -623,7 +324,11 @@ class LinearStructure(WithContacts):
     def matrices(self) -> Matrices:
         """What the equations of motion need of linear algebra."""
         directions = stacked([contact.direction for contact in self.contacts], jnp.result_type(float))
-        by_force = _inverse_times(self.mass, directions.T)
+        by_force, by_springs, softness = _inverse_times(self.mass, directions.T), None, None
+        springs = self._series_stiffness
+        if springs is not None:
+            softness = jnp.where(self.elastic, 1 / jnp.where(self.elastic, springs, 1), 0)
+            by_force, by_springs = by_force * ~self.elastic, by_force * springs
         return Matrices(
             inverse_mass=_inverse_times(self.mass, jnp.eye(self.size)),
             stiffness=_inverse_times(self.mass, _matrix(self.stiffness)),
@@ -634,7 +339,17 @@ class LinearStructure(WithContacts):
             gain=Uncoupled.of(jnp.sum(directions.T * by_force, axis=0)) if self.uncoupled else directions @ by_force,
             on_base=stacked([contact.on_base for contact in self.contacts], jnp.result_type(float)),
             fastest=self.fastest,
+            by_springs=by_springs,
+            softness=softness,
         )
+
+    @property
+    def _series_stiffness(self) -> FloatArray | None:
+        """Of the springs in front of contacts, N/m, zero where there is none, (contacts,); None where none is."""
+        if self.elastic is None:
+            return None
+        given = [contact.series_stiffness for contact in self.contacts]
+        return stacked([0.0 if one is None else one for one in given], jnp.result_type(float))
 
     def ready(self) -> "LinearStructure":
         if type(self) is not LinearStructure:  # a user's subclass may have methods of its own
@@ -646,9 +361,10 @@ class LinearStructure(WithContacts):
         if self.uncoupled or not any(checks.is_traced(contact.direction) for contact in self.contacts):
             return None
         matrices = self.matrices
-        gain = dense(matrices.directions) @ dense(matrices.by_force)
+        rigid = np.flatnonzero(np.ones(len(self.contacts), bool) if self.elastic is None else ~self.elastic)
+        gain = (dense(matrices.directions) @ dense(matrices.by_force))[rigid][:, rigid]
         size = jnp.sqrt(jnp.abs(jnp.diagonal(gain)))
-        inverse = linear_solve(gain / (size[:, None] * size[None, :]), jnp.eye(len(self.contacts)))
+        inverse = linear_solve(gain / (size[:, None] * size[None, :]), jnp.eye(len(gain)))
         is_unique = jnp.max(jnp.abs(inverse)) < 1 / (64 * jnp.finfo(gain.dtype).eps)
         return jnp.all(jnp.isfinite(gain)) & ~is_unique
 
@@ -667,7 +383,18 @@ class LinearStructure(WithContacts):
         Sticks only constrain it, which raises none of them. A scale, without derivatives: masses without springs have
         equal eigenvalues, which have none.
         """
-        numbers = self.mass, self.stiffness, self.damping
+        numbers, each = (self.mass, self.stiffness, self.damping), self.contacts
+        elastic = [contact for contact in each if contact.series_stiffness is not None]
+        if elastic:  # while all sliders stick
+            given = [(contact.direction, contact.series_stiffness) for contact in elastic]
+            is_known = not any(map(checks.is_traced, jax.tree.leaves((self.stiffness, given))))
+            xp = np if is_known else jnp
+            directions, springs = (
+                xp.stack([xp.asarray(one, float) for one in part]) for part in zip(*given, strict=True)
+            )
+            stiffness = xp.asarray(self.stiffness, float)
+            stiffness = xp.diag(stiffness) if stiffness.ndim == 1 else stiffness
+            numbers = self.mass, stiffness + directions.T @ (springs[:, None] * directions), self.damping
         if any(map(checks.is_traced, numbers)):
             return _fastest(*without_derivatives(numbers))
         return _fastest_known(*numbers)
@@ -698,6 +425,8 @@ class LinearStructure(WithContacts):
                 return Sizes(None, None, (1.0,) * len(self.coordinates))
             held.append(contact.friction.static * normal)
         directions, by_force = dense(of.directions), dense(of.by_force)
+        if of.by_springs is not None and of.softness is not None:
+            by_force = by_force + dense(of.by_springs) * of.softness
         gain = jnp.sum(directions.T * by_force, axis=0)
         # The time of one radian of the motion that each contact causes, or 1 s where there is hardly a spring.
         squared = jnp.sum(directions.T * (dense(of.stiffness) @ by_force), axis=0) / gain
@@ -706,7 +435,8 @@ class LinearStructure(WithContacts):
         deceleration = jnp.stack([jnp.asarray(force, float) for force in held]) * gain
         speed, memory = deceleration * clocks, self.memory
         motion = (jnp.max(speed * clocks),) * self.size + (jnp.max(speed),) * self.size
-        of_memory = (*(jnp.max(clocks) for _ in memory.ages), *(law.state_scale for law in memory.laws))
+        of_memory = (*(jnp.max(speed * clocks) for _ in memory.elongations), *(jnp.max(clocks) for _ in memory.ages))
+        of_memory = (*of_memory, *(law.state_scale for law in memory.laws))
         return Sizes(speed, deceleration, (*motion, *of_memory))
 
     @property
@@ -734,6 +464,12 @@ class ReadyStructure(LinearStructure):
 
     contacts: Any = eqx.field(default=(), converter=entries_of)  # or `Alike`
     known: Matrices | None = eqx.field(default=None, kw_only=True)
+
+    @property
+    def elastic(self) -> np.ndarray | None:
+        if not isinstance(self.contacts, Alike):
+            return super().elastic
+        return None if self.contacts.each.series_stiffness is None else np.ones(len(self.contacts), bool)
 
     @property
     def normal_forces(self) -> Forces:

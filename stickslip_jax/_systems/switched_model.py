@@ -293,6 +293,10 @@ class SwitchedModel(eqx.Module, Generic[F]):
     def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
         """The state at `tau` 0 with the relative velocity made exactly zero where contacts are `resting`."""
 
+    def at_limits(self, forcing: F, y: State, sign: FloatArray) -> State:
+        """The state at `tau` 0 in the modes `sign`, with what friction forces are in the state at their limits."""
+        return y
+
     @abc.abstractmethod
     def decided(self, forcing: F, y: State, question: Question) -> Decision:
         """What friction does at `tau` 0 with the contacts at rest that are asked."""

@@ -345,26 +345,29 @@ class Sizes(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What friction remembers, the last numbers of a state: of each contact the `ages` of sticks and the `places` on
-    the base, where friction depends on them, and the inner states of those `laws` that have one.
+    """What friction remembers, the last numbers of a state: the `elongations` of springs in front of contacts, of each
+    contact the `ages` of sticks and the `places` on the base, where friction depends on them, and the inner states of
+    those `laws` that have one.
     """
 
     ages: tuple[Coordinate, ...] = ()
     laws: tuple[DynamicFriction, ...] = ()
     places: tuple[Coordinate, ...] = ()
+    elongations: tuple[Coordinate, ...] = ()
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The ages, the places and the inner states."""
+        """The elongations, the ages, the places and the inner states."""
         names = [Coordinate.of(law.inner_state) for law in self.laws]
         if len(names) > 1:
             names = [name._replace(name=f"{name.name} {i}") for i, name in enumerate(names, start=1)]
-        return *self.ages, *self.places, *names
+        return *self.elongations, *self.ages, *self.places, *names
 
     @property
     def start(self) -> tuple[Number, ...]:
         """What they begin with where an initial state leaves them out."""
-        return (*(0.0 for _ in (*self.ages, *self.places)), *(law.initial_state for law in self.laws))
+        zeros = (0.0 for _ in (*self.elongations, *self.ages, *self.places))
+        return (*zeros, *(law.initial_state for law in self.laws))
 
 
 class Tracks(NamedTuple):

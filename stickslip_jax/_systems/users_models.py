@@ -23,7 +23,7 @@ from .._foundation.types import BoolArray, BoolScalar, ExplicitSolver, FloatArra
 from .._numerics.derivatives import without_derivatives
 from .._numerics.matrices import is_positive_definite, linear_solve, sum_of
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
-from .contacts import ContactsModel, Instant, Limits, Uncoupled
+from .contacts_model import ContactsModel, Instant, Limits, Uncoupled
 from .friction import Coulomb, FrictionLaw
 from .switched_model import FloatPair, Forcing, OneContactModel, SwitchedModel, later, with_change
 

@@ -20,7 +20,7 @@ from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar,
 from ..._numerics.derivatives import root_of, with_slope, without_derivatives
 from ..._numerics.elementary import angle_of
 from ..._numerics.matrices import eliminated, largest_of, linear_solve, times
-from ..._systems.contacts import ContactsModel
+from ..._systems.contacts_model import ContactsModel
 from ..._systems.friction import FrictionLaw
 from ..._systems.memory_models import InnerStates
 from ..._systems.switched_model import NOISE_ULPS, OneContactModel, State

@@ -8,7 +8,7 @@ from reference.contact_arcs import Motion
 from reference.contacts import _settle_block
 
 import stickslip_jax as ss
-from stickslip_jax._systems.contacts import Limits, settled
+from stickslip_jax._systems.contacts_model import Limits, settled
 from stickslip_jax._systems.switched_model import Question
 
 CHAIN = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
