@@ -13,16 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._compiler.native import sharing
 from .._compiler.programs import is_compiling, kept_jit
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, in_one_line, with_fields
-from .._foundation.types import AnyArray, BoolScalar, Ending, FloatArray, FloatScalar, Scalar, State, Status
+from .._foundation.types import AnyArray, Ending, FloatArray, FloatScalar, Scalar, State, Status
 from .._numerics.matrices import MANY, stacked
 from .._systems.memory_models import InnerStates
-from .._systems.switched_model import F, Form, OneContactModel, Powers, Terms, require_energy_model
-from .._systems.system import Coordinate, System, one_contact_model
+from .._systems.switched_model import Form, OneContactModel, Powers, Terms, require_energy_model
+from .._systems.system import Coordinate, System
 from .common.method import Exact, Regularized
 from .common.path import CHECK_EVERY, MotionPath, padded_length
 from .regularized.field import Switch
@@ -134,7 +135,7 @@ def _forces(
                 # At isolated instants of no relative velocity the friction of the slip that follows.
                 sign = jnp.where(known.at_rest(forcing, y), known.release_sign(forcing, y), known.slip_sign(forcing, y))
                 now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
-                coefficient = _coefficient(known, forcing, y, sign, now)
+                coefficient = known.coefficient_in(forcing, y, sign, now)
         # The power of friction is linear in the force, and minus the velocity its slope.
         velocity = jnp.where(now, 0, -known.powers(forcing, y, jnp.ones_like(time)).dissipated["friction"])
         inside = (time >= 0) & (time <= last)
@@ -144,31 +145,47 @@ def _forces(
     return jax.vmap(at)(times)
 
 
-def _coefficient(model: OneContactModel[F], forcing: F, y: State, sign: FloatScalar, sticks: BoolScalar) -> FloatScalar:
-    """The signed friction coefficient in a stick, or in a slip of this sign."""
-    none = jnp.zeros_like(y[0])
-    velocity = model.relative_velocity(forcing, none, y)
-    slip = model.slip_direction(y, sign) * model.friction_at(y).slip_coefficient(velocity)
-    return jnp.where(sticks, model.holding_coefficient(forcing, none, y), slip)
+@kept_jit
+def _forces_of_contacts(model: Any, path: StepPath, last: FloatScalar, times: Times) -> tuple[FloatArray, FloatArray]:
+    """As `_forces`, of a `StructureModel`; (times, contacts)."""
+
+    def at(time: FloatScalar) -> tuple[FloatArray, FloatArray]:
+        begun = path.beginnings.at(time)
+        known, y = model.without_memory(state_in_step(model, begun, time - begun.t))
+        force, velocity = known.friction(known.forcing(time, begun.segments), y, begun.sign)
+        inside = (time >= 0) & (time <= last)
+        return jnp.where(inside, -force, jnp.nan), jnp.where(inside, velocity, jnp.nan)
+
+    return jax.vmap(at)(times)
 
 
 @kept_jit
 def _energies(model: Any, beginnings: StepBeginnings, last: FloatScalar, rule: _Rule, times: Times) -> Energies:
+    # Terms of a power series are not computed anew for each that follows.
+    state_at = sharing(state_in_step) if model.has_short_steps else state_in_step
+
     def worked(begun: StepBeginnings, h: FloatScalar) -> Powers:
         """What is supplied and dissipated in the first `h` (s) of a step, J."""
 
         def power(node: FloatScalar) -> Powers:
             now = begun.t + node * h
-            forcing, sign = model.forcing(now, begun.segments), begun.sign if begun.sign.ndim == 0 else begun.sign[0]
-            known, y = model.without_memory(state_in_step(model, begun, node * h))
-            coefficient = _coefficient(known, forcing, y, sign, sign == 0)
-            return known.powers(forcing, y, known.friction_force(y, coefficient))
+            known, y = model.without_memory(state_at(model, begun, node * h))
+            sign = begun.sign[0] if known.contacts is None and begun.sign.ndim else begun.sign
+            return known.powers_in(model.forcing(now, begun.segments), y, sign)
 
         nodes, weights = (jnp.asarray(numbers, h.dtype) for numbers in rule)
         return jax.tree.map(lambda values: h * jnp.dot(weights, values), jax.vmap(power)(nodes))
 
     ends = jnp.append(beginnings.t[1:], last)
     steps = jax.vmap(worked)(beginnings, ends - beginnings.t)
+    if model.has_sliders:
+        # A slider whose limit falls at once, as at a release, loses energy of its spring.
+        def elastic(y: State) -> FloatScalar:
+            known, y = model.without_memory(y)
+            return known.stored_energies(y)["elastic"]
+
+        at_ends = jax.vmap(lambda begun, h: elastic(state_at(model, begun, h)))(beginnings, ends - beginnings.t)
+        steps.dissipated["friction"] += jnp.append((at_ends - jnp.roll(jax.vmap(elastic)(beginnings.y), -1))[:-1], 0)
     before = jax.tree.map(lambda values: jnp.cumsum(values) - values, steps)
 
     def at(time: FloatScalar) -> Energies:
@@ -176,7 +193,7 @@ def _energies(model: Any, beginnings: StepBeginnings, last: FloatScalar, rule: _
         begun, sums = jax.tree.map(lambda values: values[index], (beginnings, before))
         h = time - begun.t
         done = jax.tree.map(jnp.add, sums, worked(begun, h))
-        known, y = model.without_memory(state_in_step(model, begun, h))
+        known, y = model.without_memory(state_at(model, begun, h))
         _, first = model.without_memory(tuple(values[0] for values in beginnings.y))
         stored, start = known.stored_energies(y), known.stored_energies(first)
         left = _sum(start) + _sum(done.supplied) - _sum(stored) - _sum(done.dissipated)
@@ -461,16 +478,18 @@ class Simulation(WithMethods):
         In a slip it opposes the velocity relative to the base; in a stick it is what the stick needs (Lima and Sampaio
         2015, eqs 1 and 2). With `Regularized` it is the smoothed force. Of a `MotorCart` it is the force on the cart,
         in the direction of ``eccentricity cos(angle)`` (Lima and Sampaio 2022, eq. 4). It jumps at events; there it is
-        that of the stick or slip that follows.
+        that of the stick or slip that follows. Of a list of contacts, it is that in each, in the direction of positive
+        relative velocity; behind a spring, the spring's.
 
         Args:
             times: s, any shape.
 
         Returns:
-            The force, N; NaN outside ``[0, time_reached]``.
+            The force, N; NaN outside ``[0, time_reached]``. Of a list of contacts (contacts, ...), unless one of them
+            is counted (`LinearStructure.of_contact`).
 
         Raises:
-            ValueError: For a `SwitchedSystem`, a list of contacts, and a batch.
+            ValueError: For a `SwitchedSystem`, a list of contacts with `Regularized`, and a batch.
         """
         return self._friction(times)[0]
 
@@ -497,15 +516,22 @@ class Simulation(WithMethods):
         if inner is not None and isinstance(inner.inner, OneContactModel):
             model, known = inner, inner.inner
         else:
-            model = one_contact_model(self.system, self._path.smooth, None)
+            model = self.system.switched_model(self._path.smooth, None)
             known, _ = model.without_memory(())
         require_energy_model(known, "friction_force")
+        if not isinstance(known, OneContactModel):
+            if not isinstance(self.method, Exact):
+                raise checks.refused("method", "be Exact() for friction forces in a list of contacts", self.method)
+            found = self._at(partial(_forces_of_contacts, model, self._path, self.time_reached), times)
+            counted = self.system.tracks.counted
+            force, velocity = (jnp.moveaxis(one, -1, 0) for one in found)
+            return (force, velocity) if counted in (None, -1) else (force[counted], velocity[counted])
         return self._at(partial(_forces, model, self._path, self.method, self.sticks, self.time_reached), times)
 
     def energies(self, times: AnyArray | float) -> Energies:
         """Stored, supplied and dissipated energies at `times` (s, any shape), J: an `Energies`.
 
-        Integrals of the powers over each time step, by Gauss's rule with 8 points.
+        Integrals of the powers over each time step, by Gauss's rule with 8 points; sums over all contacts.
         Where the motion is known in closed form over whole intervals, it is followed again in time steps for this.
 
         Args:
@@ -529,7 +555,7 @@ class Simulation(WithMethods):
             y0 = tuple(path.state(jnp.zeros_like(last)))
             path = follow_steps(self.system, self.base, Exact(), self.t1, y0, last.dtype).path
             assert isinstance(path, StepPath)
-        model = one_contact_model(self.system, path.smooth, path.solver)
+        model = self.system.switched_model(path.smooth, path.solver)
         known, _ = model.without_memory(())
         require_energy_model(known, "energies")
         known.check_energy()

@@ -280,13 +280,13 @@ class ContactsModel(SwitchedModel[Forcing]):
     solver: ExplicitSolver
 
     @property
-    def elastic(self) -> np.ndarray | None:
-        """Which contacts are `Sliders`, (contacts,); None where none is."""
-        return None
+    def elastic(self) -> np.ndarray:
+        """Which contacts are `Sliders`, (contacts,)."""
+        return np.zeros(self.contacts or 0, bool)
 
     def sliders(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray | None = None) -> "Sliders":
         """Those of the `elastic` contacts; in the modes `sign`, or right after `tau` if these are not known."""
-        raise NotImplementedError("of models without elastic contacts")
+        raise NotImplementedError("of models that have some")
 
     @property
     @abc.abstractmethod
@@ -408,7 +408,7 @@ class ContactsModel(SwitchedModel[Forcing]):
     def guard(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
         now, change = self.in_mode(forcing, tau, y, sign)
         own = self._own(sign)
-        if self.elastic is not None:
+        if self.has_sliders:
             now, change = self._with_sliders(forcing, tau, y, sign, (now, change))
 
         def of(now: InMode) -> FloatArray:
@@ -443,7 +443,7 @@ class ContactsModel(SwitchedModel[Forcing]):
 
     def _rigid(self, contacts: BoolArray) -> BoolArray:
         """Those of `contacts` whose sticks hold what they are fixed to, having no spring."""
-        return contacts if self.elastic is None else contacts & ~self.elastic
+        return contacts if not self.has_sliders else contacts & ~self.elastic
 
     def _with_sliders(
         self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray, others: tuple[InMode, InMode]
@@ -457,7 +457,11 @@ class ContactsModel(SwitchedModel[Forcing]):
 
         found = jax.jvp(at, (tau, y), (jnp.ones_like(tau), self.rates(forcing, tau, y, sign)))
         now, change = (
-            InMode(*(jnp.where(self.elastic, *pair) for pair in zip(own, other[:3], strict=True)), other.normal)
+            other._replace(
+                velocity=jnp.where(self.elastic, own[0], other.velocity),
+                force=jnp.where(self.elastic, own[1], other.force),
+                limit=jnp.where(self.elastic, own[2], other.limit),
+            )
             for own, other in zip(found, others, strict=True)
         )
         return now, change
@@ -475,7 +479,7 @@ class ContactsModel(SwitchedModel[Forcing]):
         velocity = self.relative_velocity(forcing, jnp.zeros((), y[0].dtype), y)
         noise = self._own(self.noise(forcing, y, self._with_normal(jnp.ones_like(velocity), 1)))
         resting = jnp.abs(velocity) <= times * noise
-        if self.elastic is not None:
+        if self.has_sliders:
             of = self.sliders(forcing, jnp.zeros((), y[0].dtype), y)
             still = jnp.abs(of.velocity) <= times * noise
             # A slider rests unless it moves on at its limit. With more round-off: what may do either.
@@ -484,7 +488,7 @@ class ContactsModel(SwitchedModel[Forcing]):
 
     def slip_sign(self, forcing: Forcing, y: State) -> FloatArray:
         slips = super().slip_sign(forcing, y)
-        if self.elastic is not None:
+        if self.has_sliders:
             slips = jnp.where(self.elastic, self.sliders(forcing, jnp.zeros((), y[0].dtype), y).way, slips)
         return self._with_normal(slips, self._normal_sign(forcing, y)) if self.varying else slips
 
@@ -517,7 +521,7 @@ class ContactsModel(SwitchedModel[Forcing]):
         now = jnp.where(ended, self._normal_sign(forcing, y), jnp.where(of_normal, -before, before))
         # What ends an open contact's mode is its closing alone; then all is asked anew.
         changed = self.among_all(now != before, False)
-        if self.elastic is not None:  # a slider whose limit jumps up stops
+        if self.has_sliders:  # a slider whose limit jumps up stops
             of = self.sliders(forcing, jnp.zeros((), y[0].dtype), y)
             changed = changed | (self.elastic & ended & (own != 0) & ~of.is_at_limit)
         contacts = self._own(landed) & ~changed
@@ -546,7 +550,7 @@ class ContactsModel(SwitchedModel[Forcing]):
         slack = jnp.where(jnp.isfinite(slack), slack, 0)
         of_rigid = question._replace(asked=self._rigid(question.asked))
         found = settled(now.gain, now.drift, limits, of_rigid, slack)
-        if self.elastic is not None:
+        if self.has_sliders:
             # Open sliders count as slipping: their modes are found anew when they close.
             of_closed = question._replace(released=question.released | self._is_open(modes))
             found = self._settled_sliders(found, forcing, moment, later, limits, of_closed, slack)

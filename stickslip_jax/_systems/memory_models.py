@@ -135,6 +135,9 @@ class _WithAges(_Remembering, SwitchedModel[F]):
         longest = jnp.where(self._stuck(sign), _SHARE * (y[-1] + time), jnp.inf)
         return jnp.minimum(self.inner.step_limit(age, step, y[:-1], sign), jnp.min(longest))
 
+    def without_memory(self, y: State) -> tuple[Any, State]:
+        return self.inner, y[:-1]
+
     def _stuck(self, sign: FloatArray) -> BoolArray:
         """Which contacts stick."""
         stuck = self.inner.stuck(sign)
@@ -159,9 +162,6 @@ class AgeingContact(_WithAges[F], OneContactModel[F]):  # pyright: ignore[report
 
     def release_sign(self, forcing: F, y: State) -> FloatScalar:
         return self.inner.release_sign(forcing, y[:-1])
-
-    def without_memory(self, y: State) -> tuple[Any, State]:
-        return self.inner, y[:-1]
 
     @property
     def time_scales_are_known(self) -> bool:

@@ -283,16 +283,15 @@ class LinearStructure(WithContacts):
 
     @property
     def memory(self) -> Memory:
-        laws, elastic = laws_in(self.contacts), () if self.elastic is None else np.flatnonzero(self.elastic)
+        laws, elastic = laws_in(self.contacts), np.flatnonzero(self.elastic)
         springs = tuple(Coordinate(f"elongation {i}", "m", f"e_{{{i}}}") for i in elastic)
         ages = ages_of(len(laws)) if any(law.grows for law in laws) else ()
         return Memory(ages, inner_laws_of(laws), elongations=springs)
 
     @property
-    def elastic(self) -> np.ndarray | None:
-        """Which contacts have springs in front of them, (contacts,); None where none has."""
-        elastic = np.array([contact.series_stiffness is not None for contact in self.contacts])
-        return elastic if np.any(elastic) else None
+    def elastic(self) -> np.ndarray:
+        """Which contacts have springs in front of them, (contacts,)."""
+        return np.array([contact.series_stiffness is not None for contact in self.contacts])
 
     @property
     def stick_position(self) -> Coordinate:
@@ -325,10 +324,11 @@ class LinearStructure(WithContacts):
         """What the equations of motion need of linear algebra."""
         directions = stacked([contact.direction for contact in self.contacts], jnp.result_type(float))
         by_force, by_springs, softness = _inverse_times(self.mass, directions.T), None, None
-        springs = self._series_stiffness
-        if springs is not None:
+        if np.any(self.elastic):
+            given = [contact.series_stiffness for contact in self.contacts]
+            springs = stacked([0.0 if one is None else one for one in given], directions.dtype)
             softness = jnp.where(self.elastic, 1 / jnp.where(self.elastic, springs, 1), 0)
-            by_force, by_springs = by_force * ~self.elastic, by_force * springs
+            by_force, by_springs = by_force * ~self.elastic[None, :], by_force * springs[None, :]
         return Matrices(
             inverse_mass=_inverse_times(self.mass, jnp.eye(self.size)),
             stiffness=_inverse_times(self.mass, _matrix(self.stiffness)),
@@ -343,14 +343,6 @@ class LinearStructure(WithContacts):
             softness=softness,
         )
 
-    @property
-    def _series_stiffness(self) -> FloatArray | None:
-        """Of the springs in front of contacts, N/m, zero where there is none, (contacts,); None where none is."""
-        if self.elastic is None:
-            return None
-        given = [contact.series_stiffness for contact in self.contacts]
-        return stacked([0.0 if one is None else one for one in given], jnp.result_type(float))
-
     def ready(self) -> "LinearStructure":
         if type(self) is not LinearStructure:  # a user's subclass may have methods of its own
             return self
@@ -361,7 +353,7 @@ class LinearStructure(WithContacts):
         if self.uncoupled or not any(checks.is_traced(contact.direction) for contact in self.contacts):
             return None
         matrices = self.matrices
-        rigid = np.flatnonzero(np.ones(len(self.contacts), bool) if self.elastic is None else ~self.elastic)
+        rigid = np.flatnonzero(~self.elastic)
         gain = (dense(matrices.directions) @ dense(matrices.by_force))[rigid][:, rigid]
         size = jnp.sqrt(jnp.abs(jnp.diagonal(gain)))
         inverse = linear_solve(gain / (size[:, None] * size[None, :]), jnp.eye(len(gain)))
@@ -426,7 +418,7 @@ class LinearStructure(WithContacts):
             held.append(contact.friction.static * normal)
         directions, by_force = dense(of.directions), dense(of.by_force)
         if of.by_springs is not None and of.softness is not None:
-            by_force = by_force + dense(of.by_springs) * of.softness
+            by_force = by_force + dense(of.by_springs) * of.softness[None, :]
         gain = jnp.sum(directions.T * by_force, axis=0)
         # The time of one radian of the motion that each contact causes, or 1 s where there is hardly a spring.
         squared = jnp.sum(directions.T * (dense(of.stiffness) @ by_force), axis=0) / gain
@@ -466,10 +458,10 @@ class ReadyStructure(LinearStructure):
     known: Matrices | None = eqx.field(default=None, kw_only=True)
 
     @property
-    def elastic(self) -> np.ndarray | None:
+    def elastic(self) -> np.ndarray:
         if not isinstance(self.contacts, Alike):
             return super().elastic
-        return None if self.contacts.each.series_stiffness is None else np.ones(len(self.contacts), bool)
+        return np.full(len(self.contacts), self.contacts.each.series_stiffness is not None)
 
     @property
     def normal_forces(self) -> Forces:

@@ -25,7 +25,7 @@ from .contacts import (
 )
 from .contacts_model import ContactsModel, Gain, InMode, Instant, Limits, Sliders, acceleration, holding, solved
 from .friction import AtAge, FrictionLaw
-from .switched_model import NOISE_ULPS, Along, Forcing, Form, later, of_form
+from .switched_model import NOISE_ULPS, Along, Forcing, Form, HasEnergies, Powers, Terms, later, of_form
 
 # What a model of a structure needs of linear algebra, and its rates.
 
@@ -64,7 +64,7 @@ class Matrices(NamedTuple):
         return self._replace(damping=None if self.damping is None else by_bands(self.damping), **products)
 
 
-class StructureModel(ContactsModel):
+class StructureModel(ContactsModel, HasEnergies[Forcing]):
     """A `LinearStructure` on a base. State: positions (d,) and velocities (d,), and where there are springs in front of
     contacts their elongations (contacts,), zero of the other contacts.
     """
@@ -109,21 +109,25 @@ class StructureModel(ContactsModel):
         size = self.structure.size
         values = stacked(y0, dtype) if isinstance(y0, tuple) else y0.astype(dtype)
         moving = values[:size], values[size : 2 * size]
-        if self.elastic is None:
+        if not self.has_sliders:
             return moving
         places = np.where(self.elastic, np.cumsum(self.elastic) - 1, -1)
         return *moving, jnp.append(values[2 * size :], 0)[places]
 
     def numbers(self, y: State) -> State:
         moving = tuple(part[..., i] for part in y[:2] for i in range(self.structure.size))
-        return moving if self.elastic is None else (*moving, *(y[2][..., i] for i in np.flatnonzero(self.elastic)))
+        return moving if not self.has_sliders else (*moving, *(y[2][..., i] for i in np.flatnonzero(self.elastic)))
 
     def stick_position(self, y: State) -> FloatArray:
         place = times(self._in_precision_of(y).directions, y[0])
-        return jnp.append(place if self.elastic is None else place - y[2], y[0][0])
+        return jnp.append(place if not self.has_sliders else place - y[2], y[0][0])
 
     @property
-    def elastic(self) -> np.ndarray | None:
+    def has_sliders(self) -> bool:
+        return bool(np.any(self.elastic))
+
+    @property
+    def elastic(self) -> np.ndarray:
         return self.structure.elastic
 
     def sliders(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray | None = None) -> Sliders:
@@ -150,14 +154,14 @@ class StructureModel(ContactsModel):
 
     def rates(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> State:
         rates = super().rates(forcing, tau, y, sign)
-        if self.elastic is None:
+        if not self.has_sliders:
             return rates
         own, velocity = self._own(sign), self.relative_velocity(forcing, tau, y)
         elongating = jnp.where(own == 0, rates[2], self._following(forcing, tau, velocity, own))
         return *rates[:2], jnp.where(self._is_open(sign), 0, elongating)
 
     def at_limits(self, forcing: Forcing, y: State, sign: FloatArray) -> State:
-        if self.elastic is None:
+        if not self.has_sliders:
             return y
         own, none = self._own(sign), jnp.zeros((), y[0].dtype)
         reach = self._limits(forcing, none, y, jnp.zeros_like(own), sign).slip(own) * self._softness(y)
@@ -172,7 +176,7 @@ class StructureModel(ContactsModel):
             pull = pull - times(of.by_springs, y[2])
         velocity = times(of.directions, y[1]) - of.on_base * base.velocity
         drift = times(of.directions, pull) - of.on_base * base.acceleration
-        elongating = () if self.elastic is None else (jnp.where(self.elastic, velocity, 0),)
+        elongating = () if not self.has_sliders else (jnp.where(self.elastic, velocity, 0),)
         return Instant((y[1], pull, *elongating), velocity, drift, of.gain)
 
     def effect(self, forcing: Forcing, tau: FloatScalar, y: State, force: FloatArray) -> State:
@@ -212,6 +216,33 @@ class StructureModel(ContactsModel):
         load = load + times(magnitudes(of.by_springs), jnp.abs(y[2]))
         return h * (v + h * load), h * load, h * self.velocity_scale(forcing, y)
 
+    def friction(self, forcing: Forcing, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The friction forces against the relative velocities, N, and these, of sliders their own; (contacts,)."""
+        now, own, none = self.instant(forcing, jnp.zeros_like(forcing.t), y), self._own(sign), jnp.zeros_like(forcing.t)
+        limits = self._limits(forcing, none, y, now.velocity, sign)
+        force = solved(now.gain, now.drift, limits.slip(own), self._rigid(own == 0))
+        velocity = now.velocity
+        if self.has_sliders:
+            of = self.sliders(forcing, none, y, sign)
+            force, velocity = (jnp.where(self.elastic, *pair) for pair in ((of.force, force), (of.velocity, velocity)))
+        return force, jnp.where(own == 0, 0, velocity)
+
+    def stored_energies(self, y: State) -> Terms:
+        of, (x, v) = self.structure, y[:2]
+        elastic = jnp.dot(x, _product(of.stiffness, x))
+        if self.has_sliders:
+            softness = self._softness(y)
+            elastic = elastic + jnp.sum(jnp.where(softness > 0, y[2] ** 2 / jnp.where(softness > 0, softness, 1), 0))
+        return {"kinetic": jnp.dot(v, _product(of.mass, v)) / 2, "elastic": elastic / 2}
+
+    def powers_in(self, forcing: Forcing, y: State, sign: FloatArray) -> Powers:
+        (force, velocity), of, v = self.friction(forcing, y, sign), self.structure, y[1]
+        none = jnp.zeros_like(forcing.t)
+        base = -jnp.dot(force, self._in_precision_of(y).on_base) * forcing.base_at(self.smooth, none).velocity
+        damping = jnp.zeros_like(base) if of.damping is None else jnp.dot(v, _product(of.damping, v))
+        supplied = {"base": base, "load": jnp.dot(v, _product(of.mass, self._load(forcing, none)))}
+        return Powers(supplied, {"friction": jnp.dot(force, velocity), "damping": damping})
+
     def _load(self, forcing: Forcing, tau: FloatScalar) -> FloatArray:
         """What ground and external forces do to each mass, m/s^2."""
         load = jnp.full((self.structure.size,), -later(forcing.ground, tau))
@@ -222,6 +253,12 @@ class StructureModel(ContactsModel):
 
     def _in_precision_of(self, y: State) -> Matrices:
         return in_dtype(self.matrices, y[0].dtype)
+
+
+def _product(matrix: Any, vector: FloatArray) -> FloatArray:
+    """A matrix, or its diagonal, times a vector."""
+    matrix = jnp.asarray(matrix, vector.dtype)
+    return matrix * vector if matrix.ndim == 1 else matrix @ vector
 
 
 def in_dtype(tree: _Tree, dtype: DType) -> _Tree:

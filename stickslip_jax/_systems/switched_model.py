@@ -166,6 +166,11 @@ class SwitchedModel(eqx.Module, Generic[F]):
         return None
 
     @property
+    def has_sliders(self) -> bool:
+        """Whether some contacts of a list rub at the ends of springs."""
+        return False
+
+    @property
     def varying(self) -> tuple[int, ...]:
         """The contacts of a list whose normal forces vary."""
         return ()
@@ -293,6 +298,10 @@ class SwitchedModel(eqx.Module, Generic[F]):
     def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
         """The state at `tau` 0 with the relative velocity made exactly zero where contacts are `resting`."""
 
+    def without_memory(self, y: State) -> "tuple[Any, State]":
+        """The model that knows forces and energies in this state, without what friction remembers, and its state."""
+        return self, y
+
     def at_limits(self, forcing: F, y: State, sign: FloatArray) -> State:
         """The state at `tau` 0 in the modes `sign`, with what friction forces are in the state at their limits."""
         return y
@@ -410,9 +419,12 @@ class OneContactModel(SwitchedModel[F]):
         free, gain = self.effect_of_friction(forcing, tau, y)
         return jnp.where(gain != 0, -free / jnp.where(gain != 0, gain, 1), 0)
 
-    def without_memory(self, y: State) -> "tuple[Any, State]":
-        """The model that knows forces and energies in this state, without what friction remembers, and its state."""
-        return self, y
+    def coefficient_in(self, forcing: F, y: State, sign: FloatScalar, sticks: BoolScalar) -> FloatScalar:
+        """The signed friction coefficient at `tau` 0 in a stick, or in a slip of this sign."""
+        none = jnp.zeros_like(y[0])
+        velocity = self.relative_velocity(forcing, none, y)
+        slip = self.slip_direction(y, sign) * self.friction_at(y).slip_coefficient(velocity)
+        return jnp.where(sticks, self.holding_coefficient(forcing, none, y), slip)
 
 
 # Friction forces and energies: what is stored, supplied and dissipated.
@@ -429,20 +441,16 @@ class Powers(NamedTuple):
     dissipated: Terms
 
 
-class EnergyModel(OneContactModel[F]):
-    """A model whose friction is known in newtons, and whose equations are those of a system with an energy."""
-
-    @abc.abstractmethod
-    def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
-        """The friction force under this signed friction coefficient, N: on the mass, of a motor on the cart."""
+class HasEnergies(SwitchedModel[F]):
+    """A model whose equations are those of a system with an energy."""
 
     @abc.abstractmethod
     def stored_energies(self, y: State) -> Terms:
         """The energies stored in the state, J."""
 
     @abc.abstractmethod
-    def powers(self, forcing: F, y: State, force: FloatScalar) -> Powers:
-        """The powers in the state `y` under the friction force `force` (N); their sum is the rate of what is stored."""
+    def powers_in(self, forcing: F, y: State, sign: FloatArray) -> Powers:
+        """The powers in the state `y` of this mode; their sum is the rate of what is stored."""
 
     @property
     def fastest_decay(self) -> Scalar:
@@ -453,11 +461,29 @@ class EnergyModel(OneContactModel[F]):
         """Check that the equations of motion have an energy. Raises ValueError otherwise."""
 
 
+class EnergyModel(HasEnergies[F], OneContactModel[F]):
+    """A model with one contact, whose friction is known in newtons."""
+
+    @abc.abstractmethod
+    def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
+        """The friction force under this signed friction coefficient, N: on the mass, of a motor on the cart."""
+
+    def powers_in(self, forcing: F, y: State, sign: FloatArray) -> Powers:
+        coefficient = self.coefficient_in(forcing, y, sign, sign == 0)
+        return self.powers(forcing, y, self.friction_force(y, coefficient))
+
+    @abc.abstractmethod
+    def powers(self, forcing: F, y: State, force: FloatScalar) -> Powers:
+        """The powers in the state `y` under the friction force `force` (N)."""
+
+
 def require_energy_model(model: Any, name: str) -> None:
     """Check that friction forces of `model` are known in newtons, not only as shares. Raises ValueError otherwise."""
-    holders = [kind for kind in type(model).__mro__ if "friction_force" in vars(kind)]
-    if not holders or not keeps(model, holders[0], "rates", "rates_under"):
+    holders = [kind for kind in type(model).__mro__ if "stored_energies" in vars(kind)]
+    rates = [rate for rate in ("rates", "rates_under") if hasattr(model, rate)]
+    if not isinstance(model, HasEnergies) or not keeps(model, holders[0], *rates):
         raise ValueError(
-            f"{name} needs a MassSpring or a MotorCart, but a simulation of {checks.show(model.system)} was given: the "
-            "friction of a system of your own is known as a share of its largest kinetic force only."
+            f"{name} needs a MassSpring, a MotorCart or a LinearStructure, but a simulation of "
+            f"{checks.show(getattr(model, 'system', model))} was given: the friction of a system of your own is known "
+            "as a share of its largest kinetic force only."
         )

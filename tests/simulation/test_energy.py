@@ -215,7 +215,7 @@ def test_what_is_not_known_is_refused():
     one = free(0.4)  # its system is not asked for anything else
     own = eqx.tree_at(lambda one: one.system, one, Own(0.4))
     for call in (own.friction_force, own.energies):
-        with pytest.raises(ValueError, match=r"needs a MassSpring or a MotorCart, but .*Own"):
+        with pytest.raises(ValueError, match=r"needs a MassSpring, a MotorCart or a LinearStructure, but .*Own"):
             call(1.0)
     with pytest.raises(ValueError, match=r"energies needs a simulation with method=Exact\(\), but .*Regularized"):
         eqx.tree_at(lambda one: one.method, one, ss.Regularized(1e-2)).energies(1.0)

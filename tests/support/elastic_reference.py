@@ -149,29 +149,19 @@ class ByModes:
     def _fall(self, series, form, z, h):
         """When `form` falls through zero within the step; None if it does not."""
         of = series @ form
-        slope = partial(polynomial.polyval, c=polynomial.polyder(of))
-        s0, s1, d0, d1 = of[0], form @ z, of[1], slope(h)
-        if s0 > 0 and s1 > 0 and (d0 >= 0 or d1 <= 0):
-            return None
+        at, slope = (partial(polynomial.polyval, c=c) for c in (of, polynomial.polyder(of)))
         size = np.abs(form) @ (np.abs(self.z) + np.abs(z)) * 1e-13
-        at, end, top = partial(polynomial.polyval, c=of), h, 0.0
+        s0, s1, d0, d1 = of[0], form @ z, of[1], slope(h)
         if abs(s0) <= size:  # it begins at zero
-            if d0 <= 0 and s1 < -size:
-                return 0.0 if d0 < 0 else None
-            top = 0.02 * h if d0 > 0 else h
             if d0 <= 0:
-                return None
-            if at(top) <= 0:
-                return None
+                return 0.0 if d0 < 0 and s1 < -size else None
+            top = 0.02 * h
         elif s0 < 0:
             return 0.0
-        if s1 >= 0:
-            if not (d0 < 0 < d1):
-                return None
-            end = brentq(slope, top, h, xtol=1e-15)
-            if at(end) >= 0:
-                return None
-        return brentq(at, top, end, xtol=1e-16, rtol=1e-15)
+        else:
+            top = 0.0
+        end = brentq(slope, top, h, xtol=1e-15) if s1 >= 0 and d0 < 0 < d1 else h
+        return brentq(at, top, end, xtol=1e-16, rtol=1e-15) if at(end) < 0 < at(top) else None
 
     def _become(self, i, to):
         of, before = self.of, self.mode.copy()

@@ -404,7 +404,7 @@ def test_equations_of_ones_own_against_scipy():
     spans = below(run, lambda y: y[1] - 0.1, float(one.method.threshold), float(one.method.minimum_duration))
     np.testing.assert_allclose(np.stack(listed(one.sticks), axis=1), spans, rtol=0, atol=1e-4)
     assert [c.meaning for c in one.system.coordinates][-1] == "deflection in m"
-    with pytest.raises(ValueError, match="friction_force needs a MassSpring or a MotorCart"):
+    with pytest.raises(ValueError, match="friction_force needs a MassSpring, a MotorCart"):
         one.friction_force(1.0)
 
 
