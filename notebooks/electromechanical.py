@@ -205,6 +205,18 @@ for mu, many in runs.items():
 plt.show()
 
 # %% [markdown]
+# And with the initial rest counted: waits for the current, of a few milliseconds, fill the first row at every angle.
+
+# %%
+for mu, many in runs.items():
+    first = ss.first_stick(many, count_initial_rest=True)
+    main, *_ = ss.plot.joint_histogram(first, system=many.system, period=math.pi, bins=30, log=True)
+    main.set_xlabel(main.get_xlabel() + rf", $\mu$ = {mu:g}")
+    waits = np.mean(first.duration[first.mask] < 0.005)
+    print(f"mu = {mu}, with the initial rest: {100 * waits:.0f} % of the first sticks are shorter than 5 ms")
+plt.show()
+
+# %% [markdown]
 # ## Are 10,000 runs enough?
 # The paper: a joint histogram needs far more runs than a marginal one. The distance in total variation between the
 # joint histograms of two halves of the samples says how many.

@@ -312,6 +312,19 @@ class EnsembleData:
         found = [part.inputs.values(jnp.dtype(part.dtype), part.first_sample) for part in self._parts]
         return {name: np.concatenate([values[name] for values in found]) for name in found[0]}
 
+    def _phases(self) -> np.ndarray:
+        """The phase (rad) that a `RandomPhase` of one frequency drew for each sample that finished, (finished,)."""
+        found = []
+        for part in self._parts:
+            part._check_dtype()
+            assert part._key is not None
+            keys = jax.vmap(jax.random.fold_in, (None, 0))(
+                part._key, part.inputs.realization_numbers(part.first_sample, part.samples)
+            )
+            found.append(jax.vmap(lambda key, law=part.law: law.sample(key).phase)(keys))
+        phases = np.concatenate(found)
+        return phases[np.asarray(self.totals.status) == Status.FINISHED] if self._unfinished else phases
+
     def _known_inputs(self) -> dict[str, tuple[np.ndarray, str]]:
         """The numbers that differ from sample to sample, (samples,), and their units, by name.
 

@@ -8,6 +8,7 @@ from jax import Array
 from jaxtyping import Float
 from scipy import stats
 
+from .._excitation.motion import RandomPhase
 from .._excitation.piecewise_constant import PoissonSwitching, RandomSteps
 from .._foundation import checks
 from .._foundation.types import Ending
@@ -30,6 +31,9 @@ _ALL_BY, _MOST_JUMPS = 200, 10_000  # of the base in a slip: after which none, o
 
 def period_of(law: Any) -> float | None:
     """The period of a law on which what comes depends by its phase, s: one number, or None."""
+    law = law.signal if isinstance(law, RandomPhase) else law
+    if not _is_number(getattr(law, "angular_frequency", 0.0)):
+        return None
     found = law.interval if isinstance(law, RandomSteps) else getattr(law, "repeats_after", None)
     return float(cast(Any, found)) if _is_number(found) else None
 

@@ -11,8 +11,10 @@ from typing import Any, NamedTuple, cast, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy import stats
 
 from .._dynamics.sticks import FlatSticks
+from .._excitation.motion import RandomPhase
 from .._foundation import checks
 from .._foundation.types import Ending
 from .._systems.system import System
@@ -42,7 +44,7 @@ _ALIKE = 1e-6  # of the largest: closer velocities, and positions, are one
 _PARTS = 20  # of the samples, each left out once for standard errors
 _MOST_CELLS = 2**24  # of tables
 _BLOCK = 16  # transitions from nearly the same state
-_CLASSES = 32  # of what follows, where it is ranked
+_CLASSES = 8  # of numbers where they are ranked: what differs by less than one among like states tells nothing
 _POINTS = 2**18  # of a quadrature
 _DRAWN_FROM = 8  # transitions that began closest
 _BEYOND = 0.05  # of the range of a number: so far outside of what is known it is still taken for the nearest
@@ -382,9 +384,10 @@ class TransitionKernel:
         """Test whether the state tells all: given it, does what follows depend on what was before?
 
         Transitions from nearly the same state, 16 at a time, are ranked among each other by a number of the cycle
-        before (of the state at its begin, and of what followed that), and by one of what follows, in 32 classes. If the
-        state tells all, both ranks are independent. The tests are serial rank correlations as in `independent`, one for
-        each pair.
+        before (of the state at its begin, and of what followed that), and by one of what follows. If the state tells
+        all, both ranks are independent. Since the states of the 16 differ too, a linear function of these is taken out,
+        and what then differs by less than an eighth of all transitions is equal. The tests are serial rank correlations
+        as in `independent`, one for each pair.
 
         Raises:
             ValueError: Unless ``0 < significance < 1``.
@@ -395,14 +398,16 @@ class TransitionKernel:
         counts = np.bincount(self.owner[later], minlength=self.samples)
         before = {f"{words(name)} two {self.after}s ago": column for name, column in self.state.items()}
         before |= {f"earlier {words(name)}": self.following[name] for name in self.following if name not in self.given}
-        # In classes: where nothing happens by chance what follows differs a little within a block, as the states do.
-        levels = np.arange(1, _CLASSES) / _CLASSES
-        following = {name: np.searchsorted(np.quantile(own, levels), own) for name, own in self.following.items()}
+        rest = _beyond_state([self.state[name][later] for name in self.cells.others], block)
+        before = {name: rest(column[later - 1]) for name, column in before.items()}
+        following = {name: rest(column[later]) for name, column in self.following.items()}
         tests = []
         for (early, column), (late, values) in itertools.product(before.items(), following.items()):
-            test = serial_correlation(column[later - 1], values[later], block, counts)
+            test = serial_correlation(column, values, block, counts)
             tests.append(dataclasses.replace(test, name=f"{early}, {words(late)}"))
         reason, made = tests[0].reason, tuple(test for test in tests if test.made)
+        if not any(map(np.any, following.values())):
+            reason = "what follows like states hardly differs, so that nothing is left to explain"
         together = HypothesisTest("Serial rank correlation", reason=reason)
         if made:
             reason, least = "", min(made, key=lambda test: test.p_value)
@@ -564,6 +569,29 @@ class TransitionKernel:
         return "\n".join(lines)
 
 
+def _beyond_state(state: list[np.ndarray], block: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """A function of values: the rank of each among all, less the linear function of the `state` that fits the ranks of
+    its block best, in steps of a class. Within a block states still differ a little; where nothing happens by chance
+    all numbers follow that, which is no dependence.
+    """
+    size = np.bincount(block)
+
+    def centred(values: np.ndarray) -> np.ndarray:
+        return values - (np.bincount(block, values) / size)[block]
+
+    by = [centred(column / column.std()) for column in state if np.ptp(column)]
+    products = np.array([np.bincount(block, a * b) for a in by for b in by]).reshape(len(by), len(by), len(size))
+    inverse = np.linalg.pinv(products.transpose(2, 0, 1), rcond=1e-9, hermitian=True)
+
+    def rest(values: np.ndarray) -> np.ndarray:
+        rank = centred(stats.rankdata(values) / len(values))
+        found = np.array([np.bincount(block, own * rank) for own in by]).reshape(len(by), len(size))
+        slopes = np.einsum("bij,jb->ib", inverse, found)
+        return np.round(_CLASSES * (rank - sum(slope[block] * own for slope, own in zip(slopes, by, strict=True))))
+
+    return rest
+
+
 def words(name: str) -> str:
     """A name as words."""
     return name.replace("_", " ")
@@ -624,7 +652,8 @@ def transition_kernel(
         given: The names of what is known then. After a stick some of "end_position" (m), "base_velocity" (its mean in
             the stick, m/s), "ending" (an `Ending` code) and "phase" of the base (s); after a slip "position",
             "base_velocity" (in the stick that begins) and "phase". By default all, "phase" only where the law has a
-            period. Any number of the stick, such as "duration", can be added.
+            period (with `RandomPhase` that of each sample's own motion). Any number of the stick, such as "duration",
+            can be added.
         period: Of the base, s. By default that of its law: of `RandomSteps` the time between draws.
         bins: Into how many cells the states of each base velocity and ending are divided, for all that is computed with
             matrices.
@@ -665,11 +694,15 @@ def transition_kernel(
             raise checks.refused("transitions", "be left out with an ensemble: its sticks are taken", transitions)
         before = ensemble.t1 / 2 if ends_before is None else ends_before
         checks.bounded("ends_before", before, "s", above=0)
-        period = period_of(ensemble.law) if period is None else period
+        own_period = period_of(ensemble.law)
+        period = own_period if period is None else period
+        shift = None  # of the clock of each sample, s
+        if isinstance(ensemble.law, RandomPhase) and own_period is not None:
+            shift = ensemble._phases() * own_period / (2 * math.pi)
         sticks, levels = ensemble.numbered_sticks(), levels_of(ensemble.law)
         coordinate = ensemble.system.stick_position
         turn = coordinate.period
-        state, following, later, owner, incomplete = _from_sticks(sticks, after, period, levels, before, turn)
+        state, following, later, owner, incomplete = _from_sticks(sticks, after, period, shift, levels, before, turn)
         samples, origin = len(sticks.count), origin_of(ensemble)
     known = tuple(name for name in _STATE[after] if name in state)
     names = known if given is None else tuple(checks.chosen("given", name, state) for name in given)
@@ -687,8 +720,8 @@ def _phase(time: np.ndarray, period: float) -> np.ndarray:
 
 
 def _from_sticks(
-    sticks: FlatSticks, after: After, period: float | None, levels: np.ndarray | None, before: float,
-    turn: float | None,
+    sticks: FlatSticks, after: After, period: float | None, shift: np.ndarray | None, levels: np.ndarray | None,
+    before: float, turn: float | None,
 ) -> tuple[Columns, Columns, Columns, np.ndarray, int]:  # fmt: skip
     """The states, what follows, the next states and the owner of each transition, and how many were left out.
 
@@ -715,7 +748,7 @@ def _from_sticks(
     }  # fmt: skip
     begin = end if after == "stick" else start
     if period is not None:
-        of["phase"] = _phase(begin, period)
+        of["phase"] = _phase(begin if shift is None else begin + shift[owner], period)
     used = (sticks.ending != Ending.HORIZON) & (begin < before)
     complete = np.flatnonzero(used & has_next & np.append(has_next[1:], False))
     if not np.all(np.isfinite(left[complete])):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._foundation import checks
-from .._foundation.fields import Quantity, varies_within
+from .._foundation.fields import Quantity, is_distribution, varies_within
 from .._foundation.types import BoolArray, DType, FloatArray, FloatScalar, Number, Scalar, State
 from .friction import FrictionLaw, least, require_law
 from .switched_model import NOISE_ULPS, Decision, F, Guard, OneContactModel, Question, SwitchedModel
@@ -60,7 +60,8 @@ class FrictionByPlace(FrictionLaw):
             if not isinstance(getattr(self, name), tuple) or not getattr(self, name):
                 raise checks.refused(name, "be a tuple with one entry or more", getattr(self, name))
         for at, place in enumerate(self.places):
-            checks.numeric(f"places[{at}]", place)
+            if not is_distribution(place):
+                checks.numeric(f"places[{at}]", place)
         for at, law in enumerate(self.laws):
             require_law(f"laws[{at}]", law, may_remember=False)
         regions = len(self.places) + (self.period is None)
@@ -76,7 +77,7 @@ class FrictionByPlace(FrictionLaw):
 
     def check_relations(self) -> None:
         known = [place for place in self.places if not checks.is_traced(place)]
-        if len(known) < len(self.places) or varies_within(self.places):
+        if len(known) < len(self.places):
             return
         if np.any(np.diff(np.asarray(known, float)) <= 0):
             raise checks.refused("places", "increase", self.places)
@@ -84,7 +85,7 @@ class FrictionByPlace(FrictionLaw):
             checks.bounded("period", self.period, "m", above=float(known[-1] - known[0]))
 
     def has_varying_parts(self) -> bool:
-        return varies_within((self.places, self.laws))
+        return any(map(is_distribution, self.places)) or varies_within(self.laws)
 
     @property
     def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only

@@ -288,12 +288,11 @@ class Inputs:
             raise checks.refused("key", demand, None)
         streams = [entry.stream for entry in entries]
         assert len(set(streams)) == len(streams), "two names share a random word"
-        # Short names: the shortest endings of the paths that no other path has.
+        # Short names: the shortest endings of the paths that no other path has, and that begin with a word.
         paths, names = [entry.path for entry in entries], []
         for path in paths:
-            sizes = range(1 if path[0] != "y0" else len(path), len(path) + 1)
-            size = next(size for size in sizes if sum(other[-size:] == path[-size:] for other in paths) == 1)
-            names.append(shown(path[-size:]))
+            endings = (path[-size:] for size in range(1, len(path) + 1) if isinstance(path[-size], str))
+            names.append(shown(next(end for end in endings if sum(other[-len(end) :] == end for other in paths) == 1)))
         # Which entries the columns of a design of uniform numbers, and a copula, are for.
         random = tuple(place for place, entry in enumerate(entries) if entry.is_random)
 

@@ -16,7 +16,7 @@ FIGURES = {
     "conference_paper": 4,
     "parametric_oscillator": 5,
     "statistical_model": 7,
-    "electromechanical": 6,
+    "electromechanical": 8,
     "parametric_analysis": 5,
     "control": 3,
     "sensitivity": 3,
@@ -91,6 +91,7 @@ PRINTED = {
         r"with 9\.8 m/s\^2 the longest stick at mu = 0\.5 is 1\.0 ms shorter",
         r"mu = 0\.2, the paper's count, with the initial rest: 100 of 100 samples have a first stick, of [1-4] ms",
         r"mu = 0\.5: 1\.0000 \+- 0\.0000 of the samples have a first stick, 0 of these are longer",
+        r"mu = 0\.2, with the initial rest: 9\d % of the first sticks are shorter than 5 ms",
     ),
     "parametric_analysis": (
         r"Sweep of 64 points \(8 mu x 8 rate\), 100 samples each",
@@ -271,3 +272,33 @@ def test_numbers_told(executed):
     name, notebook = executed
     for promised in PRINTED[name]:
         assert re.search(promised, printed(notebook)), (promised, printed(notebook))
+
+
+STATED = {
+    "conference_paper": (
+        (r"most: (\S+) % at r = (\S+)", "{:.1f} % at r = {:.3f}"),
+        (r"no stick from r = (\S+) on", "| {:.4f} on |"),
+        (r"below 0\.4 up to (\S+) %.* between 0\.7 and 0\.8 up to (\S+) %", "up to {:.1f} % and {:.1f} %;"),
+        (r"a period at r = 2\.5: (\S+) %", "{:.1f} % with a new direction in each period"),
+        (r"r = 1\.0: (\S+) %[^$]*r = 1\.3: (\S+) %", "{:.1f} %; {:.1f} % of a steady period"),
+    ),
+    "electromechanical": (
+        (r"mu = 0\.2: at pi/2 (\S+) s", "| {:.5f} s there |"),
+        (r"is possible where mu \|sin alpha\| > (\d\.\d+)", "sticks need `mu abs(sin alpha) > {:.3f}`"),
+        (r"for ever where it is > (\d\.\d+)", "where `mu abs(sin alpha) > {:.3f}`"),
+        (r"mu = 0\.6: .* no limit at (\S+) %", "{:.1f} % of the angles at 0.6"),
+        (r"physical +0 rad/s +\d+ +(\d+)[^$]*physical +10 rad/s +0 +(\d+)", "| {1:.0f} to {0:.0f} of 1,000 at mu"),
+    ),
+}
+"""What is printed at full size, and how docs/validation.md states these numbers."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STATED)
+def test_the_table_of_the_papers_is_made_of_what_is_printed(name, tmp_path):
+    told = printed(tool().execute(jupytext.read(FOLDER / f"{name}.py"), tmp_path, IPYTHONDIR=str(tmp_path / "ipython")))
+    table = (FOLDER.parent / "docs/validation.md").read_text(encoding="utf-8")
+    for promised, stated in STATED[name]:
+        found = re.search(promised, told)
+        assert found, (promised, told)
+        assert stated.format(*map(float, found.groups())) in table, (stated, found[0])

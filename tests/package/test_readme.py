@@ -36,7 +36,7 @@ DOCUMENTS = {
     "docs/howto/sliding_block.md": 1,
     "docs/regularized.md": 3,
     "docs/sensitivity.md": 2,
-    "docs/statistics.md": 6,
+    "docs/statistics.md": 7,
     "docs/sweeps.md": 3,
     "docs/tutorial.md": 11,
     "docs/uncertain.md": 3,

@@ -263,6 +263,44 @@ def test_level_of_the_test_of_order():
     assert rejected <= stats.binom.ppf(0.9999, 60, 0.1)
 
 
+def followed_by_map(by_last, by_one_before):
+    """Sequences of ``1 - by_last x^2 + by_one_before w``, where w came before x; from random first numbers."""
+    rng = np.random.default_rng(0)
+    x, before, found = rng.uniform(-0.1, 0.1, 400), rng.uniform(-0.1, 0.1, 400), []
+    for _ in range(43):
+        x, before = 1 - by_last * x**2 + by_one_before * before, x
+        found.append(x)
+    return chain(np.stack(found[30:], axis=1))
+
+
+def test_what_nothing_but_the_state_determines_is_no_dependence():
+    """Neighbours are followed by neighbours, and came from such: ranks among them would tell each other all."""
+    verdict = followed_by_map(1.7, 0.0).order_test()
+    assert verdict.rejected is None
+    assert "what follows like states hardly differs" in repr(verdict)
+    assert followed_by_map(1.4, 0.3).order_test(1e-6).rejected
+
+
+@pytest.mark.slow
+def test_sequence_of_a_motor_and_its_phase():
+    """A stick ends when the current, steady by then, reaches what friction holds at this angle: so the phase of each
+    sample's voltage is known. With it the next stick depends on the last end alone; a slip's end without it does not.
+    """
+    setup = ss.papers.motor_cart(0.5, t1=6.0)
+    run = {"t1": setup.t1, "y0": setup.y0, "keep": "sticks", "progress": False}
+    parts = [ss.simulate_ensemble(*setup[:2], samples=2000, key=jax.random.key(seed), **run) for seed in (0, 1)]
+    many = ss.concatenate(parts)
+    kernel, cart, voltage = ss.transition_kernel(many), setup.system, ss.SourceVoltage()
+    impedance = cart.resistance + 1j * cart.inductance * voltage.angular_frequency
+    angle = voltage.angular_frequency * kernel.state["phase"] - np.angle(impedance)
+    current = voltage.mean / cart.resistance + voltage.amplitude / abs(impedance) * np.sin(angle)
+    held = cart.largest_friction_torque * np.abs(np.sin(kernel.state["end_position"])) / cart.motor_constant
+    assert np.quantile(np.abs(current - held), 0.9) < 1e-6 * np.ptp(current)
+    assert not kernel.order_test(0.001).rejected
+    assert not ss.transition_kernel(many, after="slip").order_test(0.001).rejected
+    assert ss.transition_kernel(many, after="slip", given=("position",)).order_test(1e-20).rejected
+
+
 def test_drawn_sequences_are_those_of_simulations(kernels):
     """Durations and positions of the first to fourth stick after a release, drawn and simulated."""
     exact, kernel = kernels
@@ -346,6 +384,11 @@ def test_angles_of_a_motor_are_those_of_one_turn():
     np.testing.assert_allclose(np.sin(apart / 2), 0, atol=1e-9)
     with pytest.raises(ValueError, match="Argument transitions must be left out with an ensemble"):
         ss.transition_kernel(many, transitions=64)
+
+
+def test_a_base_whose_frequency_is_uncertain_has_no_phase():
+    law = ss.RandomPhase(ss.Harmonic(1.0, ss.Uniform(2.5, 2.7)))
+    assert simulated(law, 20, t1=50.0).given == ("end_position", "base_velocity", "ending")
 
 
 @pytest.mark.slow

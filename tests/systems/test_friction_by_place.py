@@ -329,6 +329,30 @@ def test_ensembles_with_random_friction():
         )
 
 
+def test_ensembles_with_random_places():
+    """Each sample has borders of its own; such that do not increase, or leave no room in the period, are refused."""
+    run = {"t1": 20.0, "samples": 32, "key": jax.random.key(0), "keep": "sticks"}
+    belt, laws = ss.PoissonSwitching(1.0, 1.0), (ss.Coulomb(ss.Uniform(0.7, 0.9)), ss.Coulomb(0.3))
+
+    def system(*places):
+        return ss.MassSpring(1.0, 4.0, 1.0, ss.FrictionByPlace(places, laws, 1.0))
+
+    random = system(ss.Uniform(-0.1, 0.1), ss.Uniform(0.3, 0.4))
+    many = ss.simulate_ensemble(random, belt, **run)
+    assert set(many.input_values) == {"places[0]", "places[1]", "mu"}
+    for number in (0, 9, 31):
+        drawn, base, y0 = many.realization(number)
+        assert drawn.friction.places[0] == many.input_values["places[0]"][number]
+        alone, kept = ss.simulate(drawn, base, 20.0, y0).sticks, many.sticks.mask[number]
+        np.testing.assert_allclose(alone.start[alone.mask], many.sticks.start[number][kept], atol=1e-11)
+    with pytest.raises(ValueError, match=r"places\[0\] must be one number here"):
+        ss.simulate(random, ss.Constant(0.2), 5.0)
+    with pytest.raises(ValueError, match=r"Sample \d+ does not fit: Argument places must increase"):
+        ss.simulate_ensemble(system(ss.Uniform(0.2, 0.5), 0.3), belt, **run)
+    with pytest.raises(ValueError, match=r"Sample \d+ does not fit: Argument period must be above"):
+        ss.simulate_ensemble(system(ss.Uniform(-0.9, 0.1), 0.3), belt, **run)
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
 def test_single_precision(one):
