@@ -176,7 +176,7 @@ law = ss.KanaiTajimi(rms=1.5, rise=2.0, plateau=8.0, decay=0.4, interval=0.02)
 end = 25.0  # s
 quake = law.sample(jax.random.key(0), t1=end)
 one = ss.simulate(building(0.06), quake, t1=end)
-print(one.of_contact(0))
+print(one)
 axes = ss.plot.time_history(one)
 plt.show()
 
@@ -223,7 +223,7 @@ def respond(mu, key):
     return {
         QUANTITIES[0]: jnp.max(jnp.abs(positions[0])),
         QUANTITIES[1]: jnp.max(jnp.abs(jnp.diff(positions, axis=0))),
-        "sticks": run.totals.sticks[0],
+        "sticks": run.totals.sticks,
         "finished": run.status == ss.Status.FINISHED,
     }
 
