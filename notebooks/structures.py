@@ -56,14 +56,14 @@ one = ss.simulate(train, ss.Constant(0.0), t1=1.5, y0=(0.0, 0.0, 0.0, 0.0, 10.0,
 for i in range(3):
     sticks = one.of_contact(i).sticks
     spans = zip(sticks.start[sticks.mask], sticks.end[sticks.mask], strict=True)
-    print(f"clutch {i + 1} sticks:", ", ".join(f"{start:.10f} to {end:.10f} s" for start, end in spans))
+    print(f"clutch {i} sticks:", ", ".join(f"{start:.10f} to {end:.10f} s" for start, end in spans))
 
 # %%
 grid = np.linspace(0.0, 1.5, 3001)
 speeds = np.asarray(one.evaluate(grid))[4:]
 figure, (above, below) = plt.subplots(2, 1, figsize=(7, 5), layout="constrained", sharex=True, height_ratios=(2, 1))
 for i, (speed, style) in enumerate(zip(speeds, ("-", "--", "-.", ":"), strict=True)):
-    above.plot(grid, speed, style, label=f"inertia {i + 1}")
+    above.plot(grid, speed, style, label=f"inertia {i}")
 above.set_ylabel("angular velocity (rad/s)")
 above.legend(frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 ss.plot.stick_raster(one, ax=below)
@@ -176,7 +176,7 @@ law = ss.KanaiTajimi(rms=1.5, rise=2.0, plateau=8.0, decay=0.4, interval=0.02)
 end = 25.0  # s
 quake = law.sample(jax.random.key(0), t1=end)
 one = ss.simulate(building(0.06), quake, t1=end)
-print(one.of_contact(0))
+print(one)
 axes = ss.plot.time_history(one)
 plt.show()
 
@@ -223,7 +223,7 @@ def respond(mu, key):
     return {
         QUANTITIES[0]: jnp.max(jnp.abs(positions[0])),
         QUANTITIES[1]: jnp.max(jnp.abs(jnp.diff(positions, axis=0))),
-        "sticks": run.totals.sticks[0],
+        "sticks": run.totals.sticks,
         "finished": run.status == ss.Status.FINISHED,
     }
 

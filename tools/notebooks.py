@@ -29,6 +29,7 @@ def execute(notebook: Any, folder: Path | None = None, **environment: str) -> An
     notebook.metadata["stickslip_jax"] = {"samples": around.get(SIZE) or _full_size(notebook)}
     resources = {} if folder is None else {"metadata": {"path": str(folder)}}
     client = NotebookClient(notebook, timeout=LONGEST, kernel_name="python3", resources=resources)
+    client.extra_arguments = ["--InlineBackend.figure_formats={'retina'}"]  # twice the pixels: sharp on all screens
     return client.execute(env=around)
 
 

@@ -33,13 +33,13 @@ def note(asked: int | None, full: int) -> str:
     """What the page was run with, as Markdown: `asked` samples (None: it was not run) where the code says `full`."""
     if asked is None:
         return (
-            "```{warning}\nThis page shows the code without its results: it was not run since it was last changed. "
+            "```{note}\nThis page shows the code without its results: it was not run since it was last changed. "
             "`make notebooks` runs all notebooks at full size, `make site` then builds this site with the results.\n```"
         )
     if asked == full:
         return f"```{{note}}\nRun at full size: `SAMPLES` is what the code says ({full:,}).\n```"
     return (
-        f"```{{warning}}\n**Run at a reduced size: {asked:,} samples were asked for where the code says {full:,}** "
+        f"```{{note}}\n**Run at a reduced size: {asked:,} samples were asked for where the code says {full:,}** "
         "(some cells take no fewer than a number of their own, which they print). Numbers, errors and figures are "
         "those of this run. `make notebooks site` shows the full size.\n```"
     )

@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks
+from .._foundation.fields import with_fields
 from .._foundation.types import DType, FloatArray, InitialState, Scalar, Status
 from .._systems.system import System
 from .common.method import EXACT, Arguments, Exact, Regularized, working_dtype
@@ -195,4 +196,8 @@ def simulate(
     redundant = arguments.system.redundant
     if redundant is not None:
         run = run._replace(status=jnp.where(redundant, jnp.int8(Status.REDUNDANT_CONTACTS), run.status))
-    return Simulation(system, arguments.base, t1, method, *run)
+    one = Simulation(system, arguments.base, t1, method, *run)
+    if one.sticks.contact is not None and system.tracks.contacts == 1:
+        # The only contact of a list needs no choice: sticks and totals are as those of a system without a list.
+        one = with_fields(one.of_contact(0), Simulation, _of_all_contacts=one._of_all_contacts)
+    return one

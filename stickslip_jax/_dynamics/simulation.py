@@ -329,12 +329,14 @@ class Simulation(WithMethods):
             A simulation whose sticks and totals are those of this contact.
 
         Raises:
-            ValueError: For a system with one contact, and for a number that is not one of its contacts.
+            ValueError: For a system without a list of contacts, and for a number that is not one of its contacts.
         """
-        if self.sticks.contact is None:
+        if self._of_all_contacts is None:
             raise ValueError("This system has one contact: its sticks are in simulation.sticks.")
-        contacts = self.totals.sticks.shape[-1]
+        contacts = 1 if self.sticks.contact is None else self.totals.sticks.shape[-1]
         checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
+        if self.sticks.contact is None:
+            return with_fields(self, type(self), _of_all_contacts=None)
         parts = self.totals._replace(**{name: values[..., number] for name, values in self.totals._asdict().items()})
         return with_fields(
             self, type(self), sticks=of_contact(self.sticks, number), totals=parts, _of_all_contacts=None

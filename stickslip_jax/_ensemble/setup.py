@@ -315,6 +315,8 @@ class AtEnd:
         ) -> tuple[Array, ...]:
             system, base, _ = realized(key_data, values, number, base)
             totals, of_all = apart(end.totals, system)
+            if of_all is not None and system.tracks.contacts == 1:  # as `simulate` gives them
+                totals = jax.tree.map(lambda of_each: of_each[0], totals)
             sticks, path = object.__new__(Sticks), _EndPath(None, forms, extremes)  # without any number of sticks
             others = counts[0], end.time, end.state, counts[1], path, None if of_all is None else (sticks, of_all)
             one = Simulation(system, base, t1, method, sticks, totals, *others)

@@ -56,7 +56,7 @@ else:  # names alone, for nothing of diffrax is imported before it is used (`laz
     """An explicit Runge-Kutta method, such as ``diffrax.Dopri8()``."""
 
 
-# Integer codes in result arrays: how a stick ended, and whether a trajectory reached its horizon.
+# Integer codes in result arrays: how a stick ended, and whether a trajectory reached its end.
 
 
 class Ending(IntEnum):
@@ -101,7 +101,7 @@ _MEANINGS = {
     Status.FINISHED: "reached t1",
     Status.BASE_TOO_SHORT: "the base motion had too few intervals to reach t1 (one of duration 0 is the last)",
     Status.NOT_FINITE: "the state became NaN or infinite, or a base interval spans more than 2^30 rad",
-    Status.OUT_OF_STEPS: "all time steps allowed were used before t1 (give the method a larger max_steps)",
+    Status.OUT_OF_STEPS: "all time steps allowed were used before t1 (leave max_steps out of method=, or raise it)",
     Status.SOLVER_FAILED: "the adaptive solver gave up (try another solver, or other tolerances)",
     Status.BASE_INVALID: (
         "an interval of the base motion had a negative duration or a number that is not finite (the law must give "

@@ -262,6 +262,9 @@ class Estimate(Computable):
     def __str__(self) -> str:
         return f"{self.name}: {self.without_name()}"
 
+    def __repr__(self) -> str:
+        return f"<{self}>"
+
     def _repr_html_(self) -> str:
         shown = html.escape(self.without_name().replace("+-", "±"))
         return f"<span>{html.escape(self.name)}: <b>{shown}</b></span>"

@@ -82,13 +82,13 @@ class Sweep:
         ValueError: For arguments that do not fit, at any point.
 
     >>> system = ss.MassSpring(
-    ...     mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=1.0)
+    ...     mass=1.0, stiffness=4.0, normal_force=1.0, friction=ss.Coulomb(mu=0.9)
     ... )
     >>> law = ss.PoissonSwitching(speed=1.0, rate=1.0)
     >>> settings = {"t1": 20.0, "samples": 200, "key": jax.random.key(0)}
-    >>> sweep = ss.Sweep(system, law, over={"mu": [0.5, 1.0]}, **settings)
+    >>> sweep = ss.Sweep(system, law, over={"mu": [0.5, 0.9]}, **settings)
     >>> sweep.run(progress=False).stick_fraction.round(3).values
-    array([0.013, 0.069])
+    array([0.013, 0.055])
     """
 
     def __init__(

@@ -248,8 +248,9 @@ def _followed(cycle: Cycle, starts: Array, transient: IntArray, *, kept: int) ->
 
         return eqx.filter_vmap(one)(cycle, *carry)
 
-    contacts = cycle.system.tracks.contacts if cycle.system.tracks.number is not None else None
-    ages = jnp.zeros((len(starts),) if contacts is None else (len(starts), contacts), starts.dtype)
+    tracks = cycle.system.tracks
+    contacts = () if tracks.number is None or tracks.contacts in (None, 1) else (tracks.contacts,)
+    ages = jnp.zeros((len(starts), *contacts), starts.dtype)
     none = jnp.zeros(len(starts), jnp.int32)
     begun = (starts, ages, none, none, jnp.abs(starts))
     begun = lax.fori_loop(0, transient, lambda _, carry: period(carry)[0], begun)

@@ -111,18 +111,17 @@ def sticks_of(one: Simulation) -> dict[int, Stuck]:
     Raises:
         ValueError: Where it is not known which contact they are of.
     """
-    system = one.system
-    if system.tracks.contacts is None:
+    contacts, counted = one.system.tracks.contacts or 1, one.system.tracks.counted
+    if contacts == 1:
         return {0: sticks_in(one)}
     if one.sticks.contact is not None:
-        return {number: sticks_in(one.of_contact(number)) for number in range(system.tracks.contacts)}
-    if system.tracks.counted is None:
+        return {number: sticks_in(one.of_contact(number)) for number in range(contacts)}
+    if counted is None:
         raise ValueError(
             "Argument result must hold the sticks of all contacts, but one of of_contact or of_all_contacts was given; "
             "animate the simulation that it was taken from."
         )
-    counted = range(system.tracks.contacts) if system.tracks.counted < 0 else [system.tracks.counted]
-    return dict.fromkeys(counted, sticks_in(one))
+    return dict.fromkeys(range(contacts) if counted < 0 else [counted], sticks_in(one))
 
 
 def frame_times(window: Window, speed: float | None, fps: float, dtype: np.dtype) -> tuple[np.ndarray, float]:

@@ -615,10 +615,10 @@ def stick_raster(
     Raises:
         ValueError: For an ensemble with ``keep="totals"``, and for arguments of another kind.
     """
-    if isinstance(result, Simulation) and result.sticks.contact is not None:
+    if isinstance(result, Simulation) and result._of_all_contacts is not None:
         check_simulation(result, of_one_contact=False)
         shown = check_window(window, float(result.time_reached))
-        ax = _style.axes_or_new(ax, (6.4, 1.4 + 0.3 * min(result.totals.sticks.shape[-1], 16)))
+        ax = _style.axes_or_new(ax, (6.4, 1.4 + 0.3 * min(result.system.tracks.contacts or 1, 16)))
         contact_rows(ax, result, shown)
         _style.mark_unfinished(ax, result)
         legend_above(ax)

@@ -269,7 +269,7 @@ _FEW = 4  # lines that have a colour and a name each; of more, the first and the
 
 def contact_rows(ax: Axes, one: Simulation, window: Window) -> None:
     """Draw each stick as a bar, in a row for each contact, and in the last row the times in which all stick."""
-    contacts = one.totals.sticks.shape[-1]
+    contacts = one.system.tracks.contacts or 1
     rows = [*(one.of_contact(number) for number in range(contacts)), one.of_all_contacts()]
     found = 0
     for row, part in enumerate(rows):
@@ -372,7 +372,7 @@ def time_history(
         ValueError: For arguments of another kind.
     """
     check_simulation(result, of_one_contact=False)
-    if result.sticks.contact is not None:
+    if result._of_all_contacts is not None:
         return contact_history(result, window, axes)
     phases, shown = phases_in(result, window)
     coordinates, on_ground = result.system.coordinates, isinstance(result.base, GroundMotion)

@@ -253,6 +253,26 @@ def test_one_contact_alone_is_counted():
     assert found.value == ss.sensitivity("stick_fraction", one.of_contact(0), law, wrt="speed", **run).value
 
 
+def test_one_contact_alone_needs_no_choice_in_simulate():
+    """Sticks and totals are those of the same mass without a list of contacts, at each place that asks for them."""
+    mass = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.6, 0.8))
+    listed = ss.LinearStructure([1.0], [4.0], contacts=(ss.Contact.of_mass(0, 1, 1.0, ss.Coulomb(0.6, 0.8)),))
+    base = ss.Constant(0.2)
+    one, right = (ss.simulate(system, base, t1=10.0, y0=(0.1, 0.0)) for system in (listed, mass))
+    for found in (one, one.of_contact(0), one.of_all_contacts()):
+        assert (found.stick_time.shape, int(found.sticks.count)) == ((), int(right.sticks.count))
+        assert float(found.stick_time) == pytest.approx(float(right.stick_time), abs=1e-12)
+        assert int(found.slips.count) == int(right.slips.count)
+        assert float(found.stick_time_between(0.0, 5.0)) == pytest.approx(float(right.stick_time_between(0.0, 5.0)))
+    assert repr(one) == repr(right).replace("MassSpring", "LinearStructure")
+    with pytest.raises(ValueError, match="Argument number must be at most 0, but 1 was given"):
+        one.of_contact(1)
+    run = {"t1": 10.0, "samples": 8, "key": jax.random.key(2), "keep": "totals"}
+    outputs = {"time": lambda one: one.stick_time}
+    many = ss.simulate_contacts(listed, ss.PoissonSwitching(1.0, 1.0), outputs=outputs, **run).of_contact(0)
+    np.testing.assert_array_equal(many.output_values["time"], many.totals.stick_time)
+
+
 @pytest.mark.slow
 def test_peaks_are_those_of_the_coordinate():
     """The state of a structure is an array of positions and one of velocities; a coordinate is one number of these."""

@@ -124,6 +124,7 @@ def test_pages_of_notebooks_say_first_what_they_were_run_with(tmp_path, folder, 
     head, _, note = page.cells[0].source.split("\n", 2)
     assert head == "# Title"
     assert told in note.split("Text.")[0]
+    assert "{note}" in note  # nothing on a page that was built as it should be is a warning
     assert [output.text for output in page.cells[1].outputs] == (["ran\n"] if samples else [])
     assert page.cells[1].source == SIZED
 

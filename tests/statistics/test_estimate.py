@@ -180,7 +180,10 @@ def test_copies_know_where_they_are_from():
         assert hash(copied) == hash(A)
     again, both = pickle.loads(pickle.dumps((A, A + C)))
     assert numbers(both - again) == pytest.approx((1, 0.3))
-    assert "origin" not in repr(A)
+
+
+def test_among_others_an_estimate_is_one_line():
+    assert repr({"a": ss.Estimate("position", 0.30072, 0.0019, "m", 398)}) == "{'a': <position: 0.3007 +- 0.0019 m>}"
 
 
 def test_html():

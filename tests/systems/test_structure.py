@@ -152,14 +152,6 @@ def test_lists_are_as_good_as_tuples():
     assert (type(system.contacts), type(system.force)) == (tuple, tuple)
 
 
-@pytest.mark.slow
-def test_a_structure_with_one_contact_has_a_list_of_them():
-    """Its sticks are those of its contact number 0."""
-    one = ss.simulate(pair(contacts=[contact(1.0, 0.0)]), ss.Constant(0.0), t1=10.0, y0=(1.0, 0.0, 0.0, 0.0))
-    assert one.totals.sticks.shape == (1,)
-    assert int(one.of_contact(0).sticks.count) == int(one.totals.sticks[0]) >= 1
-
-
 def test_contacts_that_share_no_mass_are_uncoupled():
     assert pair().uncoupled
     assert not pair(mass=[[2.0, 0.5], [0.5, 1.0]]).uncoupled

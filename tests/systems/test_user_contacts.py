@@ -107,7 +107,8 @@ START = (-1.0, 1.0, -1.0, -1.0, 1.0, 1.0)
 
 def listed(one):
     mask = np.asarray(one.sticks.mask)
-    columns = np.asarray(one.sticks.contact), np.asarray(one.sticks.start), np.asarray(one.sticks.end)
+    contact = np.zeros(mask.shape) if one.sticks.contact is None else np.asarray(one.sticks.contact)
+    columns = contact, np.asarray(one.sticks.start), np.asarray(one.sticks.end)
     return [column[mask] for column in columns]
 
 

@@ -358,6 +358,7 @@ def test_ensembles_of_fixed_steps():
     assert many.totals.status.tolist() == statuses
     assert 0 < finished == many.finished < 10 < 100 * stick_time
     assert f"NOT FINISHED: {10 - finished} samples, because all time steps allowed were used" in repr(many)
+    assert "(leave max_steps out of method=, or raise it)" in repr(many)
     assert ss.stick_fraction(many).value == pytest.approx(stick_time / (finished * t1), rel=1e-12)
 
 
