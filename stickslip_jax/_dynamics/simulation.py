@@ -487,8 +487,8 @@ class Simulation(WithMethods):
             times: s, any shape.
 
         Returns:
-            The force, N; NaN outside ``[0, time_reached]``. Of a list of contacts (contacts, ...), unless one of them
-            is counted (`LinearStructure.of_contact`).
+            The force, N; NaN outside ``[0, time_reached]``. Of several contacts (contacts, ...), unless one of them is
+            counted (`LinearStructure.of_contact`).
 
         Raises:
             ValueError: For a `SwitchedSystem`, a list of contacts with `Regularized`, and a batch.
@@ -525,7 +525,8 @@ class Simulation(WithMethods):
             if not isinstance(self.method, Exact):
                 raise checks.refused("method", "be Exact() for friction forces in a list of contacts", self.method)
             found = self._at(partial(_forces_of_contacts, model, self._path, self.time_reached), times)
-            counted = self.system.tracks.counted
+            tracks = self.system.tracks
+            counted = 0 if tracks.contacts == 1 else tracks.counted
             force, velocity = (jnp.moveaxis(one, -1, 0) for one in found)
             return (force, velocity) if counted in (None, -1) else (force[counted], velocity[counted])
         return self._at(partial(_forces, model, self._path, self.method, self.sticks, self.time_reached), times)
