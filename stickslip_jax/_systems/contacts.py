@@ -201,6 +201,8 @@ class Contact(Checked):
             friction dampers: a slider without mass, which sticks while the spring's force is within the limit. What
             sticks and slips is the slider; the elongation of its spring is a further number of the state. For laws with
             one constant coefficient in either direction. None: no spring.
+        normal_stiffness: (d,), by how much the normal force grows with each position of the structure, N/m, as where
+            a spring or pad presses; the contact is open where that makes it zero or negative. None: with none.
 
     Raises:
         ValueError: If a number is out of its range or not finite, `friction` is no friction law, or there is a spring
@@ -215,11 +217,19 @@ class Contact(Checked):
     friction: FrictionLaw
     on_base: Annotated[Number, Quantity("", meaning="share of the base velocity that is subtracted")] = 1.0
     series_stiffness: SeriesStiffness = None
+    normal_stiffness: Any = eqx.field(default=None, converter=numbers_of)
 
     def check_parts(self) -> None:
         checks.bounded("direction", self.direction, ndim=1)
+        if self.normal_stiffness is not None:
+            checks.bounded("normal_stiffness", self.normal_stiffness, "N/m", ndim=1)
         require_law("friction", self.friction)
         check_spring(self.series_stiffness, self.friction)
+
+    @property
+    def has_varying_normal_force(self) -> bool:
+        """Whether the normal force changes with time or with the positions."""
+        return is_function(self.normal_force) or self.normal_stiffness is not None
 
     @classmethod
     def of_mass(
@@ -268,7 +278,7 @@ class Alike(eqx.Module):
         """`contacts` as one, if they are many and alike, else as they are."""
         first = contacts[0]
         remembers = first.friction.grows or first.friction.inner_state is not None
-        if len(contacts) <= WRITTEN_OUT or remembers or is_function(first.normal_force):
+        if len(contacts) <= WRITTEN_OUT or remembers or first.has_varying_normal_force:
             return contacts
         each = as_one(contacts)
         return contacts if each is None else Alike(each, len(contacts))

@@ -576,7 +576,8 @@ class ContactsModel(SwitchedModel[Forcing]):
         """What is `settled` of `others`, with the sliders: each by the force of its own spring."""
         force = self.sliders(forcing, tau, y).force
         share = limits.share(force)
-        within = jnp.abs(share) <= 1 + jnp.maximum(slack, NOISE_ULPS * jnp.finfo(share.dtype).eps)
+        # What stops has the force of its limit, but for round-off; held too far beyond, it slips on at once.
+        within = jnp.abs(share) <= 1 + jnp.where(question.goes_on, slack, math.sqrt(jnp.finfo(share.dtype).eps))
         holds = question.asked & within & ~question.released
         # What stops at its limit moves away from it: no last digit decides that.
         share = jnp.where(holds & ~question.goes_on, 0, jnp.where(question.released, jnp.inf, share))

@@ -180,6 +180,11 @@ def _check_contacts(mass: Any, contacts: Any, size: int) -> None:
                 f"Argument direction of contact {number} must hold {size} numbers, one for each mass, but "
                 f"{np.shape(contact.direction)[0]} were given."
             )
+        if contact.normal_stiffness is not None and np.shape(contact.normal_stiffness) != (size,):
+            raise ValueError(
+                f"Argument normal_stiffness of contact {number} must hold {size} numbers, one for each position, but "
+                f"{np.shape(contact.normal_stiffness)[0]} were given."
+            )
         if not checks.is_traced(contact.direction) and not np.any(np.asarray(contact.direction)):
             raise ValueError(
                 f"Argument direction of contact {number} must not be zero: such a contact moves with no mass."
@@ -324,6 +329,10 @@ class LinearStructure(WithContacts):
         """What the equations of motion need of linear algebra."""
         directions = stacked([contact.direction for contact in self.contacts], jnp.result_type(float))
         by_force, by_springs, softness = _inverse_times(self.mass, directions.T), None, None
+        by_position = None
+        if any(contact.normal_stiffness is not None for contact in self.contacts):
+            rows = [contact.normal_stiffness for contact in self.contacts]
+            by_position = stacked([np.zeros(self.size) if row is None else row for row in rows], directions.dtype)
         if np.any(self.elastic):
             given = [contact.series_stiffness for contact in self.contacts]
             springs = stacked([0.0 if one is None else one for one in given], directions.dtype)
@@ -341,6 +350,7 @@ class LinearStructure(WithContacts):
             fastest=self.fastest,
             by_springs=by_springs,
             softness=softness,
+            by_position=by_position,
         )
 
     def ready(self) -> "LinearStructure":
@@ -375,18 +385,22 @@ class LinearStructure(WithContacts):
         Sticks only constrain it, which raises none of them. A scale, without derivatives: masses without springs have
         equal eigenvalues, which have none.
         """
-        numbers, each = (self.mass, self.stiffness, self.damping), self.contacts
-        elastic = [contact for contact in each if contact.series_stiffness is not None]
-        if elastic:  # while all sliders stick
-            given = [(contact.direction, contact.series_stiffness) for contact in elastic]
-            is_known = not any(map(checks.is_traced, jax.tree.leaves((self.stiffness, given))))
-            xp = np if is_known else jnp
-            directions, springs = (
-                xp.stack([xp.asarray(one, float) for one in part]) for part in zip(*given, strict=True)
-            )
-            stiffness = xp.asarray(self.stiffness, float)
+        stiffness = self.stiffness
+        others = [one for one in self.contacts if not (one.series_stiffness is None and one.normal_stiffness is None)]
+        if others:
+            xp = jnp if any(map(checks.is_traced, jax.tree.leaves((stiffness, others)))) else np
+            stiffness = xp.asarray(stiffness, float)
             stiffness = xp.diag(stiffness) if stiffness.ndim == 1 else stiffness
-            numbers = self.mass, stiffness + directions.T @ (springs[:, None] * directions), self.damping
+        for one in others:
+            w = xp.asarray(one.direction, float)
+            if one.series_stiffness is not None:  # while the slider sticks
+                stiffness = stiffness + one.series_stiffness * xp.outer(w, w)
+            if one.normal_stiffness is not None:
+                # Friction acts as the matrix mu w a^T, no more than mu (r w w^T + a a^T / r) does, r = |a| / |w|.
+                a = xp.asarray(one.normal_stiffness, float)
+                ratio = xp.maximum(xp.sqrt(xp.sum(a * a) / xp.sum(w * w)), _LEAST)
+                stiffness = stiffness + one.friction.static * (ratio * xp.outer(w, w) + xp.outer(a, a) / ratio)
+        numbers = self.mass, stiffness, self.damping
         if any(map(checks.is_traced, numbers)):
             return _fastest(*without_derivatives(numbers))
         return _fastest_known(*numbers)

@@ -16,7 +16,6 @@ from .contacts import (
     Alike,
     Contact,
     as_one,
-    is_function,
     laws_in,
     power_series_of,
     rates_at,
@@ -41,6 +40,7 @@ class Matrices(NamedTuple):
       with and without a spring.
     - `gain`: see `contact_forces`. `fastest`: see `LinearStructure.fastest`.
     - `softness`: of the springs, m/N, zero where there is none.
+    - `by_position`: of the normal forces, by positions, N/m, (contacts, d); `None` where there are none.
     """
 
     inverse_mass: Matrix
@@ -53,6 +53,7 @@ class Matrices(NamedTuple):
     fastest: FloatScalar
     by_springs: Matrix | None = None
     softness: FloatArray | None = None
+    by_position: FloatArray | None = None
 
     def by_bands(self) -> "Matrices":
         """The same, large matrices with few bands by these: of ten blocks in a row, 28 of the 100 stiffnesses."""
@@ -140,12 +141,12 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         if self.varying:
             noise = noise + self._touch(forcing, y)
         is_at_limit = way * (force - reach) >= -noise
-        return Sliders(force, limits, way, velocity - self._following(forcing, tau, velocity, way), is_at_limit)
+        return Sliders(force, limits, way, velocity - self._following(forcing, tau, y, way), is_at_limit)
 
-    def _following(self, forcing: Forcing, tau: FloatScalar, velocity: FloatArray, way: FloatArray) -> FloatArray:
+    def _following(self, forcing: Forcing, tau: FloatScalar, y: State, way: FloatArray) -> FloatArray:
         """The rates of the elongations in slips `way`, in which the springs' forces are the limits, m/s."""
-        rates = rates_at(self.structure.normal_forces, forcing.t + tau, forcing.normal)
-        return self.limits_under(rates, velocity).slip(way) * self._softness((velocity,))
+        rates = self.normal_rates_at(forcing, tau, y)
+        return self.limits_under(rates, jnp.zeros_like(rates)).slip(way) * self._softness(y)
 
     def _softness(self, y: State) -> FloatArray:
         softness = self._in_precision_of(y).softness
@@ -156,8 +157,8 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         rates = super().rates(forcing, tau, y, sign)
         if not self.has_sliders:
             return rates
-        own, velocity = self._own(sign), self.relative_velocity(forcing, tau, y)
-        elongating = jnp.where(own == 0, rates[2], self._following(forcing, tau, velocity, own))
+        own = self._own(sign)
+        elongating = jnp.where(own == 0, rates[2], self._following(forcing, tau, y, own))
         return *rates[:2], jnp.where(self._is_open(sign), 0, elongating)
 
     def at_limits(self, forcing: Forcing, y: State, sign: FloatArray) -> State:
@@ -191,14 +192,24 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
 
     @property
     def varying(self) -> tuple[int, ...]:
-        forces = self.structure.normal_forces
-        return tuple(i for i, one in enumerate(forces) if is_function(one)) if isinstance(forces, tuple) else ()
+        each = self.structure.contacts
+        return () if isinstance(each, Alike) else tuple(i for i, one in enumerate(each) if one.has_varying_normal_force)
 
     def normal_scale(self, forcing: Forcing, y: State) -> FloatArray:
-        return jnp.stack([size_of(self.structure.normal_forces[number], forcing.t) for number in self.varying])
+        scales = jnp.stack([size_of(self.structure.normal_forces[number], forcing.t) for number in self.varying])
+        of = self._in_precision_of(y)
+        if of.by_position is None:
+            return scales
+        return scales + times(jnp.abs(of.by_position[np.array(self.varying)]), jnp.abs(y[0]))
 
     def normal_forces_at(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
-        return values_at(self.structure.normal_forces, forcing.t, forcing.normal, tau)
+        given, of = values_at(self.structure.normal_forces, forcing.t, forcing.normal, tau), self._in_precision_of(y)
+        return given if of.by_position is None else given + times(of.by_position, y[0])
+
+    def normal_rates_at(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
+        """The time derivatives of the normal forces, N/s."""
+        given, of = rates_at(self.structure.normal_forces, forcing.t + tau, forcing.normal), self._in_precision_of(y)
+        return given if of.by_position is None else given + times(of.by_position, y[1])
 
     def velocity_scale(self, forcing: Forcing, y: State) -> FloatArray:
         base, of = forcing.base_at(self.smooth, jnp.zeros_like(forcing.t)), self._in_precision_of(y)
@@ -319,14 +330,16 @@ class ArcsModel(StructureModel):
 
         return at
 
+    def slip_coefficients(self, sign: FloatArray) -> FloatArray:
+        """The friction coefficients, with their signs, (contacts,); 0 in sticks and open contacts."""
+        own = self._own(sign)
+        return self._closed(self.limits_under(jnp.ones_like(own), jnp.zeros_like(own)), sign).slip(own)
+
     def _sources(
         self, held: "_Held", forcing: Forcing, y: State, sign: FloatArray, terms: int
     ) -> list[FloatArray | None]:
         """The coefficients in the power series of accelerations (masses,) that do not depend on the state."""
-        t, of, none = forcing.t, held.of, jnp.zeros_like(forcing.t)
-        # Constant friction coefficients: at any relative velocity.
-        share = self._closed(self.limits_under(jnp.ones_like(of.on_base), jnp.zeros_like(of.on_base)), sign)
-        slip = share.slip(self._own(sign))
+        t, of, none, slip = forcing.t, held.of, jnp.zeros_like(forcing.t), self.slip_coefficients(sign)
         normal = power_series_of(self.structure.normal_forces, t, forcing.normal, terms)
         load = power_series_of(self.structure.force or (), t, forcing.force, terms)
         base: tuple[FloatArray | None, ...] = (None,) * (terms + 1)
@@ -353,8 +366,7 @@ class ArcsModel(StructureModel):
         """The coefficients in the power series of the rates of elongations (contacts,): in sticks those of the base's
         part of the relative velocities, in slips those of the limits.
         """
-        own, t, none = self._own(sign), forcing.t, jnp.zeros_like(y[2])
-        reach = self._closed(self.limits_under(none + 1, none), sign).slip(own) * self._softness(y)
+        t, reach = forcing.t, self.slip_coefficients(sign) * self._softness(y)
         normal = power_series_of(self.structure.normal_forces, t, forcing.normal, terms + 1)
         base: tuple[FloatArray | None, ...] = (None,) * terms
         if self.smooth is not None:
@@ -370,7 +382,7 @@ class ArcsModel(StructureModel):
         sticks = self._rigid(own == 0)
         now = self.instant(forcing, tau, y)
         t, normal = forcing.t + tau, self.normal_forces_at(forcing, tau, y)
-        normal_rate = rates_at(self.structure.normal_forces, t, forcing.normal)
+        normal_rate = self.normal_rates_at(forcing, tau, y)
         limits, changing = (
             self._closed(self.limits_under(forces, now.velocity), sign) for forces in (normal, normal_rate)
         )
@@ -414,10 +426,13 @@ def _series(
     x, v, power = [y[0]], [y[1]], jnp.ones_like(h)
     stretching = [] if of.by_springs is None else model._elongating(forcing, y, sign, terms)
     e, follows = list(y[2:]), (model._own(sign) == 0) & ~model._is_open(sign)
+    slip = model.slip_coefficients(sign)
     for k, source in enumerate(sources):
         pull = times(of.stiffness, x[k])
         if of.by_springs is not None:
             pull = pull + times(of.by_springs, e[k])
+        if of.by_position is not None:
+            pull = pull + times(of.by_force, slip * times(of.by_position, x[k]))
         if of.damping is not None:
             pull = pull + times(of.damping, v[k])
         rate = -held(pull)
@@ -427,6 +442,8 @@ def _series(
         if stretching:
             (of_base, of_limit), held_to = stretching[k], times(of.directions, v[k])
             limit = jnp.zeros_like(e[0]) if of_limit is None else power * of_limit
+            if of.by_position is not None and of.softness is not None:
+                limit = limit + slip * of.softness * times(of.by_position, v[k])
             stretch = jnp.where(follows, held_to - of.on_base * (power * of_base), limit)
             e.append(jnp.where(model.elastic, share * stretch, 0))
         x.append(share * v[k])

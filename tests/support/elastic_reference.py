@@ -20,7 +20,8 @@ STICK, FORWARD, BACKWARD, OPEN = 0, 1, -1, 2
 @dataclasses.dataclass
 class SetUp:
     """Masses on springs and dampers; contacts with the base (velocity ``base[0] + base[1] cos wt``), of which those
-    with a spring (`springs` > 0) are elastic; normal forces ``normal[0] + normal[1] sin wt``; at most one is rigid.
+    with a spring (`springs` > 0) are elastic, at most one is rigid; normal forces
+    ``normal[0] + normal[1] sin wt + pressing . x``.
     """
 
     mass: np.ndarray
@@ -33,6 +34,7 @@ class SetUp:
     static: np.ndarray
     base: tuple[float, float]
     w: float
+    pressing: np.ndarray
 
 
 class ByModes:
@@ -50,7 +52,8 @@ class ByModes:
         self.drive[-2], self.drive[-1] = -of.w * self.sin, of.w * self.cos
         base = of.base[0] * self.one + of.base[1] * self.cos
         self.relative = of.directions @ self.v - base  # forms (contacts, size)
-        self.forces = of.normal[0][:, None] * self.one + of.normal[1][:, None] * self.sin
+        self.forces = of.normal[0][:, None] * self.one + of.normal[1][:, None] * self.sin + of.pressing @ self.x
+        self.growths = of.normal[1][:, None] * self.drive[-1] + of.pressing @ self.v  # rates of the normal forces
         self.sticks = []  # (contact, begin, end, duration known)
         self.began = np.full(n, np.nan)
         self.mode = np.array([self._first(i) for i in range(n)])
@@ -95,13 +98,13 @@ class ByModes:
             return self.relative[i]
         if mode == OPEN:
             return np.zeros(self.size)
-        return mode * self.of.kinetic[i] / self.of.springs[i] * (self.forces[i] @ self.drive)
+        return mode * self.of.kinetic[i] / self.of.springs[i] * self.growths[i]
 
     def _guards(self, mode, held):
         """Forms that are positive while the mode lasts: (form, contact, what it becomes)."""
         of, guards = self.of, []
         for i in range(self.n):
-            if of.normal[1][i] != 0:
+            if of.normal[1][i] != 0 or np.any(of.pressing[i]):
                 guards.append((self.forces[i] * (-1 if mode[i] == OPEN else 1), i, "touch"))
             if mode[i] == OPEN:
                 continue
@@ -185,7 +188,7 @@ class ByModes:
 
     def _closing(self, i):
         """How a contact closes: a slider sticks unless its spring would outrun the limit."""
-        speed, growth = self.relative[i] @ self.z, self.of.kinetic[i] * (self.forces[i] @ self.drive @ self.z)
+        speed, growth = self.relative[i] @ self.z, self.of.kinetic[i] * (self.growths[i] @ self.z)
         if self.of.springs[i] > 0 and abs(speed) * self.of.springs[i] <= growth:
             return STICK
         return int(np.sign(speed))

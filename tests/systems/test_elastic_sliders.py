@@ -16,6 +16,7 @@ KINDS = {
     "mixed": (3, 4, 1, True, False, True),
     "twenty": (2, 20, 0, False, False, False),
     "opening": (2, 3, 0, True, True, False),
+    "pressed": (3, 2, 1, True, True, False),  # by springs, too
 }
 
 
@@ -39,8 +40,10 @@ def random_set_up(kind, seed):
     base = rng.uniform(-0.3, 0.3), rng.uniform(0.2, 1.0)
     of = SetUp(
         rng.uniform(0.5, 2.0, masses), stiffness, np.diag(damping), directions, springs, normal, kinetic, static,
-        base, rng.uniform(0.5, 2.5),
+        base, rng.uniform(0.5, 2.5), np.zeros((contacts, masses)),
     )  # fmt: skip
+    if kind == "pressed":
+        of.pressing = rng.normal(size=(contacts, masses)) / 2
     return of, np.append(rng.uniform(-2, 2, masses), rng.uniform(-1, 1, masses))
 
 
@@ -51,7 +54,11 @@ def as_structure(of):
         if of.normal[1][i]:
             force = ss.Harmonic(of.normal[1][i], of.w, -np.pi / 2, force)
         law = ss.Coulomb(of.kinetic[i], None if np.all(of.static == of.kinetic) else of.static[i])
-        contacts.append(ss.Contact(direction, force, law, 1.0, of.springs[i] if of.springs[i] else None))
+        contacts.append(
+            ss.Contact(
+                direction, force, law, 1.0, of.springs[i] or None, of.pressing[i] if np.any(of.pressing) else None
+            )
+        )
     damping = np.diag(of.damping) if np.any(of.damping) else None
     base = ss.Harmonic(of.base[1], of.w, 0.0, of.base[0])
     return ss.LinearStructure(of.mass, of.stiffness, damping, contacts), base
