@@ -2,6 +2,7 @@
 
 from ._basins import basins as basins
 from ._continuation import BranchEvent as BranchEvent, OrbitBranch as OrbitBranch, continue_orbit as continue_orbit
+from ._equilibria import Equilibrium as Equilibrium, equilibrium as equilibrium, stability_map as stability_map
 from ._lyapunov import lyapunov_exponents as lyapunov_exponents
 from ._orbits import Mode as Mode, PeriodicOrbit as PeriodicOrbit, periodic_orbit as periodic_orbit
 from ._sections import (

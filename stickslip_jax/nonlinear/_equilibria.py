@@ -1,0 +1,228 @@
+"""Equilibria of steady sliding, and where over parameters they lose their stability."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Complex
+
+from .._compiler.programs import kept_jit
+from .._dynamics.common.method import EXACT, Arguments, entries_of
+from .._dynamics.common.path import SegmentLaws
+from .._dynamics.switched.engine import SwitchedEngine
+from .._excitation.excitation import BaseMotion, excitation_of, motion_of
+from .._foundation import checks
+from .._foundation.extras import Dataset, Entries, variable
+from .._foundation.fields import WithMethods, in_one_line
+from .._foundation.types import FloatArray, InitialState, IntArray
+from .._numerics.derivatives import as_arrays
+from .._systems.system import System
+from .._uncertainty.numbers import with_numbers
+from ._cases import Cases, Cycle, Over, cases_of, check_repeats, common_period, repetitions
+
+_NEWTON, _HALVES = 12, 48  # steps to the equilibrium; halves of an interval of a parameter
+_ROUND_OFF = 1e-6  # of the fastest eigenvalue: a growth rate that is round-off, where two eigenvalues meet
+_ANY = 1.0  # s: nothing that drives an equilibrium changes with time
+
+
+class Equilibrium(WithMethods):
+    """A state of steady sliding, which stays as it is, and how small disturbances of it grow.
+
+    Attributes:
+        state: (coordinates,).
+        jacobian: Of the rates by the numbers of the motion, without what friction remembers, (numbers, numbers).
+        exists: Whether the state is at rest, and all contacts slide there in the directions in which they slide at `y0`
+            with positive normal forces.
+        system: The argument of `equilibrium`.
+    """
+
+    state: Array
+    jacobian: Array
+    exists: Bool[Array, ""]
+    system: System
+
+    @property
+    def eigenvalues(self) -> Complex[Array, "*batch numbers"]:
+        """Of small disturbances, 1/s, complex, the fastest growing first."""
+        found = jnp.linalg.eigvals(self.jacobian)
+        return jnp.take_along_axis(found, jnp.argsort(-jnp.real(found), axis=-1), axis=-1)
+
+    @property
+    def growth_rate(self) -> Array:
+        """Of the fastest growing disturbance, 1/s; negative where all decay."""
+        return jnp.real(self.eigenvalues[..., 0])
+
+    @property
+    def angular_frequency(self) -> Array:
+        """Of the fastest growing disturbance, rad/s; 0 where it does not swing."""
+        return jnp.abs(jnp.imag(self.eigenvalues[..., 0]))
+
+    @property
+    def is_stable(self) -> Bool[Array, "*batch"]:
+        """Whether no disturbance grows, but for round-off."""
+        return self.growth_rate <= _ROUND_OFF * jnp.max(jnp.abs(self.eigenvalues), axis=-1)
+
+    def __repr__(self) -> str:
+        name = f"Equilibrium of a {type(self.system).__name__}"
+        if self.state.ndim > 1 or checks.holds_traced(self):
+            return f"{name}, {self.state.shape[:-1]} states"
+        how = "stable" if self.is_stable else "unstable"
+        swings = f"growth rate {float(self.growth_rate):.4g} 1/s at {float(self.angular_frequency):.4g} rad/s"
+        found = f"{in_one_line(np.asarray(self.state))}, {how}, {swings}"
+        return f"{name}: {found}" if self.exists else f"{name}, DOES NOT EXIST: {found}"
+
+
+def equilibrium(system: System, base: BaseMotion, *, y0: InitialState | None = None) -> Equilibrium:
+    """The state of steady sliding near `y0`, and the eigenvalues of the motion about it.
+
+    Newton's method on the rates of the slips in which the contacts are at `y0`. A pure function: under ``jit``,
+    ``vmap`` and ``grad`` (the derivatives are those of the implicit function).
+
+    Args:
+        system: A `MassSpring`, a `LinearStructure` or one of your own, with any number of contacts.
+        base: A motion of constant velocity, such as `Constant`.
+        y0: A state near the equilibrium, zeros by default; every contact must slide in it.
+
+    Raises:
+        ValueError: For arguments that do not fit, and for a drive that changes with time.
+
+    >>> brake = ss.LinearStructure(
+    ...     [1.0, 1.0], [[2.0, -0.8], [-0.8, 2.4]],
+    ...     contacts=[ss.Contact([1.0, 0.0], 1.0, ss.Coulomb(0.6), normal_stiffness=[0.0, -2.0])],
+    ... )
+    >>> print(ss.nonlinear.equilibrium(brake, ss.Constant(1.0)).is_stable)
+    True
+    """
+    _check_steady(system, base)
+    dtype = jnp.result_type(float)
+    start = jnp.stack([jnp.asarray(value, dtype) for value in entries_of(system, y0)])
+    return _found(Cycle(system, motion_of(base), _ANY, EXACT), start)
+
+
+def _check_steady(system: System, base: BaseMotion) -> None:
+    check_repeats(system, base, None, EXACT)
+    period = common_period([one for one in repetitions(system, motion_of(base)) if one[1] is not None])
+    if period is not None:
+        raise ValueError(
+            "Argument base must be a motion of constant velocity, without other drives, for an equilibrium, but one "
+            f"that changes with a period of {float(np.ravel(period)[0]):.6g} s was given; see periodic_orbit."
+        )
+
+
+@kept_jit(filtered=True)
+def _found(cycle: Cycle, start: FloatArray) -> Equilibrium:
+    system, excitation, zero = cycle.system, excitation_of(cycle.base), jnp.zeros((), start.dtype)
+    step = Arguments(system, cycle.base, cycle.method, _ANY).checked_step()[1]
+    engine = SwitchedEngine(system, excitation, _ANY, tuple(start), step, 0, None)
+    lane = engine.lane(excitation.signal, np.zeros(2, np.uint32), start.dtype)
+    model = system.switched_model(excitation.signal, None)
+    forcing = model.forcing(zero, SegmentLaws.of(system, excitation).segments(lane.segment_states))
+    sign = lax.stop_gradient(model.slip_sign(forcing, model.start(tuple(start), start.dtype)))
+    moving = len(start) - len(system.memory.start)
+
+    def state_of(motion: FloatArray) -> Any:
+        return model.at_limits(forcing, model.start((*motion, *start[moving:]), start.dtype), sign)
+
+    def rates(motion: FloatArray) -> FloatArray:
+        return jnp.stack(model.numbers(model.rates(forcing, zero, state_of(motion), sign))[:moving])
+
+    def nearer(_: IntArray, motion: FloatArray) -> FloatArray:
+        # Each step is exact to twice the order of derivatives of the one before, so that all of low order are.
+        return motion - jnp.linalg.solve(jax.jacfwd(rates)(motion), rates(motion))
+
+    motion = lax.fori_loop(0, _NEWTON, nearer, start[:moving])
+    jacobian, y = jax.jacfwd(rates)(motion), state_of(motion)
+    left = jnp.max(jnp.abs(rates(motion))) <= _ROUND_OFF * jnp.max(jnp.abs(jacobian)) * (1 + jnp.max(jnp.abs(motion)))
+    slides = jnp.all(model.slip_sign(forcing, y) == sign) & jnp.all(sign != 0)
+    return Equilibrium(jnp.stack(model.numbers(y)), jacobian, left & slides, system)
+
+
+def stability_map(system: System, base: BaseMotion, over: Over, *, y0: InitialState | None = None) -> Dataset:
+    """The equilibrium of steady sliding and its stability over the values of parameters, and where it loses it.
+
+    Args:
+        system: As in `equilibrium`.
+        base: As there.
+        over: A dict from names of parameters to values, ``{"mu": np.linspace(0, 1, 51)}``.
+        y0: As there.
+
+    Returns:
+        ``growth_rate`` (1/s) and ``angular_frequency`` (rad/s) of the fastest growing disturbance, ``is_stable``,
+        ``exists``, and the numbers of the state, over the parameters. Along the first parameter, between values of
+        which one is stable and the next is not, ``critical`` is where that changes, to round-off, with the dimension
+        "change" (NaN beyond the last), and ``critical_frequency`` the angular frequency there: of flutter or a Hopf
+        point, or 0 where it is lost without swinging.
+
+    Raises:
+        ValueError: For arguments that do not fit, and for a drive that changes with time.
+        ImportError: Without the extra ``study``.
+    """
+    _check_steady(system, base)
+    cases = cases_of(system, base, y0, over, _ANY, EXACT)
+    found = eqx.filter_vmap(_found)(cases.cycle, jnp.asarray(cases.starts, cases.dtype))
+    first, *others = cases.points.dimensions
+    stable = np.asarray(found.is_stable).reshape(cases.shape)
+    changes = np.argwhere(stable[:-1] != stable[1:])
+    where, frequencies = _critical(cases, changes, stable)
+    rows = [tuple(one[1:]) for one in changes.tolist()]
+    numbers = [rows[:place].count(row) for place, row in enumerate(rows)]
+    shape = (*cases.shape[1:], 1 + max(numbers, default=0))
+    values = {name: np.full(shape, np.nan) for name in ("critical", "critical_frequency")}
+    for place, (row, number) in enumerate(zip(rows, numbers, strict=True)):
+        values["critical"][*row, number], values["critical_frequency"][*row, number] = where[place], frequencies[place]
+    own = (*(one.name for one in others), "change")
+    variables: Entries = {
+        "growth_rate": cases.variable(found.growth_rate, "growth rate of disturbances", "1/s"),
+        "angular_frequency": cases.variable(found.angular_frequency, "angular frequency of disturbances", "rad/s"),
+        "is_stable": cases.variable(stable.ravel(), "whether no disturbance grows"),
+        "exists": cases.variable(found.exists, "whether there is such an equilibrium"),
+        "critical": variable(own, values["critical"], f"{first.name} at which stability changes"),
+        "critical_frequency": variable(own, values["critical_frequency"], "angular frequency there", "rad/s"),
+    }
+    for number, coordinate in enumerate(cases.system.coordinates):
+        label = f"{coordinate.name} at equilibrium"
+        variables[coordinate.variable] = cases.variable(found.state[:, number], label, coordinate.unit)
+    return cases.dataset(variables, {})
+
+
+def _critical(cases: Cases, changes: np.ndarray, stable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The values of the first parameter at which stability changes, by halves, and the angular frequencies there."""
+    points = [int(np.ravel_multi_index(tuple(one), cases.shape)) for one in changes]
+    if not points:
+        return np.zeros(0), np.zeros(0)
+    beside = int(np.prod(cases.shape[1:]))
+    each = [np.array([cases.points.values(point) for point in at]) for at in (points, [p + beside for p in points])]
+    begins_stable = stable[tuple(changes.T)]
+    low, high, others = each[0][:, 0], each[1][:, 0], each[0][:, 1:]
+    as_given, start = as_arrays(cases.setter.setting, cases.dtype), jnp.asarray(cases.starts[points], cases.dtype)
+    paths = tuple(cases.setter.columns(each[0])[0])
+
+    @eqx.filter_vmap
+    def found_at(numbers: Array, start: Array) -> Equilibrium:
+        changed = with_numbers(as_given, paths, numbers)
+        return _found(Cycle(changed.system, motion_of(changed.law), _ANY, EXACT), start)
+
+    def numbers_at(values: np.ndarray) -> Array:
+        columns, _ = cases.setter.columns(np.column_stack([values, others]))
+        return jnp.asarray(np.stack(list(columns.values()), axis=1), cases.dtype)
+
+    for _ in range(_HALVES):
+        middle = (low + high) / 2
+        same = np.asarray(found_at(numbers_at(middle), start).is_stable) == begins_stable
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    # What counts as stable grows by round-off, at most: by Newton's method to where the growth rate is zero. (Near
+    # flutter it is a root, of which a second step, no shorter than the first, would be round-off.)
+    unstable, width = np.where(begins_stable, high, low), np.abs(each[1][:, 0] - each[0][:, 0])
+    frequencies, apart = np.asarray(found_at(numbers_at(unstable), start).angular_frequency), _ROUND_OFF * width
+    longest = width
+    for _ in range(2):
+        numbers, ahead, behind = (numbers_at(unstable + k * apart) for k in (0, 1, -1))
+        slope = (ahead - behind) / (2 * apart)[:, None]
+        rates, slopes = map(np.asarray, jax.jvp(lambda at: found_at(at, start).growth_rate, (numbers,), (slope,)))
+        more = np.divide(rates, slopes, out=np.zeros(len(low)), where=np.abs(slopes) > 0)
+        unstable = unstable - np.where(np.abs(more) < longest, more, 0)
+        longest = np.abs(more) / 10
+    return unstable, frequencies
