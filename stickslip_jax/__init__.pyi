@@ -154,7 +154,11 @@ from ._systems.mass_spring import MassSpring as MassSpring
 from ._systems.places import FrictionByPlace as FrictionByPlace
 from ._systems.motor_cart import MotorCart as MotorCart, stick_duration_bound as stick_duration_bound
 from ._systems.contacts import Contact as Contact
-from ._systems.builders import block_row as block_row, storeys_on_bearing as storeys_on_bearing
+from ._systems.builders import (
+    block_row as block_row,
+    iwan_sliders as iwan_sliders,
+    storeys_on_bearing as storeys_on_bearing,
+)
 from ._systems.builders import FrictionDisk as FrictionDisk, drill_string as drill_string, drivetrain as drivetrain
 from ._systems.structure import LinearStructure as LinearStructure
 from ._systems.switched_system import SwitchedSystem as SwitchedSystem

@@ -199,5 +199,5 @@ def simulate(
     one = Simulation(system, arguments.base, t1, method, *run)
     if one.sticks.contact is not None and system.tracks.contacts == 1:
         # The only contact of a list needs no choice: sticks and totals are as those of a system without a list.
-        one = with_fields(one.of_contact(0), Simulation, _of_all_contacts=one._of_all_contacts)
+        one = with_fields(one.of_contact(0), Simulation, system=system, _of_all_contacts=one._of_all_contacts)
     return one

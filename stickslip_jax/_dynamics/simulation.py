@@ -326,7 +326,7 @@ class Simulation(WithMethods):
             number: Of the contact, from 0.
 
         Returns:
-            A simulation whose sticks and totals are those of this contact.
+            A simulation whose sticks and totals are those of this contact, as of ``system.of_contact(number)``.
 
         Raises:
             ValueError: For a system without a list of contacts, and for a number that is not one of its contacts.
@@ -335,12 +335,12 @@ class Simulation(WithMethods):
             raise ValueError("This system has one contact: its sticks are in simulation.sticks.")
         contacts = 1 if self.sticks.contact is None else self.totals.sticks.shape[-1]
         checks.whole_number("number", number, minimum=0, maximum=contacts - 1)
+        system = cast(Any, self.system).of_contact(number)
         if self.sticks.contact is None:
-            return with_fields(self, type(self), _of_all_contacts=None)
+            return with_fields(self, type(self), system=system, _of_all_contacts=None)
         parts = self.totals._replace(**{name: values[..., number] for name, values in self.totals._asdict().items()})
-        return with_fields(
-            self, type(self), sticks=of_contact(self.sticks, number), totals=parts, _of_all_contacts=None
-        )
+        own = of_contact(self.sticks, number)
+        return with_fields(self, type(self), system=system, sticks=own, totals=parts, _of_all_contacts=None)
 
     def of_all_contacts(self) -> "Simulation":
         """The same trajectory with the times in which every closed contact sticks, such as the arrest of a chain.

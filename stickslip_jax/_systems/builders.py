@@ -8,6 +8,7 @@ import numpy as np
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity
 from .._foundation.types import AnyArray, Number
+from .._uncertainty.families import RandomNumber
 from .contacts import Contact, ForceQuantity, NormalForce, entries_of
 from .friction import Coulomb, FrictionLaw, require_law
 from .structure import BLOCKS, MOST_CONTACTS, STOREYS, LinearStructure, check_forces, numbers_in
@@ -112,6 +113,50 @@ def storeys_on_bearing(
     return LinearStructure(
         masses, matrix, dampers, (Contact.of_mass(0, len(masses), weight, friction),), drawn_as=STOREYS
     )
+
+
+def iwan_sliders(
+    stiffness: Number,
+    strengths: Any,
+    *,
+    sliders: int = 100,
+    direction: Sequence[float] = (1.0,),
+    on_base: Number = 1.0,
+) -> tuple[Contact, ...]:
+    """Sliders in parallel, each behind a spring: the contacts of a joint that begins to slip little by little.
+
+    The parallel-series model of Iwan ("On a class of models for the yielding behavior of continuous and composite
+    systems", 1967): n elements of Jenkins, of which each has the n-th part of the stiffness, and of its strength.
+
+    Args:
+        stiffness: Of all while none slips, N/m, positive.
+        strengths: The force at which the joint would slip if all sliders were like this one, N: one for each slider,
+            positive, or their distribution, such as ``Uniform(0.0, 2.0)``, of which each slider stands for an equal
+            share. The joint slips as a whole at their mean.
+        sliders: How many a distribution is divided into.
+        direction: As in `Contact`.
+        on_base: As in `Contact`.
+
+    Returns:
+        The contacts of a `LinearStructure`.
+
+    Raises:
+        ValueError: For a number out of its range.
+
+    >>> joint = ss.iwan_sliders(100.0, ss.Uniform(0.0, 2.0), sliders=20)
+    >>> oscillator = ss.LinearStructure([1.0], [50.0], contacts=joint)
+    >>> print(len(oscillator.contacts), oscillator.coordinates[2].meaning)
+    20 elongation 0 in m
+    """
+    checks.positive("stiffness", stiffness, "N/m")
+    if isinstance(strengths, RandomNumber):
+        number = checks.whole_number("sliders", sliders, maximum=MOST_CONTACTS)
+        strengths = strengths.icdf((np.arange(number) + 0.5) / number)
+    each = numbers_in("strengths", strengths)
+    if np.ndim(each) != 1 or not (checks.is_traced(each) or np.all((each > 0) & np.isfinite(each))):
+        raise checks.refused("strengths", "hold positive numbers (in N), or be a distribution of such", strengths)
+    number = np.shape(each)[0]
+    return tuple(Contact(direction, each[i] / number, Coulomb(1.0), on_base, stiffness / number) for i in range(number))
 
 
 def row_of_springs(stiffness: Any) -> Any:
