@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._foundation import checks
@@ -134,8 +135,8 @@ def iwan_sliders(
             positive, or their distribution, such as ``Uniform(0.0, 2.0)``, of which each slider stands for an equal
             share. The joint slips as a whole at their mean.
         sliders: How many a distribution is divided into.
-        direction: As in `Contact`.
-        on_base: As in `Contact`.
+        direction: (d,), what each velocity of the structure contributes to the relative velocity of the joint.
+        on_base: How much of the base velocity is subtracted: 1 for a mass on the base, 0 between masses.
 
     Returns:
         The contacts of a `LinearStructure`.
@@ -151,7 +152,7 @@ def iwan_sliders(
     checks.positive("stiffness", stiffness, "N/m")
     if isinstance(strengths, RandomNumber):
         number = checks.whole_number("sliders", sliders, maximum=MOST_CONTACTS)
-        strengths = strengths.icdf((np.arange(number) + 0.5) / number)
+        strengths = strengths.icdf((jnp.arange(number) + 0.5) / number)
     each = numbers_in("strengths", strengths)
     if np.ndim(each) != 1 or not (checks.is_traced(each) or np.all((each > 0) & np.isfinite(each))):
         raise checks.refused("strengths", "hold positive numbers (in N), or be a distribution of such", strengths)

@@ -217,12 +217,12 @@ class Contact(Checked):
     friction: FrictionLaw
     on_base: Annotated[Number, Quantity("", meaning="share of the base velocity that is subtracted")] = 1.0
     series_stiffness: SeriesStiffness = None
-    normal_stiffness: Any = eqx.field(default=None, converter=numbers_of)
+    normal_stiffness: Annotated[
+        Any, Quantity("N/m", meaning="growth of the normal force with each position", ndim=1)
+    ] = eqx.field(default=None, converter=numbers_of)
 
     def check_parts(self) -> None:
         checks.bounded("direction", self.direction, ndim=1)
-        if self.normal_stiffness is not None:
-            checks.bounded("normal_stiffness", self.normal_stiffness, "N/m", ndim=1)
         require_law("friction", self.friction)
         check_spring(self.series_stiffness, self.friction)
 

@@ -387,8 +387,8 @@ class LinearStructure(WithContacts):
         """
         stiffness = self.stiffness
         others = [one for one in self.contacts if not (one.series_stiffness is None and one.normal_stiffness is None)]
+        xp: Any = jnp if any(map(checks.is_traced, jax.tree.leaves((stiffness, others)))) else np
         if others:
-            xp = jnp if any(map(checks.is_traced, jax.tree.leaves((stiffness, others)))) else np
             stiffness = xp.asarray(stiffness, float)
             stiffness = xp.diag(stiffness) if stiffness.ndim == 1 else stiffness
         for one in others:

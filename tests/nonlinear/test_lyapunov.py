@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import stickslip_jax as ss
 from stickslip_jax import nonlinear
-from stickslip_jax.nonlinear._lyapunov import stretches
+from stickslip_jax.nonlinear._stability import stretches
 
 CHAOTIC = {
     "system": ss.MassSpring(
