@@ -351,6 +351,8 @@ class ContactConfig(WithFriction):
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
     on_base: float | None = about("share of the base velocity that is subtracted; not given: 1, between masses 0", None)
+    series_stiffness: float | None = about("N/m, of a spring in front of the contact; not given: none", None, gt=0)
+    normal_stiffness: list[float] | None = about("N/m, growth of the normal force with each position", None)
 
     @model_validator(mode="after")
     def _one_place(self) -> "ContactConfig":
