@@ -97,6 +97,24 @@ def test_two_hundred_set_ups(kind):
     assert sum(compare(kind, seed) for seed in range(3, 53)) > 300
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:stickslip_jax runs in float32")
+def test_single_precision():
+    of, y0 = random_set_up("pressed", 0)
+    expected = ByModes(of, y0).run(15.0)
+    with jax.enable_x64(False):
+        structure, base = as_structure(of)
+        one = ss.simulate(structure, base, t1=15.0, y0=tuple(y0))
+    assert one.final_state[0].dtype == np.float32
+    np.testing.assert_allclose(np.stack(one.final_state)[:6], expected.z[:6], rtol=0, atol=1e-5)
+    for i in range(3):
+        theirs = [stick[1:] for stick in expected.sticks if stick[0] == i and stick[2] > stick[1]]
+        mine = one.of_contact(i).sticks
+        assert int(mine.count) == len(theirs)
+        found = np.stack([mine.start, mine.end], axis=1)[np.asarray(mine.mask)]
+        np.testing.assert_allclose(found, np.reshape(theirs, (-1, 2)), rtol=0, atol=2e-4)
+
+
 def test_normal_forces_that_jump():
     """What slips stops where its limit jumps up, and what sticks slips where it falls below the spring's force."""
     of, y0 = random_set_up("opening", 7)
@@ -200,6 +218,9 @@ def test_stiff_springs_come_to_rigid_contacts():
 # As everywhere: derivatives, energies, ensembles, orbits, refusals.
 
 
+HELD = {"spring": 0.8, "damping": 0.05, "force": ss.Harmonic(0.5, 1.1)}
+
+
 def jenkins(mu=0.3, spring=2.0, mass=1.0, normal=1.0, damping=None, force=None):
     return ss.MassSpring(mass, 1.0, normal, ss.Coulomb(mu), damping, force, series_stiffness=spring)
 
@@ -222,7 +243,7 @@ def test_derivatives(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["mixed", "opening"])
+@pytest.mark.parametrize("kind", ["mixed", "opening", "pressed"])
 def test_derivatives_of_several(kind):
     """By the stiffness of one spring, of the states after many events, breakaway and opening contacts."""
     of, y0 = random_set_up(kind, 1)
@@ -241,7 +262,7 @@ def test_derivatives_of_several(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["mixed", "opening"])
+@pytest.mark.parametrize("kind", ["mixed", "opening", "pressed"])
 def test_energies_and_forces(kind):
     """What is supplied is stored or lost, also where a spring lets go at once; forces are those of the springs."""
     of, y0 = random_set_up(kind, 1)
@@ -263,7 +284,7 @@ def test_energies_and_forces(kind):
     forces = np.asarray(one.friction_force(times))
     assert forces.shape == (len(of.springs), 16)
     np.testing.assert_allclose(forces[elastic], -springs * elongations, atol=1e-13)
-    normal = of.normal[0] + of.normal[1] * np.sin(of.w * times)[:, None]
+    normal = of.normal[0] + of.normal[1] * np.sin(of.w * times)[:, None] + (of.pressing @ state[: len(of.mass)]).T
     assert np.all(np.abs(forces.T) <= of.static * np.maximum(normal, 0) + 1e-12)
 
 
@@ -280,6 +301,19 @@ def test_ensembles():
         for name in ("start", "end", "position"):
             found, expected = getattr(many.sticks, name)[sample, :count], getattr(one.sticks, name)[:count]
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_calibration_of_a_joint():
+    times = np.linspace(0, 40, 801)
+    measured = np.asarray(ss.simulate(jenkins(**HELD), 0.0, t1=40.0, y0=(0.2, 0.0)).evaluate(times)[0])
+    measured = measured + 1e-3 * np.random.default_rng(1).normal(size=times.size)
+    guess = jenkins(**{**HELD, "mu": 0.2, "spring": 1.0})
+    found = ss.calibrate(guess, 0.0, times, {"position": measured}, wrt=["mu", "series_stiffness"], y0=(0.2, 0.0))
+    for name, true, least in (("mu", 0.3, 1e-4), ("series_stiffness", 0.8, 1e-3)):
+        one = found.estimates[name]
+        assert abs(float(one.value) - true) < 4 * float(one.standard_error)
+        assert float(one.standard_error) < least
 
 
 @pytest.mark.slow
