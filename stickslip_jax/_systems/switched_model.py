@@ -302,6 +302,10 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """The model that knows forces and energies in this state, without what friction remembers, and its state."""
         return self, y
 
+    def modes_without_memory(self, sign: FloatArray) -> FloatArray:
+        """The modes, as that model knows them."""
+        return sign
+
     def at_limits(self, forcing: F, y: State, sign: FloatArray) -> State:
         """The state at `tau` 0 in the modes `sign`, with what friction forces are in the state at their limits."""
         return y
