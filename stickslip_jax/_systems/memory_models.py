@@ -123,6 +123,9 @@ class _WithAges(_Remembering, SwitchedModel[F]):
     def slip_sign(self, forcing: F, y: State) -> FloatArray:
         return self.inner.slip_sign(forcing, y[:-1])
 
+    def entered(self, forcing: F, y: State, before: FloatArray, sign: FloatArray) -> State:
+        return *self.inner.entered(forcing, y[:-1], before, sign), y[-1]
+
     def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
         def by_age(age: Array) -> Guard:
             return self.inner.at_age(age).guard(forcing, tau, y[:-1], sign)
@@ -414,8 +417,9 @@ class WeakeningContacts(_Remembering, SwitchedModel[F]):
     def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
         return *self.inner.at_base_velocity(forcing, y[:-1], self._split(resting)[0]), y[-1]
 
-    def at_limits(self, forcing: F, y: State, sign: FloatArray) -> State:
-        moving = self._in_mode(y, sign).at_limits(forcing, y[:-1], self._split(sign)[0])
+    def entered(self, forcing: F, y: State, before: FloatArray, sign: FloatArray) -> State:
+        modes = (self._split(of)[0] for of in (before, sign))
+        moving = self._in_mode(y, sign).entered(forcing, y[:-1], *modes)
         return *moving, jnp.where(self._slipping(sign)[0], y[-1], self._rested(y))
 
     def decided(self, forcing: F, y: State, question: Question) -> Decision:

@@ -403,6 +403,7 @@ class Traits(NamedTuple):
     - `stops_are_unstable`: whether friction depends on where the motion stops: two motions that nearly stop there may
       part quickly. First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
     - `jumps_at_places`: whether friction jumps from place to place.
+    - `begins_anew`: whether its state jumps where sticks and slips begin.
     """
 
     compiles_natively: bool = True
@@ -410,6 +411,7 @@ class Traits(NamedTuple):
     has_interval_form: bool = False
     stops_are_unstable: bool = False
     jumps_at_places: bool = False
+    begins_anew: bool = False
 
 
 class System(Checked):

@@ -28,7 +28,7 @@ DOCUMENTS = {
     "docs/howto/own_force.md": 3,
     "docs/howto/own_friction.md": 6,
     "docs/howto/own_law.md": 4,
-    "docs/howto/own_system.md": 3,
+    "docs/howto/own_system.md": 4,
     "docs/howto/posteriors.md": 3,
     "docs/howto/precision.md": 2,
     "docs/howto/records.md": 6,
