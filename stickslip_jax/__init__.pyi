@@ -151,6 +151,7 @@ from ._systems.friction import (
     VelocityWeakening as VelocityWeakening,
 )
 from ._systems.mass_spring import MassSpring as MassSpring
+from ._systems.memory_models import SlipWeakening as SlipWeakening
 from ._systems.places import FrictionByPlace as FrictionByPlace
 from ._systems.motor_cart import MotorCart as MotorCart, stick_duration_bound as stick_duration_bound
 from ._systems.contacts import Contact as Contact

@@ -152,7 +152,7 @@ def _forces_of_contacts(model: Any, path: StepPath, last: FloatScalar, times: Ti
     def at(time: FloatScalar) -> tuple[FloatArray, FloatArray]:
         begun = path.beginnings.at(time)
         known, y = model.without_memory(state_in_step(model, begun, time - begun.t))
-        force, velocity = known.friction(known.forcing(time, begun.segments), y, begun.sign)
+        force, velocity = known.friction(known.forcing(time, begun.segments), y, model.modes_without_memory(begun.sign))
         inside = (time >= 0) & (time <= last)
         return jnp.where(inside, -force, jnp.nan), jnp.where(inside, velocity, jnp.nan)
 
@@ -170,8 +170,7 @@ def _energies(model: Any, beginnings: StepBeginnings, last: FloatScalar, rule: _
         def power(node: FloatScalar) -> Powers:
             now = begun.t + node * h
             known, y = model.without_memory(state_at(model, begun, node * h))
-            sign = begun.sign[0] if known.contacts is None and begun.sign.ndim else begun.sign
-            return known.powers_in(model.forcing(now, begun.segments), y, sign)
+            return known.powers_in(model.forcing(now, begun.segments), y, model.modes_without_memory(begun.sign))
 
         nodes, weights = (jnp.asarray(numbers, h.dtype) for numbers in rule)
         return jax.tree.map(lambda values: h * jnp.dot(weights, values), jax.vmap(power)(nodes))

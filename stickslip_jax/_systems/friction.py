@@ -251,7 +251,7 @@ class FrictionLaw(Checked):
         >>> print(ss.Coulomb(0.3).force(times, velocity, 10.0, series_stiffness=40.0))
         [ 0.  3.  2. -2.]
         """
-        require_law("law", self)
+        require_law("law", self, may_remember=False)
         return force_of_law(self, times, velocity, normal_force, series_stiffness, backlash)
 
     def check_relations(self) -> None:

@@ -37,7 +37,15 @@ from .contacts import Contact, ForceQuantity, SeriesStiffness, check_spring, for
 from .contacts_model import stick_band
 from .friction import AtAge, FrictionLaw, require_law, times_of_slips
 from .layouts import mass_on_belt
-from .memory_models import AgeingContact, AgeingContacts, InnerStates, inner_laws_of, with_ages
+from .memory_models import (
+    AgeingContact,
+    AgeingContacts,
+    InnerStates,
+    SlipWeakening,
+    WeakeningContacts,
+    inner_laws_of,
+    with_ages,
+)
 from .places import FrictionByPlace, PlacedContact
 from .structure import LinearStructure
 from .structure_models import StructureModel
@@ -349,7 +357,14 @@ class MassSpring(System):
 
     @property
     def _is_structure(self) -> bool:
-        """Whether it moves as a structure with one contact: its normal force varies, or it rubs behind a spring."""
+        """Whether it moves as a structure with one contact: its normal force varies, it rubs behind a spring, or its
+        friction weakens with the slip distance.
+        """
+        return self._has_no_band or isinstance(self.friction, SlipWeakening)
+
+    @property
+    def _has_no_band(self) -> bool:
+        """Whether there is no one displacement up to which it sticks."""
         return is_function(self.normal_force) or self.series_stiffness is not None
 
     @property
@@ -389,7 +404,7 @@ class MassSpring(System):
         Raises:
             ValueError: Where the normal force varies, or there is a `series_stiffness`.
         """
-        if self._is_structure:
+        if self._has_no_band:
             name = "normal_force" if self.series_stiffness is None else "series_stiffness"
             raise ValueError(
                 "stick_half_width is that of a constant normal force without a spring in front of the contact, but "
@@ -407,7 +422,9 @@ class MassSpring(System):
         place = Coordinate("place on the base", "m", r"\xi")
         places = (place,) if self._by_place is not None and self._by_place.on == "base" else ()
         elongations = () if self.series_stiffness is None else (Coordinate("elongation", "m", "e"),)
-        return Memory((AGE,) if self.friction.grows else (), inner_laws_of((self.friction,)), places, elongations)
+        slips = (Coordinate("slip distance", "m", "s"),) if isinstance(self.friction, SlipWeakening) else ()
+        ages = (AGE,) if self.friction.grows else ()
+        return Memory(ages, inner_laws_of((self.friction,)), places, elongations, slips)
 
     @property
     def _by_place(self) -> FrictionByPlace | None:
@@ -451,7 +468,7 @@ class MassSpring(System):
 
     def switched_model(
         self, smooth: Signal | None, solver: ExplicitSolver | None
-    ) -> "OscillatorModel | StructureModel | AgeingContact | AgeingContacts | PlacedContact":
+    ) -> "OscillatorModel | StructureModel | AgeingContact | AgeingContacts | PlacedContact | WeakeningContacts":
         structure = self._as_structure
         if structure is not None:
             return structure.switched_model(smooth, solver)
@@ -519,7 +536,7 @@ class MassSpring(System):
         if about_points and not _is_zero(self.stiffness) and not self._is_structure:
             center = friction.kinetic(jnp.zeros(())) * self.normal_force / self.stiffness
         motion = "mass", lambda state, base: mass_on_belt(state[0], base, bool(self.stiffness > 0))
-        if self.series_stiffness is not None:
+        if self.series_stiffness is not None or isinstance(self.friction, SlipWeakening):
             return Look(*motion)
         mu = r"\mu" if friction.constant and not friction.static_exceeds_kinetic else r"\mu_\mathrm{s}"
         return Look(

@@ -1,18 +1,24 @@
-"""Systems whose contacts remember: the ages of sticks, and friction laws with inner states, as numbers of the
-state.
+"""Systems whose contacts remember: the ages of sticks, slip distances, and friction laws with inner states, as numbers
+of the state; and the friction law that weakens with the slip distance.
 """
 
+import abc
 from functools import partial
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array
 
+from .._foundation.fields import Quantity
 from .._foundation.types import BoolArray, BoolScalar, DType, FloatArray, FloatScalar, Number, Scalar, State
+from .._numerics.matrices import stacked
+from .._numerics.steps import relative_error, runge_kutta_step
 from .dynamic_friction import DieterichRuina, DynamicFriction
-from .friction import FrictionLaw
+from .friction import FrictionLaw, MadeOfLaws, static_at_least
 from .switched_model import Decision, F, Guard, OneContactModel, Question, Segments, SwitchedModel
 
 # What a contact remembers, as further numbers of the state.
@@ -117,6 +123,9 @@ class _WithAges(_Remembering, SwitchedModel[F]):
     def slip_sign(self, forcing: F, y: State) -> FloatArray:
         return self.inner.slip_sign(forcing, y[:-1])
 
+    def entered(self, forcing: F, y: State, before: FloatArray, sign: FloatArray) -> State:
+        return *self.inner.entered(forcing, y[:-1], before, sign), y[-1]
+
     def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
         def by_age(age: Array) -> Guard:
             return self.inner.at_age(age).guard(forcing, tau, y[:-1], sign)
@@ -182,6 +191,261 @@ class AgeingContact(_WithAges[F], OneContactModel[F]):  # pyright: ignore[report
 
     def relative_acceleration(self, forcing: F, tau: FloatScalar, y: State, rates: State) -> FloatScalar:
         return self.inner.relative_acceleration(forcing, tau, y[:-1], rates[:-1])
+
+
+# Friction that weakens with the distance of the present slip, a further number of the state.
+#
+# Where a contact slips its friction coefficient is linear in this distance, up to the one at which it is weak, and from
+# there on constant. Coming there is an event: after the modes of the `inner` model there is one more for each contact,
+# +1 while it weakens, with the guard how far it has to go, and -1 when it is weak. So each step has smooth rates.
+
+
+class SlipWeakening(FrictionLaw):
+    """Friction that falls with the distance of the present slip, as in models of ruptures and earthquakes.
+
+    The friction coefficient is ``static - (static - dynamic) min(s / distance, 1)``. The slip distance s (m) grows in a
+    slip by the size of the relative velocity, also where that reverses, and begins anew at zero with each stick, or
+    where a normal force opens the contact. A stick holds up to ``static * normal_force``: it is healed at once.
+
+    With `healing` a stick begins as weak as the slip ended and grows stronger: s, at most `distance` then, falls as
+    ``exp(-age / healing)``, and the next slip goes on from what is left.
+
+    The slip distances are part of the state: they follow its other numbers, and are zero in an initial state without
+    them. One block on a spring slips suddenly if ``stiffness < (static - dynamic) normal_force / distance``.
+
+    Sources: Ida 1972, Cohesive force across the tip of a longitudinal-shear crack and Griffith's specific surface
+    energy, J. Geophys. Res. 77, 3796; Andrews 1976, Rupture velocity of plane strain shear cracks, J. Geophys. Res. 81,
+    5679. Healing, as of the state variable of Ampuero and Ben-Zion 2008 at rest, Cracks, pulses and macroscopic
+    asymmetry of dynamic rupture on a bimaterial interface with velocity-weakening friction, Geophys. J. Int. 173, 674.
+
+    Args:
+        static: The friction coefficient of a stick that is healed, and of a slip as it begins, positive.
+        dynamic: That of a slip longer than `distance`, zero or positive, at most `static`.
+        distance: The slip over which the coefficient falls, m, positive.
+        healing: The time constant, s, positive, with which sticks grow stronger; None: at once.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
+
+    >>> law = ss.SlipWeakening(0.6, 0.4, distance=0.02)
+    >>> block = ss.MassSpring(mass=1.0, stiffness=4.0, normal_force=1.0, friction=law)
+    >>> one = ss.simulate(block, ss.Constant(1e-6), t1=60.0, y0=(0.15 - 1e-6, 1e-6))
+    >>> print(f"{float(one.final_state[0]):.4f} m")  # after a slip from 0.15 m
+    0.0613 m
+    """
+
+    static: Annotated[Number, Quantity(meaning="friction coefficient of a healed stick", above=0)] = eqx.field()  # pyright: ignore[reportIncompatibleVariableOverride] - instances have it
+    dynamic: Annotated[Number, Quantity(meaning="friction coefficient of a long slip", at_least=0)]
+    distance: Annotated[Number, Quantity("m", "slip over which the coefficient falls", above=0)]
+    healing: Annotated[
+        Number | None, Quantity("s", "time constant of sticks that grow stronger; not given: they do at once", above=0)
+    ] = None
+
+    def check_relations(self) -> None:
+        static_at_least(self.dynamic, self.static, "Argument static", "dynamic")
+
+    @property
+    def inner_state(self) -> str:
+        return "slip distance in m"
+
+    @property
+    def speed_scale(self) -> Scalar | None:
+        return np.inf
+
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
+        """The friction coefficient of a long slip."""
+        return self.dynamic
+
+    def after_slip(self, slip: FloatArray) -> FloatArray:
+        """The friction coefficient after this slip distance, m, at most `distance`."""
+        return self.static - (self.static - self.dynamic) / self.distance * slip
+
+
+# The field hides the property of the base class, which could not be set.
+SlipWeakening.static = None  # pyright: ignore[reportAttributeAccessIssue]
+abc.update_abstractmethods(SlipWeakening)
+
+
+class _AfterSlip(MadeOfLaws):
+    """A `SlipWeakening` after a `slip` (m) if the contact slips, and after the distance `rested` if it sticks."""
+
+    law: SlipWeakening
+    slip: FloatArray
+    rested: FloatArray
+
+    @property
+    def static(self) -> Scalar:
+        return self.law.after_slip(self.rested)
+
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
+        return self.law.after_slip(self.slip)
+
+
+def weakening_laws_of(laws: tuple[FrictionLaw, ...]) -> tuple[SlipWeakening, ...]:
+    """Those of the `laws` of all contacts that weaken with the slip distance. Raises ValueError where others age."""
+    weakening = tuple(law for law in laws if isinstance(law, SlipWeakening))
+    if weakening and any(law.grows for law in laws):
+        raise ValueError(
+            "Argument contacts must not have both SlipWeakening and Ageing friction, but they have: the structure "
+            "remembers slip distances, or ages of sticks; sticks that grow stronger are SlipWeakening(healing=...) too."
+        )
+    return weakening
+
+
+class WeakeningContacts(_Remembering, SwitchedModel[F]):
+    """A structure whose friction may be `SlipWeakening`, and the slip distances (contacts,) of its contacts."""
+
+    @property
+    def coupled(self) -> bool:
+        return self.inner.coupled
+
+    @property
+    def has_sliders(self) -> bool:
+        return self.inner.has_sliders
+
+    @property
+    def time_scales_are_known(self) -> bool:
+        return self.inner.time_scales_are_known
+
+    @property
+    def _laws(self) -> dict[int, SlipWeakening]:
+        """The laws that weaken, by the number of the contact."""
+        laws = (contact.friction for contact in self.inner.structure.contacts)
+        return {number: law for number, law in enumerate(laws) if isinstance(law, SlipWeakening)}
+
+    def _of_laws(self, values: dict[int, Scalar], others: float, like: FloatArray) -> FloatArray:
+        """The `values` of contacts by their numbers, among all, (contacts,)."""
+        return stacked([values.get(number, others) for number in range(len(like))], like.dtype)
+
+    def _distances(self, y: State) -> FloatArray:
+        """The slips over which contacts weaken, m; infinite for other laws."""
+        return self._of_laws({number: law.distance for number, law in self._laws.items()}, np.inf, y[-1])
+
+    def _decay(self, y: State) -> FloatArray:
+        """The rates at which sticks heal, 1/s; zero where they do at once."""
+        rates = {i: 1 / law.healing for i, law in self._laws.items() if law.healing is not None}
+        return self._of_laws(rates, 0.0, y[-1])
+
+    def _rested(self, y: State) -> FloatArray:
+        """The slip distances with which sticks begin, m."""
+        return jnp.where(self._decay(y) > 0, jnp.minimum(y[-1], self._distances(y)), 0)
+
+    def _split(self, of_modes: Array) -> tuple[Array, Array]:
+        """Those of the inner model's modes, and those of how contacts weaken."""
+        place = len(of_modes) - (self.contacts or 0)
+        return of_modes[:place], of_modes[place:]
+
+    def _with(self, of_inner: Array, of_weakening: Any) -> Array:
+        rest = jnp.broadcast_to(jnp.asarray(of_weakening, of_inner.dtype), (self.contacts or 0,))
+        return jnp.concatenate([of_inner, rest])
+
+    def _slipping(self, sign: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """Which contacts slip, closed, and the signs of all, (contacts,)."""
+        of_inner, _ = self._split(sign)
+        own = self.inner._own(of_inner)
+        return (own != 0) & ~self.inner._is_open(of_inner), own
+
+    def _weakened_by(self, y: State, sign: FloatArray) -> FloatArray:
+        """The slip distances that count in the modes `sign`: no more than those at which contacts are weak."""
+        weakens = ~self._slipping(sign)[0] | (self._split(sign)[1] > 0)
+        return jnp.where(weakens, y[-1], self._distances(y))
+
+    def after_slip(self, slip: FloatArray, rested: FloatArray) -> Any:
+        """The inner model whose contacts have slipped by `slip` (m), or have `rested`."""
+        laws = [_AfterSlip(law, slip[number], rested[number]) for number, law in self._laws.items()]
+        numbers = tuple(self._laws)
+        return eqx.tree_at(lambda model: [model.structure.contacts[i].friction for i in numbers], self.inner, laws)
+
+    def _in_mode(self, y: State, sign: FloatArray) -> Any:
+        slip = self._weakened_by(y, sign)
+        return self.after_slip(slip, slip)
+
+    def flow_and_error(
+        self, forcing: F, y: State, h: FloatScalar, sign: FloatArray
+    ) -> tuple[State, FloatScalar | None]:
+        rates = Partial(type(self).rates, self, forcing, sign=sign)
+        reached, error = runge_kutta_step(rates, y, h, solver=self.inner.solver)
+        slips, own = self._slipping(sign)
+        gross = self.inner._gross_changes(forcing, y[:-1], h)
+        gross = *gross, h * self.inner.velocity_scale(forcing, y[:-1])
+        moved = self.inner._held(forcing, h, reached[:-1], own == 0)
+        healed = jnp.where(slips, reached[-1], y[-1] * jnp.exp(-h * self._decay(y)))
+        return (*moved, healed), relative_error(error, y, reached, gross)
+
+    def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
+        moving = self._in_mode(y, sign).rates(forcing, tau, y[:-1], self._split(sign)[0])
+        (slips, own), velocity = self._slipping(sign), self.relative_velocity(forcing, tau, y)
+        return *moving, jnp.where(slips, own * velocity, -y[-1] * self._decay(y))
+
+    def stuck(self, sign: FloatArray) -> BoolArray:
+        return self.inner.stuck(self._split(sign)[0])
+
+    def at_rest(self, forcing: F, y: State, times: float = 1.0) -> BoolArray:
+        return self._with(self.inner.at_rest(forcing, y[:-1], times), False)
+
+    def slip_sign(self, forcing: F, y: State) -> FloatArray:
+        return self._with(self.inner.slip_sign(forcing, y[:-1]), jnp.where(y[-1] < self._distances(y), 1, -1))
+
+    def after(
+        self, forcing: F, y: State, sign: FloatArray, landed: BoolArray, ended: BoolArray
+    ) -> tuple[FloatArray, BoolArray, BoolArray]:
+        (of_inner, weakens), (landed_inner, is_weak) = self._split(sign), self._split(landed)
+        of_inner, contacts, changed = self.inner.after(forcing, y[:-1], of_inner, landed_inner, ended)
+        # What sticks weakens as soon as it slips. Friction has no jump where that ends: nobody need be asked.
+        weakens = jnp.where(self._slipping(sign)[0], jnp.where(is_weak, -1, weakens), 1)
+        return self._with(of_inner, weakens), self._with(contacts, False), self._with(changed, False)
+
+    def guard(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> Guard:
+        of_inner, weakens = self._split(sign)
+        distances, rate = self._distances(y), self.rates(forcing, tau, y, sign)[-1]
+
+        def after(slip: Array) -> Guard:
+            return self.after_slip(slip, slip).guard(forcing, tau, y[:-1], of_inner)
+
+        slips, _ = self._slipping(sign)
+        weakening = jnp.where(slips & (weakens < 0), 0, rate)
+        (guard, own_rate), (by_slip, _) = jax.jvp(after, (self._weakened_by(y, sign),), (weakening,))
+        ends = slips & (weakens > 0) & jnp.isfinite(distances)
+        left = jnp.where(ends, jnp.where(ends, distances, 0) - y[-1], 1)
+        return self._with(guard, left), self._with(own_rate + by_slip, jnp.where(ends, -rate, 0))
+
+    def guard_scale(self, forcing: F, y: State, sign: FloatArray) -> FloatArray:
+        distances = self._distances(y)
+        size = jnp.where(jnp.isfinite(distances), distances + y[-1], 1)
+        return self._with(self.inner.guard_scale(forcing, y[:-1], self._split(sign)[0]), size)
+
+    def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
+        return *self.inner.at_base_velocity(forcing, y[:-1], self._split(resting)[0]), y[-1]
+
+    def entered(self, forcing: F, y: State, before: FloatArray, sign: FloatArray) -> State:
+        modes = (self._split(of)[0] for of in (before, sign))
+        moving = self._in_mode(y, sign).entered(forcing, y[:-1], *modes)
+        return *moving, jnp.where(self._slipping(sign)[0], y[-1], self._rested(y))
+
+    def decided(self, forcing: F, y: State, question: Question) -> Decision:
+        of_inner, (_, weakens) = Question(*(self._split(part)[0] for part in question)), self._split(question.sign)
+        slip = self._weakened_by(y, question.sign)
+        # What comes to rest is held by what a stick has that begins there.
+        rested = jnp.where(self.inner._own(of_inner.asked), self._rested(y), slip)
+        found = self.after_slip(slip, rested).decided(forcing, y[:-1], of_inner)
+        return Decision(
+            self._with(found.holds, False), self._with(found.release_sign, weakens),
+            self._with(found.guard, jnp.inf), self._with(found.guard_rate, 0),
+        )  # fmt: skip
+
+    def step_limit(self, age: FloatArray, step: FloatScalar, y: State, sign: FloatArray) -> FloatScalar:
+        heals = ~self._slipping(sign)[0] & (self._decay(y) > 0)
+        longest = jnp.where(heals, _SHARE / jnp.where(heals, self._decay(y), 1), jnp.inf)
+        return jnp.minimum(self.inner.step_limit(age, step, y[:-1], self._split(sign)[0]), jnp.min(longest))
+
+    def without_memory(self, y: State) -> tuple[Any, State]:
+        if not y:
+            return self.inner, y
+        slip = jnp.minimum(y[-1], self._distances(y))
+        return self.after_slip(slip, slip), y[:-1]
+
+    def modes_without_memory(self, sign: FloatArray) -> FloatArray:
+        return self._split(sign)[0]
 
 
 # Systems whose contacts have friction laws with inner states, which are further numbers of the state.

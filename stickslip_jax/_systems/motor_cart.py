@@ -33,7 +33,7 @@ from .._numerics.elementary import sincos, sincos_of_small
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .friction import AtAge, Coulomb, FrictionLaw, MadeOfLaws, require_law, times_of_slips
 from .layouts import motor_and_cart
-from .memory_models import AgeingContact, InnerStates, inner_laws_of, with_ages
+from .memory_models import AgeingContact, InnerStates, SlipWeakening, inner_laws_of, with_ages
 from .places import FrictionByPlace, PlacedContact
 from .switched_model import EnergyModel, FloatPair, Powers, Segments, Terms
 from .system import (
@@ -385,6 +385,9 @@ class MotorCart(System):
         if not isinstance(self.friction, FrictionLaw):
             raise checks.refused("friction", "be a friction law such as Coulomb(mu=0.3), or None", self.friction)
         require_law("friction", self.friction, may_differ_by_place=True)
+        if isinstance(self.friction, SlipWeakening):
+            hint = "a MassSpring and a LinearStructure take it"
+            raise checks.refused("friction", "be no SlipWeakening", self.friction, hint)
         if isinstance(self.friction, FrictionByPlace) and self.friction.on != "ground":
             raise checks.refused(
                 "friction", 'have its places on="ground", which is the rail of a MotorCart', self.friction

@@ -190,6 +190,9 @@ class PlacedContact(SwitchedModel[F]):
         """The model in the region of the state `y`, and its state."""
         return (self.within(self.law.region_of(self.place(y)) + _OFFSET), self._own(y)) if y else (self.inner, y)
 
+    def modes_without_memory(self, sign: FloatArray) -> FloatArray:
+        return sign[0]
+
     def _own(self, y: State) -> State:
         """The state of the `inner` model."""
         return y[:-1] if self.law.on == "base" else y

@@ -45,7 +45,14 @@ from .contacts import (
 from .contacts_model import Uncoupled
 from .friction import least
 from .layouts import blocks, disks, storeys
-from .memory_models import AgeingContacts, InnerStates, inner_laws_of, with_ages
+from .memory_models import (
+    AgeingContacts,
+    InnerStates,
+    WeakeningContacts,
+    inner_laws_of,
+    weakening_laws_of,
+    with_ages,
+)
 from .structure_models import ArcsModel, Matrices, StructureModel
 from .system import (
     PERIOD,
@@ -291,7 +298,9 @@ class LinearStructure(WithContacts):
         laws, elastic = laws_in(self.contacts), np.flatnonzero(self.elastic)
         springs = tuple(Coordinate(f"elongation {i}", "m", f"e_{{{i}}}") for i in elastic)
         ages = ages_of(len(laws)) if any(law.grows for law in laws) else ()
-        return Memory(ages, inner_laws_of(laws), elongations=springs)
+        weakening = range(len(laws)) if weakening_laws_of(laws) else ()
+        slips = tuple(Coordinate(f"slip distance {i}", "m", f"s_{{{i}}}") for i in weakening)
+        return Memory(ages, inner_laws_of(laws), elongations=springs, slips=slips)
 
     @property
     def elastic(self) -> np.ndarray:
@@ -304,11 +313,15 @@ class LinearStructure(WithContacts):
             return super().stick_position
         return Coordinate("relative displacement when the stick starts", "m")
 
-    def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> "StructureModel | AgeingContacts":
+    def switched_model(
+        self, smooth: Signal | None, solver: ExplicitSolver | None
+    ) -> "StructureModel | AgeingContacts | WeakeningContacts":
         kind = ArcsModel if solver is None and self._has_arcs(smooth) else StructureModel
         model = kind(diffrax.Dopri8() if solver is None else solver, smooth, self, self.matrices)
         times = [law.growth_time for law in laws_in(self.contacts) if law.grows]
         moving = 2 * self.size + len(self.memory.elongations)
+        if self.memory.slips:
+            return WeakeningContacts(model, moving)
         return with_ages(model, moving, bool(times), least(*times))
 
     def inner_model(self, smooth: Signal | None) -> InnerStates | None:
@@ -442,7 +455,8 @@ class LinearStructure(WithContacts):
         speed, memory = deceleration * clocks, self.memory
         motion = (jnp.max(speed * clocks),) * self.size + (jnp.max(speed),) * self.size
         of_memory = (*(jnp.max(speed * clocks) for _ in memory.elongations), *(jnp.max(clocks) for _ in memory.ages))
-        of_memory = (*of_memory, *(law.state_scale for law in memory.laws))
+        of_slips = (jnp.max(speed * clocks) for _ in memory.slips)
+        of_memory = (*of_memory, *of_slips, *(law.state_scale for law in memory.laws))
         return Sizes(speed, deceleration, (*motion, *of_memory))
 
     @property

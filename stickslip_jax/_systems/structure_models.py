@@ -161,7 +161,7 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         elongating = jnp.where(own == 0, rates[2], self._following(forcing, tau, y, own))
         return *rates[:2], jnp.where(self._is_open(sign), 0, elongating)
 
-    def at_limits(self, forcing: Forcing, y: State, sign: FloatArray) -> State:
+    def entered(self, forcing: Forcing, y: State, before: FloatArray, sign: FloatArray) -> State:
         if not self.has_sliders:
             return y
         own, none = self._own(sign), jnp.zeros((), y[0].dtype)

@@ -302,8 +302,15 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """The model that knows forces and energies in this state, without what friction remembers, and its state."""
         return self, y
 
-    def at_limits(self, forcing: F, y: State, sign: FloatArray) -> State:
-        """The state at `tau` 0 in the modes `sign`, with what friction forces are in the state at their limits."""
+    def modes_without_memory(self, sign: FloatArray) -> FloatArray:
+        """The modes, as that model knows them."""
+        return sign
+
+    def entered(self, forcing: F, y: State, before: FloatArray, sign: FloatArray) -> State:
+        """The state at `tau` 0 in the modes `sign`, with what begins anew where they are others than `before`.
+
+        At the start of a trajectory both are the same. What friction forces are in the state are at their limits.
+        """
         return y
 
     @abc.abstractmethod

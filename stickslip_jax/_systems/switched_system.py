@@ -19,6 +19,7 @@ from .._excitation.motion import Signal
 from .._excitation.recorded import ForceSteps
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
+from .._foundation.fields import keeps
 from .._foundation.types import (
     AnyArray,
     ExplicitSolver,
@@ -108,6 +109,9 @@ class SwitchedSystem(WithContacts):
     Their normal forces, if they depend on time or state, are returned by `normal_forces`; `friction` is then in N (or
     N m), to be multiplied by the friction coefficient. Where a normal force is zero or negative its contact is open: no
     friction, and no stick.
+
+    Numbers of the state that jump where a stick or a slip begins (counters, wear, a slip distance) are given by
+    `at_stick` and `at_slip`.
 
     Laws with an inner state, such as `LuGre`, are named by `inner_laws`; static friction that grows while a stick lasts
     by `static_ratio_after`.
@@ -201,6 +205,32 @@ class SwitchedSystem(WithContacts):
         """
         return self.static_ratio
 
+    def at_stick(
+        self, t: FloatScalar, y: State, base: UsersBase, contact: int
+    ) -> tuple[FloatScalar | float, ...] | State:
+        """The state with which a stick begins: counters, wear, heat, a distance that begins anew; here `y`.
+
+        Asked in every step, and taken where a stick begins; not at the beginning of a simulation, which may go on from
+        another. Relative velocities and base must be left as they are. Whether friction holds what comes to rest is
+        decided in this state. Derivatives pass through it.
+
+        Args:
+            t: Time, s.
+            y: The state before, a tuple of scalars.
+            base: As of `rates`.
+            contact: The number of the contact whose stick begins, from 0; 0 of a system with one.
+
+        Returns:
+            As many scalars as the state has.
+        """
+        return y
+
+    def at_slip(
+        self, t: FloatScalar, y: State, base: UsersBase, contact: int
+    ) -> tuple[FloatScalar | float, ...] | State:
+        """The state with which a slip begins, after a stick or in the other direction; as `at_stick`."""
+        return y
+
     @property
     def shortest_time(self) -> Scalar | None:
         """The shortest time scale, s: the shortest natural period, or 2 pi times a shorter time constant.
@@ -239,7 +269,9 @@ class SwitchedSystem(WithContacts):
 
     @property
     def traits(self) -> Traits:
-        return Traits(stops_are_unstable=self.stops_are_unstable)
+        begins_anew = not keeps(self, SwitchedSystem, "at_stick", "at_slip")
+        # Two motions of which one stops where the other just does not go on from different states.
+        return Traits(stops_are_unstable=self.stops_are_unstable or begins_anew, begins_anew=begins_anew)
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -486,6 +518,12 @@ def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
         check_traceable(system, (name,), zero, y, base)
         _check_number(kind, name, getattr(system, name)(zero, y, base), system.contacts)
     check_belt(system, y, base)
+    for name in ("at_stick", "at_slip"):
+        with checks.traceable(f"The method {name} of {kind}"):
+            after = [getattr(system, name)(zero, y, base, contact) for contact in range(system.contacts or 1)]
+        for state in after:
+            check_rates(kind, state, len(y), name)
+            _check_same_velocity(system, y, base, tuple(state), name)
     shares = _shares(system.contacts)
     try:
         with checks.traceable(f"The method rates of {kind}"):
@@ -633,17 +671,27 @@ def check_ground(system: Any) -> None:
         )
 
 
-def check_rates(kind: str, rates: object, size: int) -> None:
+def _check_same_velocity(system: Any, y: tuple[Array, ...], base: UsersBase, after: Any, name: str) -> None:
+    """Check that the state `after` a method is one with the same relative velocities."""
+    old, new = (jnp.asarray(system.relative_velocity(jnp.zeros(()), state, base), float) for state in (y, after))
+    if not checks.is_traced(new) and not checks.is_traced(old) and not np.allclose(old, new, rtol=AFFINE):
+        raise ValueError(
+            f"Argument {name} of a {type(system).__name__} must leave relative velocities as they are, but it makes "
+            f"{checks.show(new)} of {checks.show(old)}; impacts are not followed."
+        )
+
+
+def check_rates(kind: str, rates: object, size: int, name: str = "rates") -> None:
     if not isinstance(rates, (tuple, list)) or len(rates) != size:
         shown = f"{len(rates)}" if isinstance(rates, (tuple, list)) else checks.show(rates)
         raise ValueError(
-            f"Argument rates of a {kind} must return a tuple of {size} numbers, one for each of state_names, but "
+            f"Argument {name} of a {kind} must return a tuple of {size} numbers, one for each of state_names, but "
             f"{shown} was given."
         )
     for number, rate in enumerate(rates):
         if not _is_scalar(rate):
             raise ValueError(
-                f"Argument rates of a {kind} must return scalars, but number {number} of shape {np.shape(rate)} was "
+                f"Argument {name} of a {kind} must return scalars, but number {number} of shape {np.shape(rate)} was "
                 "given."
             )
 

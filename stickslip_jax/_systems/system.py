@@ -347,26 +347,27 @@ class Sizes(NamedTuple):
 class Memory(NamedTuple):
     """What friction remembers, the last numbers of a state: the `elongations` of springs in front of contacts, of each
     contact the `ages` of sticks and the `places` on the base, where friction depends on them, and the inner states of
-    those `laws` that have one.
+    those `laws` that have one; and of each contact the `slips`, slip distances, where friction weakens with them.
     """
 
     ages: tuple[Coordinate, ...] = ()
     laws: tuple[DynamicFriction, ...] = ()
     places: tuple[Coordinate, ...] = ()
     elongations: tuple[Coordinate, ...] = ()
+    slips: tuple[Coordinate, ...] = ()
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The elongations, the ages, the places and the inner states."""
+        """The elongations, the ages, the places, the slip distances and the inner states."""
         names = [Coordinate.of(law.inner_state) for law in self.laws]
         if len(names) > 1:
             names = [name._replace(name=f"{name.name} {i}") for i, name in enumerate(names, start=1)]
-        return *self.elongations, *self.ages, *self.places, *names
+        return *self.elongations, *self.ages, *self.places, *self.slips, *names
 
     @property
     def start(self) -> tuple[Number, ...]:
         """What they begin with where an initial state leaves them out."""
-        zeros = (0.0 for _ in (*self.elongations, *self.ages, *self.places))
+        zeros = (0.0 for _ in (*self.elongations, *self.ages, *self.places, *self.slips))
         return (*zeros, *(law.initial_state for law in self.laws))
 
 
@@ -402,6 +403,7 @@ class Traits(NamedTuple):
     - `stops_are_unstable`: whether friction depends on where the motion stops: two motions that nearly stop there may
       part quickly. First-order estimates of how nearly a motion stopped are then too inaccurate (docs/sensitivity.md).
     - `jumps_at_places`: whether friction jumps from place to place.
+    - `begins_anew`: whether its state jumps where sticks and slips begin.
     """
 
     compiles_natively: bool = True
@@ -409,6 +411,7 @@ class Traits(NamedTuple):
     has_interval_form: bool = False
     stops_are_unstable: bool = False
     jumps_at_places: bool = False
+    begins_anew: bool = False
 
 
 class System(Checked):

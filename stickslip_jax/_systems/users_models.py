@@ -25,7 +25,17 @@ from .._numerics.matrices import is_positive_definite, linear_solve, sum_of
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .contacts_model import ContactsModel, Instant, Limits, Uncoupled
 from .friction import Coulomb, FrictionLaw
-from .switched_model import FloatPair, Forcing, OneContactModel, SwitchedModel, later, with_change
+from .switched_model import (
+    Decision,
+    FloatPair,
+    Forcing,
+    OneContactModel,
+    Question,
+    SwitchedModel,
+    chosen_state,
+    later,
+    with_change,
+)
 
 # What drives a user's `SwitchedSystem` from one instant on: its base, the ground, and the records in its fields.
 
@@ -150,6 +160,26 @@ class _OfUser(SwitchedModel[Forcing]):
     def _static_ratio(self) -> Scalar | FloatArray:
         return self.system.static_ratio if self.age is None else self.system.static_ratio_after(self.age)
 
+    def _contact_modes(self, sign: FloatArray) -> FloatArray:
+        """The signs of all contacts; of open ones that of none."""
+        return sign
+
+    def entered(self, forcing: Forcing, y: State, before: FloatArray, sign: FloatArray) -> State:
+        old, new = self._contact_modes(before), self._contact_modes(sign)
+        return self._begun(forcing, y, (new == 0) & (old != 0), (jnp.abs(new) == 1) & (new != old))
+
+    def _begun(self, forcing: Forcing, y: State, sticks: BoolArray, slips: BoolArray | None = None) -> State:
+        """The state after the begins of these sticks and slips, one contact after the other."""
+        if not self.system.traits.begins_anew:
+            return y
+        t, base, _ = self.base_at(forcing, jnp.zeros_like(y[0]))
+        system, none = self._seen_at(forcing, t), jnp.zeros_like(sticks)
+        for begins, method in ((sticks, system.at_stick), (none if slips is None else slips, system.at_slip)):
+            for contact in range(self.contacts or 1):
+                after = tuple(jnp.asarray(value, t.dtype) for value in method(t, y, base, contact))
+                y = chosen_state(jnp.atleast_1d(begins)[contact], after, y)
+        return y
+
     def base_at(self, forcing: Forcing, tau: FloatScalar) -> tuple[FloatScalar, UsersBase, UsersBase]:
         """The time, the base and its time derivative, `tau` later."""
         t, base = forcing.t + tau, UsersBase(*forcing.base_at(self.smooth, tau), later(forcing.ground, tau))
@@ -182,7 +212,10 @@ class _OfUser(SwitchedModel[Forcing]):
         model, forcing, y, h = without_derivatives((self, forcing, y, h))
         t, base, _ = model.base_at(forcing, jnp.zeros_like(h))
         idle, by_friction = model._affine(forcing, t, base, y)
-        by_state = jax.jacfwd(partial(model._rates, forcing, t, base))(y, jnp.zeros_like(friction))
+        slopes = jax.jacfwd(partial(model._rates, forcing, t, base))
+        alone, rubbing = slopes(y, jnp.zeros_like(friction)), slopes(y, friction)
+        # Of heat and slip distances, products of friction and relative velocities, all is round-off in a stick.
+        by_state = jax.tree.map(lambda a, b: jnp.abs(a) + jnp.abs(b - a), alone, rubbing)
         by_contacts = tuple(sum_of(jnp.abs(each) * friction) for each in by_friction)
         return gross_changes(h, y, idle, by_state, by_contacts)
 
@@ -319,6 +352,11 @@ class GeneralModel(_OfUser, OneContactModel[Forcing]):
     def on_base(self, forcing: Forcing, y: State) -> State:
         return self._held(forcing, jnp.zeros_like(y[0]), y)
 
+    def decided(self, forcing: Forcing, y: State, question: Question) -> Decision:
+        # What comes to rest is held by what it is as a stick.
+        y = self._begun(forcing, y, question.asked & (question.sign != 0))
+        return OneContactModel.decided(self, forcing, y, question)
+
     def can_stick(self, forcing: Forcing, y: State) -> BoolScalar:
         contact = self._contact(forcing, *self.base_at(forcing, jnp.zeros_like(y[0]))[:2], y)
         return contact.has_effect & (jnp.abs(contact.share) <= self._static_ratio)
@@ -382,6 +420,14 @@ class GeneralContactsModel(_OfUser, ContactsModel):
     @property
     def coupled(self) -> bool:
         return True
+
+    def _contact_modes(self, sign: FloatArray) -> FloatArray:
+        return jnp.where(self._is_open(sign), 2, self._own(sign))
+
+    def decided(self, forcing: Forcing, y: State, question: Question) -> Decision:
+        # What comes to rest is held by what it is as a stick.
+        y = self._begun(forcing, y, self._own(question.asked) & (self._contact_modes(question.sign) != 0))
+        return ContactsModel.decided(self, forcing, y, question)
 
     def stick_position(self, y: State) -> FloatArray:
         return jnp.broadcast_to(y[0], (self.contacts + 1,))

@@ -325,7 +325,7 @@ def _found(cycle: Cycle, start: FloatArray) -> Equilibrium:
     moving = len(start) - len(system.memory.start)
 
     def state_of(motion: FloatArray) -> Any:
-        return model.at_limits(forcing, model.start((*motion, *start[moving:]), start.dtype), sign)
+        return model.entered(forcing, model.start((*motion, *start[moving:]), start.dtype), sign, sign)
 
     def rates(motion: FloatArray) -> FloatArray:
         return jnp.stack(model.numbers(model.rates(forcing, zero, state_of(motion), sign))[:moving])

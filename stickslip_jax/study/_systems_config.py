@@ -23,6 +23,7 @@ from .._systems.friction import (
     VelocityWeakening,
 )
 from .._systems.mass_spring import MassSpring
+from .._systems.memory_models import SlipWeakening
 from .._systems.motor_cart import USUAL_MU, MotorCart
 from .._systems.places import FrictionByPlace
 from .._systems.structure import MOST_CONTACTS, LinearStructure, check_structure
@@ -201,6 +202,7 @@ _BASES = (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(gaus
 
 _OF_SPEED = _laws(Coulomb, VelocityWeakening, Stribeck)
 _GROWTHS = _laws(ExponentialGrowth, LogarithmicGrowth)
+_WEAKENING = _laws(SlipWeakening)
 _WITH_INNER_STATE = _laws(LuGre, ElastoPlastic, Dahl, BoucWen, DieterichRuina)
 _AGEING = section_of(
     Ageing,
@@ -258,7 +260,7 @@ if TYPE_CHECKING:
 else:
     BaseConfig = _any_of(_BASES)
     FrictionConfig = _any_of(
-        (*_OF_SPEED, _DIRECTIONAL, _AGEING, FrictionByPlaceConfig, *_WITH_INNER_STATE), usual="Coulomb"
+        (*_OF_SPEED, _DIRECTIONAL, _AGEING, FrictionByPlaceConfig, *_WEAKENING, *_WITH_INNER_STATE), usual="Coulomb"
     )
     ForceConfig = _number_or(float, _FORCES)
     """An external force, N: a number, or a function of time."""

@@ -68,6 +68,10 @@ SYSTEMS = {
         '[system.friction]\nlaw = "BoucWen"\nmu = 0.3\nstiffness = 1e3\nexponent = 3\nsharing = 0.7',
         mass_spring(ss.BoucWen(0.3, 1e3, 3.0, 0.7)),
     ),
+    "SlipWeakening": (
+        '[system.friction]\nlaw = "SlipWeakening"\nstatic = 0.6\ndynamic = 0.4\ndistance = 0.02\nhealing = 1.5\n',
+        mass_spring(ss.SlipWeakening(0.6, 0.4, 0.02, 1.5)),
+    ),
     "DieterichRuina": (
         '[system.friction]\nlaw = "DieterichRuina"\nmu = 0.6\ndirect = 0.01\nevolution = 0.02\nlength = 1e-5\n'
         'reference_speed = 1e-6\nform = "slip"',

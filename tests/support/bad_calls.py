@@ -61,6 +61,10 @@ def laws_with_a_memory() -> Iterator[Target]:
         ss.Directional, forward=(ss.Coulomb(0.5), "plain friction"), backward=(ss.Coulomb(0.3), "plain friction")
     )
     yield fields(ss.Ageing, law=(ss.Coulomb(0.5), "plain friction"), growth=(ss.ExponentialGrowth(0.1, 1.0), "growth"))
+    yield fields(
+        ss.SlipWeakening, static=(0.6, "positive field"), dynamic=(0.4, "not negative field"),
+        distance=(0.02, "positive field"), healing=(None, "optional positive field"),
+    )  # fmt: skip
     for growth in (ss.ExponentialGrowth, ss.LogarithmicGrowth):
         yield fields(growth, amount=(0.1, "not negative field"), time=(1.0, "positive field"))
     bristles = {

@@ -333,6 +333,10 @@ def resolved(system: System, excitation: Excitation, method: Regularized, dtype)
 
 def _check_contacts(system: System, method: Regularized) -> None:
     """Check what several contacts cannot have. Raises ValueError for it."""
+    if system.traits.begins_anew:
+        raise checks.refused("method", "be Exact(...) for a system with at_stick or at_slip", method)
+    if system.memory.slips:
+        raise checks.refused("method", "be Exact(...) for friction that weakens with the slip distance", method)
     if system.memory.elongations:
         raise checks.refused("method", "be Exact(...) for contacts with a series_stiffness", method)
     contacts = system.tracks.contacts

@@ -237,7 +237,7 @@ def switched(
     held_or_released = jnp.where(holds | (not_below & goes_on), 0, release_sign)
     resolved = jnp.where(resting | goes_on, held_or_released, slips)
     sign = jnp.where(resolve, resolved, jnp.where(stays, held_or_released, sign))
-    y = _snapped(model, forcing, lane.y, (resolve & (resting | goes_on)) | (landed & (sign == 0)), sign)
+    y = _snapped(model, forcing, lane.y, (resolve & (resting | goes_on)) | (landed & (sign == 0)), (lane.sign, sign))
     at_rest = (landed & (resting | (sign == 0))) | (stays & (sign != 0))
     decided = (landed & ~was_held) | (ended & ((jumped & resting) | goes_on)) | stays
     margin = jnp.where(decided, jnp.abs(guard), jnp.inf)
@@ -275,13 +275,13 @@ def switched(
     return following, record, margin, at_horizon | jumped
 
 
-def _snapped(model: SwitchedModel, forcing: object, y: State, resting: BoolArray, sign: FloatArray) -> State:
-    """The state in the mode `sign` with the base's velocity to the last bit for what is `resting`.
+def _snapped(model: SwitchedModel, forcing: object, y: State, resting: BoolArray, modes: tuple[Any, Any]) -> State:
+    """The state after the change of `modes` with the base's velocity to the last bit for what is `resting`.
 
     Only the velocity of what `sticks` is the base's in derivatives too: what slips from here on keeps its own.
     """
-    y = model.at_limits(forcing, y, sign)
-    held = model.at_base_velocity(forcing, y, resting & (sign == 0))
+    y = model.entered(forcing, y, *modes)
+    held = model.at_base_velocity(forcing, y, resting & (modes[1] == 0))
     model, forcing, fixed = without_derivatives((model, forcing, held))
     exact = model.at_base_velocity(forcing, fixed, resting)
     return tuple(a + lax.stop_gradient(b - a) for a, b in zip(held, exact, strict=True))
@@ -343,12 +343,12 @@ def start_lane(
     forcing = model.forcing(t0, segment_laws.segments(segment_states))
     y = model.start(y0, dtype)
     y = y if resting is None else model.at_base_velocity(forcing, y, resting)
-    at_rest, slips = model.at_rest(forcing, y), model.slip_sign(forcing, y)
-    never = jnp.zeros_like(at_rest)
+    at_rest = model.at_rest(forcing, y)
+    slips, never = jnp.where(at_rest, 0, model.slip_sign(forcing, y)), jnp.zeros_like(at_rest)
     holds, release_sign, guard, _ = model.decided(forcing, y, Question(slips, at_rest, never, never))
     sign = jnp.where(at_rest, jnp.where(holds, 0, release_sign), slips)
     margin = jnp.where(at_rest, jnp.abs(guard), jnp.inf)
-    y = _snapped(model, forcing, y, at_rest, sign)
+    y = _snapped(model, forcing, y, at_rest, (sign, sign))
     sticks, position = model.stuck(sign), model.stick_position(y)
     return Lane(
         t0,
