@@ -26,6 +26,7 @@ from ._calibration.sticks import (
     StickCalibration as StickCalibration,
 )
 from ._calibration.sticks import calibrate_sticks as calibrate_sticks
+from ._calibration.record import RecordedSticks as RecordedSticks, sticks_of_record as sticks_of_record
 from ._calibration.samplers import StickSimulator as StickSimulator, stick_simulator as stick_simulator
 from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.ensemble import simulate_ensemble as simulate_ensemble

@@ -31,7 +31,7 @@ DOCUMENTS = {
     "docs/howto/own_system.md": 3,
     "docs/howto/posteriors.md": 3,
     "docs/howto/precision.md": 2,
-    "docs/howto/records.md": 6,
+    "docs/howto/records.md": 8,
     "docs/howto/save.md": 2,
     "docs/howto/sliding_block.md": 1,
     "docs/regularized.md": 3,

@@ -356,6 +356,10 @@ def calibrations() -> Iterator[Target]:
         estimator=(None, "optional never"),
     )  # fmt: skip
     yield fields(
+        ss.sticks_of_record, ("records",), times=(times, "never"), speed=(np.cos(times), "array"),
+        threshold=(0.1, "positive"), minimum_duration=(None, "optional not negative"),
+    )  # fmt: skip
+    yield fields(
         lambda **given: ss.stick_simulator(**given)([[0.5]], KEY), ("base", "mu"), **sticks, t1=(5.0, "positive"),
         realizations=(1, "whole"), summaries=(None, "optional never"),
     )  # fmt: skip
