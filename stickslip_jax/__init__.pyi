@@ -143,7 +143,6 @@ from ._systems.dynamic_friction import (
 from ._systems.friction import (
     Ageing as Ageing,
     Coulomb as Coulomb,
-    Directional as Directional,
     ExponentialGrowth as ExponentialGrowth,
     FrictionCurve as FrictionCurve,
     FrictionLaw as FrictionLaw,
@@ -152,7 +151,7 @@ from ._systems.friction import (
     VelocityWeakening as VelocityWeakening,
 )
 from ._systems.mass_spring import MassSpring as MassSpring
-from ._systems.places import FrictionByPlace as FrictionByPlace
+from ._systems.places import Directional as Directional, FrictionByPlace as FrictionByPlace, OneWay as OneWay
 from ._systems.motor_cart import MotorCart as MotorCart, stick_duration_bound as stick_duration_bound
 from ._systems.contacts import Contact as Contact
 from ._systems.builders import block_row as block_row, storeys_on_bearing as storeys_on_bearing

@@ -60,6 +60,7 @@ def laws_with_a_memory() -> Iterator[Target]:
     yield fields(
         ss.Directional, forward=(ss.Coulomb(0.5), "plain friction"), backward=(ss.Coulomb(0.3), "plain friction")
     )
+    yield fields(ss.OneWay, forward=(ss.Coulomb(0.0), "plain friction"), capacity=(1e3, "positive field"))
     yield fields(ss.Ageing, law=(ss.Coulomb(0.5), "plain friction"), growth=(ss.ExponentialGrowth(0.1, 1.0), "growth"))
     for growth in (ss.ExponentialGrowth, ss.LogarithmicGrowth):
         yield fields(growth, amount=(0.1, "not negative field"), time=(1.0, "positive field"))
