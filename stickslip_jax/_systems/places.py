@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._foundation import checks
-from .._foundation.fields import Quantity, is_distribution, varies_within
+from .._foundation.fields import Quantity, is_distribution, varies_within, with_fields
 from .._foundation.types import BoolArray, DType, FloatArray, FloatScalar, Number, Scalar, State
 from .friction import Coulomb, FrictionLaw, MadeOfLaws, least, most, require_law
 from .switched_model import NOISE_ULPS, Decision, F, Guard, OneContactModel, Question, SwitchedModel
@@ -129,7 +129,7 @@ class OneWay(ByDirection):
 
     @property
     def ways(self) -> tuple[FrictionLaw, FrictionLaw]:
-        return self.forward, Coulomb(self.capacity)
+        return self.forward, with_fields(Coulomb(0.0), Coulomb, mu=self.capacity)  # also of many contacts at once
 
     @property
     def speed_scale(self) -> Scalar | None:

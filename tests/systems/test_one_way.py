@@ -60,37 +60,37 @@ def test_derivatives_of_a_freewheel():
     np.testing.assert_allclose(jax.jacfwd(jax.jacfwd(freewheel))(LOAD), second, rtol=1e-7, atol=1e-8)
 
 
-BLOCKS, BETWEEN, TO_GROUND, SPEED, END = 4, 3.0, 0.7, 0.06, 30.0
-STARTS = np.array([0.0, 0.35, -0.2, 0.1])
+BETWEEN, TO_GROUND, SPEED, END = 3.0, 0.7, 0.06, 30.0
 
 
-def train_by_scipy(kinetic, static):
+def train_by_scipy(starts, kinetic, static):
     """Events (block, time, whether it sticks from there on) and the end, with blocks that cannot slip backward at all:
     what sticks is held against any force that pushes it back.
     """
-    stiffness = TO_GROUND * np.eye(BLOCKS)
-    for i in range(BLOCKS - 1):
+    blocks = len(starts)
+    stiffness = TO_GROUND * np.eye(blocks)
+    for i in range(blocks - 1):
         stiffness[i : i + 2, i : i + 2] += BETWEEN * np.array([[1, -1], [-1, 1]])
-    t, y, sticks, events = 0.0, np.concatenate([STARTS, np.full(BLOCKS, -SPEED)]), np.ones(BLOCKS, bool), []
+    t, y, sticks, events = 0.0, np.concatenate([starts, np.full(blocks, -SPEED)]), np.ones(blocks, bool), []
 
     def pull(y):
-        return -(stiffness @ y[:BLOCKS])
+        return -(stiffness @ y[:blocks])
 
     sticks &= pull(y) <= static
 
     def rates(t, y, sticks):
-        v = y[BLOCKS:]
+        v = y[blocks:]
         return np.concatenate([v, np.where(sticks, 0.0, pull(y) - kinetic(v + SPEED))])
 
     def event(i):
         def margin(t, y, sticks):
-            return static - pull(y)[i] if sticks[i] else y[BLOCKS + i] + SPEED
+            return static - pull(y)[i] if sticks[i] else y[blocks + i] + SPEED
 
         found: Any = margin
         found.terminal, found.direction = True, -1
         return found
 
-    margins = [event(i) for i in range(BLOCKS)]
+    margins = [event(i) for i in range(blocks)]
     while t < END:
         options = {"events": margins, "args": (sticks.copy(),), "rtol": 1e-12, "atol": 1e-13}
         found = solve_ivp(rates, (t, END), y, "DOP853", **options)
@@ -99,7 +99,7 @@ def train_by_scipy(kinetic, static):
             break
         (which,) = [i for i, times in enumerate(found.t_events) if len(times)]
         sticks[which] = not sticks[which]
-        y[BLOCKS + which] = -SPEED
+        y[blocks + which] = -SPEED
         events.append((which, t, bool(sticks[which])))
         if not sticks[which]:  # let go at rest, where its margin is zero: a moment later it moves
             moment = 1e-9
@@ -115,17 +115,20 @@ LAWS = {
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("blocks", [4, 12])
 @pytest.mark.parametrize("name", LAWS)
-def test_a_train_that_may_not_slip_backward(name):
+def test_a_train_that_may_not_slip_backward(name, blocks):
+    """Few blocks, and as many as are followed as one law with many numbers."""
     law, kinetic, static = LAWS[name]
-    events, state = train_by_scipy(kinetic, static)
+    starts = np.array([0.0, 0.35, -0.2, 0.1, 0.27, -0.12, 0.3, 0.0, 0.14, -0.3, 0.21, 0.05])[:blocks]
+    events, state = train_by_scipy(starts, kinetic, static)
     row = ss.block_row(
-        BLOCKS, mass=1.0, between=BETWEEN, to_ground=TO_GROUND, normal_force=1.0, friction=ss.OneWay(law)
+        blocks, mass=1.0, between=BETWEEN, to_ground=TO_GROUND, normal_force=1.0, friction=ss.OneWay(law)
     )
-    y0 = (*STARTS, *[-SPEED] * BLOCKS)
+    y0 = (*starts, *[-SPEED] * blocks)
     one = ss.simulate(row, ss.Constant(-SPEED), t1=END, y0=y0)
     assert int(one.status) == ss.Status.FINISHED
-    for block in range(BLOCKS):
+    for block in range(blocks):
         sticks = one.of_contact(block).sticks
         mask = np.asarray(sticks.mask)
         start, end = np.asarray(sticks.start)[mask], np.asarray(sticks.end)[mask]
@@ -136,7 +139,7 @@ def test_a_train_that_may_not_slip_backward(name):
     assert len(events) > 12
     np.testing.assert_allclose(np.array(one.final_state), state, atol=1e-9)
     times = np.linspace(0.0, END, 1001)
-    assert np.min(np.array(one.evaluate(times)[BLOCKS:])) > -SPEED - 1e-9
+    assert np.min(np.array(one.evaluate(times)[blocks:])) > -SPEED - 1e-9
 
 
 @pytest.mark.slow
