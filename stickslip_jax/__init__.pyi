@@ -26,6 +26,7 @@ from ._calibration.sticks import (
     StickCalibration as StickCalibration,
 )
 from ._calibration.sticks import calibrate_sticks as calibrate_sticks
+from ._calibration.record import RecordedSticks as RecordedSticks, sticks_of_record as sticks_of_record
 from ._calibration.samplers import StickSimulator as StickSimulator, stick_simulator as stick_simulator
 from ._dynamics.common.method import Exact as Exact, Regularized as Regularized
 from ._ensemble.ensemble import simulate_ensemble as simulate_ensemble
@@ -142,7 +143,6 @@ from ._systems.dynamic_friction import (
 from ._systems.friction import (
     Ageing as Ageing,
     Coulomb as Coulomb,
-    Directional as Directional,
     ExponentialGrowth as ExponentialGrowth,
     FrictionCurve as FrictionCurve,
     FrictionLaw as FrictionLaw,
@@ -152,7 +152,7 @@ from ._systems.friction import (
 )
 from ._systems.mass_spring import MassSpring as MassSpring
 from ._systems.memory_models import SlipWeakening as SlipWeakening
-from ._systems.places import FrictionByPlace as FrictionByPlace
+from ._systems.places import Directional as Directional, FrictionByPlace as FrictionByPlace, OneWay as OneWay
 from ._systems.motor_cart import MotorCart as MotorCart, stick_duration_bound as stick_duration_bound
 from ._systems.contacts import Contact as Contact
 from ._systems.builders import (

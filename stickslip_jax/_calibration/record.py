@@ -1,10 +1,10 @@
-"""A measured motion: its channels, their noise and its cut into windows; the arguments about it, checked; and
-whether what is left of it is white noise.
+"""A measured motion: its channels, their noise and its cut into windows; the arguments about it, checked; whether what
+is left of it is white noise; and the sticks in a measured speed.
 """
 
 import dataclasses
-from collections.abc import Callable, Collection, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -267,3 +267,189 @@ def whiteness(name: str, residuals: np.ndarray) -> HypothesisTest:
     p_value = float(stats.chi2.sf(statistic, lags))
     title = f"Ljung-Box over {lags} lags, {name}"
     return HypothesisTest(title, float(statistic), p_value, float(largest), "largest autocorrelation", sizes=(number,))
+
+
+# Sticks in a measured speed: the speed stays below a threshold for long enough.
+#
+# Between its samples the speed is linear, so that it is slow from where the straight line enters the band between
+# -threshold and threshold until it leaves it. A stick from a to b is then found to begin after
+# ``a - (time in which the speed last fell from the threshold to zero) - (one step)``, since a sample lies within a step
+# before the speed was at the threshold, and before ``a + (one step)``, since all samples in the stick are zero; its end
+# likewise. What only passes through zero is slow for ``2 threshold / acceleration``, which no threshold can tell from a
+# stick: the least duration does.
+
+
+_FEWEST_STEPS = 2  # that a stick lasts at least by default
+_GAP = 3  # median steps: what is longer is a gap
+_AROUND = 2.0 ** (np.arange(-6, 7) / 2)  # thresholds that are compared, over the one that is chosen
+_ALIKE = 0.1  # relative differences of numbers of sticks and of mean durations on a plateau, at most
+
+
+@dataclasses.dataclass(frozen=True, repr=False, eq=False)
+class RecordedSticks:
+    """The sticks that `sticks_of_record` found: a table for ``Ensemble.from_sticks``, and how it depends on the choice.
+
+    ``ss.Ensemble.from_sticks(found, t1=found.t1, samples=found.samples)`` is the ensemble of them.
+
+    - `sample`, `start`, `end`: of each stick, the number of its record, from 0, and its instants from the beginning of
+      that, s, (sticks,). ``found["start"]`` is the same; `columns` are their names.
+    - `t1`: the duration of each record, s, the shortest one. `samples`: how many records.
+    - `threshold` (m/s), `minimum_duration` (s): those used.
+    - `thresholds` (m/s), `counts`, `mean_durations` (s): how many sticks other thresholds would find, from an eighth to
+      eight times that used, and how long they last on average (NaN if there are none), (13,).
+    """
+
+    sample: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    t1: float
+    samples: int
+    threshold: float
+    minimum_duration: float
+    thresholds: np.ndarray
+    counts: np.ndarray
+    mean_durations: np.ndarray
+    columns: ClassVar = ("sample", "start", "end")
+
+    def __getitem__(self, column: str) -> np.ndarray:
+        return {name: getattr(self, name) for name in self.columns}[column]
+
+    @property
+    def plateau(self) -> tuple[float, float]:
+        """The thresholds (m/s) around that used, the least and the largest of `thresholds` up to which numbers of
+        sticks and mean durations are within 10 % of those found.
+        """
+        table, own = np.stack([self.counts, self.mean_durations]), len(_AROUND) // 2
+        differ = np.any(~(np.abs(table - table[:, own, None]) <= _ALIKE * table[:, own, None]), axis=0)
+        differ[own] = False
+        ends = np.array([-1, *np.flatnonzero(differ), len(_AROUND)])
+        after = np.searchsorted(ends, own)
+        return float(self.thresholds[ends[after - 1] + 1]), float(self.thresholds[ends[after] - 1])
+
+    def __repr__(self) -> str:
+        used = f"|speed| <= {self.threshold:g} m/s for at least {self.minimum_duration:g} s"
+        records = "1 record" if self.samples == 1 else f"{self.samples} records"
+        table = zip(self.thresholds[::2], self.counts[::2], self.mean_durations[::2], strict=True)
+        least, most = self.plateau
+        is_plateau = least <= self.threshold / 2 and most >= self.threshold * 2
+        found = "A plateau:" if is_plateau else "No plateau, the sticks depend on the threshold: only"
+        return "\n".join(
+            [
+                f"{len(self.start)} sticks in {records} of {self.t1:g} s: {used}",
+                "threshold (m/s)  sticks  mean duration (s)",
+                *("{:15.4g}  {:6d}  {:17.4g}".format(*row) for row in table),
+                f"{found} from {least:.3g} to {most:.3g} m/s both change by at most {_ALIKE:.0%}.",
+            ]
+        )
+
+
+def sticks_of_record(
+    times: npt.ArrayLike | Sequence[npt.ArrayLike],
+    speed: npt.ArrayLike | Sequence[npt.ArrayLike],
+    threshold: float,
+    minimum_duration: float | None = None,
+) -> RecordedSticks:
+    """The sticks in measured speeds: times in which the speed stays at or below a threshold, for long enough.
+
+    Between its samples the speed is linear. A stick is then found to begin at most one step before the speed fell below
+    the threshold, and at most one step after it began; and to end likewise. Choose a threshold above the noise, on a
+    plateau: printed, the result says how many sticks other thresholds find, and whether there is one. A speed that only
+    passes through zero is below the threshold for ``2 threshold / acceleration``: a `minimum_duration` above that
+    leaves it out. The words are those of `Regularized`.
+
+    Args:
+        times: s, increasing, (times,), at least 2: the same for all records, or (records, times), or a list.
+        speed: The relative velocity, m/s, of either sign, (times,); of several records (records, times), or a list of
+            arrays. All must last equally long, but for a step.
+        threshold: The largest speed in a stick, m/s, positive.
+        minimum_duration: The shortest time below it that counts as a stick, s, zero or positive; by default two steps
+            (the median of all).
+
+    Returns:
+        A `RecordedSticks`, which `Ensemble.from_sticks` takes. What the end of the record cuts ends there.
+
+    Raises:
+        ValueError: For numbers out of range; for a speed that is NaN or infinite somewhere; for a gap, a step of more
+            than three times the median; and for records of different durations.
+
+    >>> times, speed = range(8), [0.3, 0.1, 0.0, 0.0, 0.0, 0.0, -0.1, -0.3]
+    >>> found = ss.sticks_of_record(times, speed, threshold=0.01)
+    >>> print(found.start, found.end)
+    [1.9] [5.1]
+    """
+    checks.positive("threshold", threshold, "m/s")
+    if minimum_duration is not None:
+        checks.non_negative("minimum_duration", minimum_duration, "s")
+    records = _records_of(times, speed)
+    steps = np.concatenate([np.diff(at) for at, _ in records])
+    least = _FEWEST_STEPS * float(np.median(steps)) if minimum_duration is None else float(minimum_duration)
+    durations = [float(at[-1]) for at, _ in records]
+    t1, longest = min(durations), max(durations)
+    if longest - t1 > np.max(steps):
+        raise ValueError(
+            f"Argument times must be of records that last equally long, but records of {t1:g} to {longest:g} s were "
+            "given; cut them to the shortest one."
+        )
+
+    def found(threshold: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        slow = [_slow_times(at, values, threshold) for at, values in records]
+        sample = np.repeat(np.arange(len(slow)), [len(start) for start, _ in slow])
+        start, end = (np.concatenate(column) for column in zip(*slow, strict=True))
+        end = np.minimum(end, t1)
+        kept = (end - start >= least) & (end > start)
+        return sample[kept], start[kept], end[kept]
+
+    thresholds = float(threshold) * _AROUND
+    sticks = [found(value) for value in thresholds]
+    counts = np.array([len(start) for _, start, _ in sticks])
+    totals = np.array([np.sum(end - start) for _, start, end in sticks])
+    means = np.where(counts > 0, totals / np.maximum(counts, 1), np.nan)
+    own = sticks[len(_AROUND) // 2]
+    return RecordedSticks(*own, t1, len(records), float(threshold), least, thresholds, counts, means)
+
+
+def _records_of(times: Any, speed: Any) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The times, from 0 on, and the speeds of each record. Raises ValueError for what is none."""
+    listed = []
+    for name, given in (("times", times), ("speed", speed)):
+        checks.tree(name, given)
+        dimensions = checks.dimensions(given)
+        if dimensions != 1 and not (isinstance(given, (list, tuple)) or dimensions == 2):
+            raise checks.refused(name, "be an array of numbers, or one of each record", given)
+        listed.append([(name, given)] if dimensions == 1 else [(f"{name}[{i}]", one) for i, one in enumerate(given)])
+    if len(listed[0]) == 1:
+        listed[0] *= len(listed[1])
+    if not listed[1] or len(listed[0]) != len(listed[1]):
+        raise ValueError(
+            f"Argument times must be given once or for each record of speed, but {len(listed[0])} were given for "
+            f"{len(listed[1])} records."
+        )
+    records = []
+    for (name, at), (of_speed, values) in zip(*listed, strict=True):
+        checks.bounded(name, at, "s", ndim=1)
+        seconds, own = np.asarray(at, float), checks.numbers(of_speed, values, 1).astype(float)
+        if len(seconds) < 2 or own.shape != seconds.shape:
+            raise checks.refused(of_speed, f"hold one number for each of at least two {name}", values)
+        steps, wrong = np.diff(seconds), ~(np.abs(own) <= checks.LARGEST)
+        if not np.all(steps > 0):
+            raise checks.refused(name, "increase", at, "leave out what was recorded twice")
+        longest, usual, todo = int(np.argmax(steps)), float(np.median(steps)), "make a record of either side, or"
+        if steps[longest] > _GAP * usual:
+            found = f"{steps[longest]:g} s follow {seconds[longest]:g} s, and a step is {usual:g} s"
+            raise ValueError(f"Argument {name} must have no gap, but {found}; {todo} interpolate it to equal steps.")
+        if np.any(wrong):
+            found = f"at {seconds[np.argmax(wrong)]:g} s it is {own[np.argmax(wrong)]}"
+            raise ValueError(f"Argument {of_speed} must be finite, but {found}; {todo} interpolate what is short.")
+        records.append((seconds - seconds[0], own))
+    return records
+
+
+def _slow_times(at: np.ndarray, speed: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+    """When the speed, linear between its samples, is at or below the threshold: starts and ends."""
+    inside, change = np.abs(speed) <= threshold, np.diff(speed)
+    slow = inside[:-1] | inside[1:] | (np.sign(speed[:-1]) * np.sign(speed[1:]) < 0)
+    # Where the line through both ends of a step is at the edge that it enters by, and at that it leaves by.
+    slope, edge = np.where(change != 0, change, 1), np.where(change < 0, -threshold, threshold)
+    entry, exit_ = (np.clip((level - speed[:-1]) / slope, 0, 1) * np.diff(at) + at[:-1] for level in (-edge, edge))
+    start = np.concatenate([at[:1][inside[:1]], entry[slow & ~inside[:-1]]])
+    return start, np.concatenate([exit_[slow & ~inside[1:]], at[-1:][inside[-1:]]])

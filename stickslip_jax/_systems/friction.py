@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, PyTree
 from .._compiler.programs import kept_jit
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity, varies_within
-from .._foundation.types import AnyArray, BoolArray, FloatArray, Number, Scalar
+from .._foundation.types import AnyArray, FloatArray, Number, Scalar
 from .prescribed import force_of_law
 
 if TYPE_CHECKING:
@@ -526,7 +526,7 @@ def static_at_least(
         )
 
 
-# Friction laws made of others: one for each direction of slip; a static friction that grows while the stick lasts.
+# Friction laws made of others: a static friction that grows while the stick lasts.
 
 
 _AGES = np.array([1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6])  # s, at which a user's growth is looked at
@@ -537,93 +537,6 @@ class MadeOfLaws(FrictionLaw):
 
     def check_relations(self) -> None:
         pass
-
-
-class Directional(MadeOfLaws):
-    """Friction that differs between the two directions of slip, as measured devices often show.
-
-    Args:
-        forward: The law of slips with positive relative velocity (of the mass, relative to what it rubs on), and of
-            sticks that would break into them.
-        backward: That of negative relative velocity.
-
-    Raises:
-        ValueError: If one is no friction law.
-    """
-
-    forward: FrictionLaw
-    backward: FrictionLaw
-
-    def check_parts(self) -> None:
-        for name in ("forward", "backward"):
-            require_law(name, getattr(self, name), may_remember=False)
-
-    def has_varying_parts(self) -> bool:
-        return varies_within((self.forward, self.backward))
-
-    @property
-    def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
-        return self.forward.constant and self.backward.constant
-
-    @property
-    def static_exceeds_kinetic(self) -> bool:
-        return self.forward.static_exceeds_kinetic or self.backward.static_exceeds_kinetic
-
-    @property
-    def speed_scale(self) -> Scalar | None:
-        return least(self.forward.speed_scale, self.backward.speed_scale)
-
-    @property
-    def viscous_slope(self) -> Scalar:
-        return _most(self.forward.viscous_slope, self.backward.viscous_slope)
-
-    @property
-    def static(self) -> Scalar:
-        return _most(self.forward.static, self.backward.static)
-
-    def static_after(self, age: FloatArray | float) -> Scalar | FloatArray:
-        return jnp.maximum(self.forward.static_after(age), self.backward.static_after(age))
-
-    @property
-    def grows(self) -> bool:
-        return self.forward.grows or self.backward.grows
-
-    @property
-    def growth_time(self) -> Scalar | None:
-        return least(*(law.growth_time for law in (self.forward, self.backward) if law.grows))
-
-    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
-        """The larger one of the two coefficients."""
-        return jnp.maximum(self.forward.kinetic(speed), self.backward.kinetic(speed))
-
-    def in_direction(self, velocity: FloatArray) -> FrictionLaw:
-        return _Chosen(self.forward.in_direction(velocity), self.backward.in_direction(velocity), velocity > 0)
-
-
-class _Chosen(MadeOfLaws):
-    """One of two laws, by a number that JAX may trace."""
-
-    first: FrictionLaw
-    second: FrictionLaw
-    takes_first: BoolArray
-
-    @property
-    def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
-        return self.first.constant and self.second.constant
-
-    @property
-    def static_exceeds_kinetic(self) -> bool:
-        return self.first.static_exceeds_kinetic or self.second.static_exceeds_kinetic
-
-    @property
-    def static(self) -> Scalar:
-        return jnp.where(self.takes_first, self.first.static, self.second.static)
-
-    def static_after(self, age: FloatArray | float) -> Scalar | FloatArray:
-        return jnp.where(self.takes_first, self.first.static_after(age), self.second.static_after(age))
-
-    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
-        return jnp.where(self.takes_first, self.first.kinetic(speed), self.second.kinetic(speed))
 
 
 class Growth(Checked):
@@ -794,7 +707,7 @@ def least(*values: Scalar | None) -> Scalar | None:
     return reduce(jnp.minimum, known)  # as a stack, numbers without a type of their own would get one
 
 
-def _most(one: Scalar, other: Scalar) -> Scalar:
+def most(one: Scalar, other: Scalar) -> Scalar:
     """The larger one of two numbers."""
     are_numbers = isinstance(one, (int, float)) and isinstance(other, (int, float))
     return max(one, other) if are_numbers else jnp.maximum(one, other)

@@ -1,5 +1,8 @@
-"""Friction that differs from place to place: the law, and a mass whose mode ends where it comes to another region."""
+"""Friction that differs with the direction of slip; and friction that differs from place to place: the law, and a mass
+whose mode ends where it comes to another region.
+"""
 
+import abc
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias, get_args
 
 import equinox as eqx
@@ -8,10 +11,158 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._foundation import checks
-from .._foundation.fields import Quantity, is_distribution, varies_within
+from .._foundation.fields import Quantity, is_distribution, varies_within, with_fields
 from .._foundation.types import BoolArray, DType, FloatArray, FloatScalar, Number, Scalar, State
-from .friction import FrictionLaw, least, require_law
+from .friction import Coulomb, FrictionLaw, MadeOfLaws, least, most, require_law
 from .switched_model import NOISE_ULPS, Decision, F, Guard, OneContactModel, Question, SwitchedModel
+
+# Friction by direction: one law for each.
+
+
+class ByDirection(MadeOfLaws):
+    """Base class of laws with another law in each direction of slip."""
+
+    @property
+    @abc.abstractmethod
+    def ways(self) -> tuple[FrictionLaw, FrictionLaw]:
+        """The laws of slips forward, and backward."""
+
+    @property
+    def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
+        return all(law.constant for law in self.ways)
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return any(law.static_exceeds_kinetic for law in self.ways)
+
+    @property
+    def speed_scale(self) -> Scalar | None:
+        return least(*(law.speed_scale for law in self.ways))
+
+    @property
+    def viscous_slope(self) -> Scalar:
+        return most(*(law.viscous_slope for law in self.ways))
+
+    @property
+    def static(self) -> Scalar:
+        return most(*(law.static for law in self.ways))
+
+    def static_after(self, age: FloatArray | float) -> Scalar | FloatArray:
+        return jnp.maximum(*(law.static_after(age) for law in self.ways))
+
+    @property
+    def grows(self) -> bool:
+        return any(law.grows for law in self.ways)
+
+    @property
+    def growth_time(self) -> Scalar | None:
+        return least(*(law.growth_time for law in self.ways if law.grows))
+
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
+        """The larger one of the two coefficients."""
+        return jnp.maximum(*(law.kinetic(speed) for law in self.ways))
+
+    def in_direction(self, velocity: FloatArray) -> FrictionLaw:
+        forward, backward = self.ways
+        return _Chosen(forward.in_direction(velocity), backward.in_direction(velocity), velocity > 0)
+
+
+class Directional(ByDirection):
+    """Friction that differs between the two directions of slip, as measured devices often show.
+
+    Args:
+        forward: The law of slips with positive relative velocity (of the mass, relative to what it rubs on), and of
+            sticks that would break into them.
+        backward: That of negative relative velocity.
+
+    Raises:
+        ValueError: If one is no friction law.
+    """
+
+    forward: FrictionLaw
+    backward: FrictionLaw
+
+    def check_parts(self) -> None:
+        for name in ("forward", "backward"):
+            require_law(name, getattr(self, name), may_remember=False)
+
+    def has_varying_parts(self) -> bool:
+        return varies_within(self.ways)
+
+    @property
+    def ways(self) -> tuple[FrictionLaw, FrictionLaw]:
+        return self.forward, self.backward
+
+
+class OneWay(ByDirection):
+    """A contact that slips in one direction and holds in the other: a freewheel, a ratchet, blocks that do not return.
+
+    Slips with a positive relative velocity (of the mass, relative to what it rubs on; of a clutch, where the second of
+    its inertias is the faster one) have the law `forward`. Against slips backward it holds up to `capacity` times the
+    normal force: choose that far above all loads, and it holds any of them. Round-off of forces grows with it: of a
+    capacity of 1000, 1e-13 of the normal force. What is pushed back by more, or starts with a negative velocity, is
+    stopped by that force. For a contact that slips backward alone take ``Directional(Coulomb(1000.0), law)``.
+
+    Args:
+        forward: The law of slips, and of sticks that would break into them; by default without friction.
+        capacity: The largest force that it holds against slips backward, over the normal force, positive.
+
+    Raises:
+        ValueError: If `forward` is no friction law, or for a capacity out of range.
+
+    >>> hub = ss.FrictionDisk(normal_force=100.0, friction=ss.OneWay())
+    >>> pedals = ss.ForceSteps([0.0, 3.0], [4.2, -0.1])  # N m: they drive the wheel for 3 s, and stop then
+    >>> bicycle = ss.drivetrain([0.1, 2.0], clutches=[hub], torque=(pedals, -0.4))
+    >>> one = ss.simulate(bicycle, ss.Constant(0.0), t1=4.0)
+    >>> print([f"{speed:.3f}" for speed in one.final_state[2:]], one.sticks.end[0])
+    ['4.429', '5.229'] 3.0
+    """
+
+    forward: FrictionLaw = Coulomb(0.0)
+    capacity: Annotated[Number, Quantity(meaning="held backward, over the normal force", above=0)] = 1000.0
+
+    def check_parts(self) -> None:
+        require_law("forward", self.forward, may_remember=False)
+
+    def has_varying_parts(self) -> bool:
+        return varies_within(self.forward)
+
+    @property
+    def ways(self) -> tuple[FrictionLaw, FrictionLaw]:
+        return self.forward, with_fields(Coulomb(0.0), Coulomb, mu=self.capacity)  # also of many contacts at once
+
+    @property
+    def speed_scale(self) -> Scalar | None:
+        # Systems take the largest force for that of slips, in which it is `capacity / forward.static` times less.
+        own, held = self.forward.speed_scale, self.forward.static
+        return own if own is None or self.forward.constant else own * self.capacity / most(held, 1e-9 * self.capacity)
+
+
+class _Chosen(MadeOfLaws):
+    """One of two laws, by a number that JAX may trace."""
+
+    first: FrictionLaw
+    second: FrictionLaw
+    takes_first: BoolArray
+
+    @property
+    def constant(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - asked of instances only
+        return self.first.constant and self.second.constant
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return self.first.static_exceeds_kinetic or self.second.static_exceeds_kinetic
+
+    @property
+    def static(self) -> Scalar:
+        return jnp.where(self.takes_first, self.first.static, self.second.static)
+
+    def static_after(self, age: FloatArray | float) -> Scalar | FloatArray:
+        return jnp.where(self.takes_first, self.first.static_after(age), self.second.static_after(age))
+
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
+        return jnp.where(self.takes_first, self.first.kinetic(speed), self.second.kinetic(speed))
+
 
 # Friction by place: the law.
 

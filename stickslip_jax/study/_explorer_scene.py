@@ -47,12 +47,12 @@ from .._statistics.totals import mean_stick_count, mean_stick_duration, stick_fr
 from .._systems.friction import (
     Ageing,
     Coulomb,
-    Directional,
     ExponentialGrowth,
     FrictionLaw,
     Stribeck,
     VelocityWeakening,
 )
+from .._systems.places import Directional
 from .._systems.system import System, unit_at
 from .._uncertainty.families import RandomNumber, Weibull
 from .._uncertainty.inputs import Inputs, StochasticModel

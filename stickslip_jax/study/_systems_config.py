@@ -16,7 +16,6 @@ from .._systems.dynamic_friction import BoucWen, Dahl, DieterichRuina, ElastoPla
 from .._systems.friction import (
     Ageing,
     Coulomb,
-    Directional,
     ExponentialGrowth,
     LogarithmicGrowth,
     Stribeck,
@@ -25,7 +24,7 @@ from .._systems.friction import (
 from .._systems.mass_spring import MassSpring
 from .._systems.memory_models import SlipWeakening
 from .._systems.motor_cart import USUAL_MU, MotorCart
-from .._systems.places import FrictionByPlace
+from .._systems.places import Directional, FrictionByPlace, OneWay
 from .._systems.structure import MOST_CONTACTS, LinearStructure, check_structure
 from .._uncertainty import families
 from ._sections import (
@@ -219,6 +218,7 @@ _DIRECTIONAL = section_of(
     forward=(_ONE_WAY, "friction law of slips with a positive relative velocity"),
     backward=(_ONE_WAY, "that of negative ones"),
 )
+_HELD = section_of(OneWay, "law", base=BuiltSection, forward=(_ONE_WAY, "friction law of slips, all of them forward"))
 
 
 class FrictionByPlaceConfig(
@@ -260,7 +260,8 @@ if TYPE_CHECKING:
 else:
     BaseConfig = _any_of(_BASES)
     FrictionConfig = _any_of(
-        (*_OF_SPEED, _DIRECTIONAL, _AGEING, FrictionByPlaceConfig, *_WEAKENING, *_WITH_INNER_STATE), usual="Coulomb"
+        (*_OF_SPEED, _DIRECTIONAL, _HELD, _AGEING, FrictionByPlaceConfig, *_WEAKENING, *_WITH_INNER_STATE),
+        usual="Coulomb",
     )
     ForceConfig = _number_or(float, _FORCES)
     """An external force, N: a number, or a function of time."""

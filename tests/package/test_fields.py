@@ -55,7 +55,7 @@ def test_every_field_of_numbers_is_described(kind):
     others |= {"smoothing"} if kind is ss.Recorded else set()  # in words
     others |= {"direction"} if kind is ss.Contact else set()
     others |= {"law", "growth"} if kind is ss.Ageing else set()
-    others |= {"forward", "backward"} if kind is ss.Directional else set()
+    others |= {"forward", "backward"} if kind is ss.Directional else {"forward"} if kind is ss.OneWay else set()
     others |= {"places", "laws", "on"} if kind is ss.FrictionByPlace else set()
     others |= {"counted_contact"}  # chosen by `of_contact`
     # Matrices, which have checks of their own.

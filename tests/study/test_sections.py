@@ -43,6 +43,11 @@ SYSTEMS = {
             ss.Directional(ss.Coulomb(0.3), ss.Ageing(ss.VelocityWeakening(0.4, 2.0), ss.ExponentialGrowth(0.1, 2.0)))
         ),
     ),
+    "OneWay": (
+        '[system.friction]\nlaw = "OneWay"\ncapacity = 200\n[system.friction.forward]\nlaw = "VelocityWeakening"\n'
+        "mu_static = 0.4\nweakening = 2",
+        mass_spring(ss.OneWay(ss.VelocityWeakening(0.4, 2.0), 200.0)),
+    ),
     "Ageing": (
         '[system.friction]\nlaw = "Ageing"\n[system.friction.slip]\nmu = 0.3\nmu_static = 0.4\n'
         '[system.friction.growth]\nlaw = "LogarithmicGrowth"\namount = 0.1\ntime = 2',

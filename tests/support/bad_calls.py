@@ -60,6 +60,7 @@ def laws_with_a_memory() -> Iterator[Target]:
     yield fields(
         ss.Directional, forward=(ss.Coulomb(0.5), "plain friction"), backward=(ss.Coulomb(0.3), "plain friction")
     )
+    yield fields(ss.OneWay, forward=(ss.Coulomb(0.0), "plain friction"), capacity=(1e3, "positive field"))
     yield fields(ss.Ageing, law=(ss.Coulomb(0.5), "plain friction"), growth=(ss.ExponentialGrowth(0.1, 1.0), "growth"))
     yield fields(
         ss.SlipWeakening, static=(0.6, "positive field"), dynamic=(0.4, "not negative field"),
@@ -358,6 +359,10 @@ def calibrations() -> Iterator[Target]:
         ss.calibrate_sticks, ("base", "mu"), **sticks, observed=(many(), "never"), samples=(64, "whole"),
         key=(KEY, "key"), moments=(None, "optional never"), objective=("moments", "never"),
         estimator=(None, "optional never"),
+    )  # fmt: skip
+    yield fields(
+        ss.sticks_of_record, ("records",), times=(times, "never"), speed=(np.cos(times), "array"),
+        threshold=(0.1, "positive"), minimum_duration=(None, "optional not negative"),
     )  # fmt: skip
     yield fields(
         lambda **given: ss.stick_simulator(**given)([[0.5]], KEY), ("base", "mu"), **sticks, t1=(5.0, "positive"),
