@@ -85,7 +85,7 @@ def compare(kind, seed, t1=15.0):
     return len(sticks)
 
 
-@pytest.mark.slow_for("twenty")
+@pytest.mark.slow_but_for("pressed")
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_set_ups(kind):
     assert sum(compare(kind, seed) for seed in range(3)) > 10
@@ -203,6 +203,7 @@ def test_free_decay_on_a_jenkins_element():
     np.testing.assert_allclose(energies.stored["elastic"], k * top**2 / 2 + spring * reach**2 / 2, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_stiff_springs_come_to_rigid_contacts():
     base, y0 = ss.Harmonic(0.6, 1.1), (0.5, 0.0)
     off = []

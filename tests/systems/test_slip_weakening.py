@@ -72,7 +72,7 @@ def compare(kind, seed, t1=20.0):
     return len(expected.sticks)
 
 
-@pytest.mark.slow_for("three", "mixed")
+@pytest.mark.slow_but_for("healing")
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_set_ups(kind):
     assert sum(compare(kind, seed) for seed in range(4)) > 5
@@ -145,6 +145,7 @@ def test_normal_forces_that_vary(mean):
 # Closed forms of ruptures: a block that is pulled slowly.
 
 
+@pytest.mark.slow_for("1e-05")
 @pytest.mark.parametrize("distance", [1e-5, 0.02, 0.045])
 def test_a_rupture_by_its_energy(distance):
     """The spring gives up what friction takes: ``k S^2 / 2 - drop S + drop distance / 2 = 0`` for the slip S, with the
