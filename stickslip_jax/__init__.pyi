@@ -99,6 +99,7 @@ from ._statistics.ensemble_statistics import (
 )
 from ._statistics.estimate import Estimate as Estimate
 from ._statistics.quantities import FirstSticks as FirstSticks, first_stick as first_stick
+from ._statistics.forecasts import Catalogue as Catalogue, catalogue as catalogue
 from ._statistics.forecasts import ForecastScores as ForecastScores
 from ._statistics.forecasts import Hazard as Hazard
 from ._statistics.forecasts import StickForecast as StickForecast

@@ -328,14 +328,13 @@ class RecordedSticks:
 
     def __repr__(self) -> str:
         used = f"|speed| <= {self.threshold:g} m/s for at least {self.minimum_duration:g} s"
-        records = "1 record" if self.samples == 1 else f"{self.samples} records"
         table = zip(self.thresholds[::2], self.counts[::2], self.mean_durations[::2], strict=True)
         least, most = self.plateau
         is_plateau = least <= self.threshold / 2 and most >= self.threshold * 2
         found = "A plateau:" if is_plateau else "No plateau, the sticks depend on the threshold: only"
         return "\n".join(
             [
-                f"{len(self.start)} sticks in {records} of {self.t1:g} s: {used}",
+                f"{len(self.start)} sticks in {self.samples} x {self.t1:g} s: {used}",
                 "threshold (m/s)  sticks  mean duration (s)",
                 *("{:15.4g}  {:6d}  {:17.4g}".format(*row) for row in table),
                 f"{found} from {least:.3g} to {most:.3g} m/s both change by at most {_ALIKE:.0%}.",
@@ -386,10 +385,7 @@ def sticks_of_record(
     durations = [float(at[-1]) for at, _ in records]
     t1, longest = min(durations), max(durations)
     if longest - t1 > np.max(steps):
-        raise ValueError(
-            f"Argument times must be of records that last equally long, but records of {t1:g} to {longest:g} s were "
-            "given; cut them to the shortest one."
-        )
+        raise checks.refused("times", f"last equally long, not {t1:g} to {longest:g} s", times, "cut the longer")
 
     def found(threshold: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         slow = [_slow_times(at, values, threshold) for at, values in records]
@@ -402,8 +398,7 @@ def sticks_of_record(
     thresholds = float(threshold) * _AROUND
     sticks = [found(value) for value in thresholds]
     counts = np.array([len(start) for _, start, _ in sticks])
-    totals = np.array([np.sum(end - start) for _, start, end in sticks])
-    means = np.where(counts > 0, totals / np.maximum(counts, 1), np.nan)
+    means = np.array([np.mean(end - start) if len(start) else np.nan for _, start, end in sticks])
     own = sticks[len(_AROUND) // 2]
     return RecordedSticks(*own, t1, len(records), float(threshold), least, thresholds, counts, means)
 
@@ -420,10 +415,7 @@ def _records_of(times: Any, speed: Any) -> list[tuple[np.ndarray, np.ndarray]]:
     if len(listed[0]) == 1:
         listed[0] *= len(listed[1])
     if not listed[1] or len(listed[0]) != len(listed[1]):
-        raise ValueError(
-            f"Argument times must be given once or for each record of speed, but {len(listed[0])} were given for "
-            f"{len(listed[1])} records."
-        )
+        raise checks.refused("times", f"be given once, or for each of {len(listed[1])} records of speed", times)
     records = []
     for (name, at), (of_speed, values) in zip(*listed, strict=True):
         checks.bounded(name, at, "s", ndim=1)

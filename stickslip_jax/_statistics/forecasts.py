@@ -1,14 +1,21 @@
-"""Forecasts of the next stick from the end of the last one: its distribution, its hazard, and how good they are."""
+"""Forecasts of the next stick from the end of the last one: its distribution, its hazard, and how good they are; and
+catalogues of events, in which many contacts slip together.
+"""
 
 import dataclasses
 from collections.abc import Hashable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import stats
+from scipy import sparse, stats
+from scipy.sparse import csgraph
 
+from .._dynamics.simulation import Simulation
+from .._dynamics.sticks import FlatSticks
+from .._excitation.excitation import way_of_base
 from .._foundation import checks
+from .._foundation.types import Status
 from .._numerics.sums import DyadicCounts, PowerSums
 from .distribution import BINS, Clusters, Distribution, bin_of
 from .estimate import Estimate
@@ -236,3 +243,176 @@ def _kernel(name: str, given: object) -> TransitionKernel:
     if not isinstance(given, TransitionKernel):
         raise checks.refused(name, "be the result of transition_kernel", given)
     return given
+
+
+# Catalogues: an event is a connected slip, as an earthquake is.
+#
+# Slips of contacts that are neighbours belong to one event if they overlap in time, and so do those that belong to the
+# event of a third: events are the connected components of that graph. Slips far apart at the same time are two events.
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Catalogue:
+    """The events of a system with several contacts: the result of `catalogue`. In order of sample and begin.
+
+    - `sample`: in which each happened, from 0. `begin`, `duration`: s. `size`: how many contacts slipped. `moment`: the
+      sum of what they slipped, and `largest`, the most that one of them did, m: of a structure relative to the base, or
+      to the other mass; of a system of your own by the position of sticks. All (events,). Seismic moments, in N m, are
+      in proportion to it, which only shifts magnitudes.
+    - `t1`: s. `samples`: how many motions. `contacts`: how many each has. `left_out`: how many events were left out
+      because the begin or the end of a motion cuts a slip in them.
+    """
+
+    sample: Int[np.ndarray, " events"]
+    begin: Float[np.ndarray, " events"]
+    duration: Float[np.ndarray, " events"]
+    size: Int[np.ndarray, " events"]
+    moment: Float[np.ndarray, " events"]
+    largest: Float[np.ndarray, " events"]
+    t1: float
+    samples: int
+    contacts: int
+    left_out: int
+
+    @property
+    def magnitude(self) -> Float[np.ndarray, " events"]:
+        """The decimal logarithm of each moment in m."""
+        return np.log10(self.moment)
+
+    def slope(self, least: float) -> Estimate:
+        """The Gutenberg-Richter slope b: the number of moments above M is proportional to ``M^-b``.
+
+        By maximum likelihood from the moments of at least `least`, as if events were independent: ``b = log10(e) /
+        (mean magnitude - that of least)``, with the standard error ``b / sqrt(events)`` (Aki 1965, Bull. Earthq. Res.
+        Inst. 43, 237; Utsu 1965). The slope for the magnitudes of Hanks and Kanamori, 2/3 of the logarithm, is 1.5
+        times as large. Large events of another law shift it little where they are few.
+
+        Args:
+            least: The moment (m) from which on the catalogue is complete and follows the law, positive.
+
+        Raises:
+            ValueError: For another number.
+        """
+        checks.positive("least", least, "m")
+        excess = np.log(self.moment[self.moment >= least] / least)
+        name, number, mean = "Gutenberg-Richter slope b", len(excess), float(np.sum(excess)) / max(len(excess), 1)
+        b = 1 / mean if mean > 0 else np.nan
+        return Estimate(name, b, b / max(number, 1) ** 0.5, "1", number)
+
+    def frequencies(self, bins: int = 10) -> dict[str, np.ndarray]:
+        """How many events there are by magnitude, in bins of equal width: columns of a table.
+
+        Args:
+            bins: Their number.
+
+        Returns:
+            By name, (bins,): `magnitude`, where each bin begins; `events` in it; and `at_least`, those from there on.
+        """
+        counts, edges = np.histogram(self.magnitude, checks.whole_number("bins", bins, maximum=10**6))
+        return {"magnitude": edges[:-1], "events": counts, "at_least": np.cumsum(counts[::-1])[::-1]}
+
+    def __repr__(self) -> str:
+        cut = f"{self.left_out} cut by begin or end left out"
+        return f"{len(self.begin)} events of {self.contacts} contacts in {self.samples} x {self.t1:g} s, {cut}"
+
+
+def catalogue(source: Any) -> Catalogue:
+    """The catalogue of events: times in which neighbouring contacts slip together, as the blocks of a train do.
+
+    Slips belong to one event if they overlap in time, of the same or of neighbouring contacts: of a `LinearStructure`,
+    of the same masses or of masses that a spring joins (``structure.neighbours``); of a system of your own, of any.
+
+    Args:
+        source: A `Simulation` with a list of contacts, or the result of `simulate_contacts` with ``keep="sticks"``, of
+            which the samples that finished count.
+
+    Returns:
+        A `Catalogue`.
+
+    Raises:
+        ValueError: For anything else.
+
+    >>> law = ss.Coulomb(0.4, mu_static=0.5)
+    >>> row = ss.block_row(
+    ...     5, mass=1.0, between=9.0, to_ground=1.0, normal_force=1.0, friction=law
+    ... )
+    >>> y0 = (0.0, 0.1, 0.3, 0.2, 0.1) + (0.02,) * 5
+    >>> one = ss.simulate(row, ss.Constant(0.02), t1=60.0, y0=y0)
+    >>> print(ss.catalogue(one))
+    6 events of 5 contacts in 1 x 60 s, 2 cut by begin or end left out
+    """
+    if getattr(getattr(source, "sticks", None), "contact", None) is not None:  # of a Simulation of several
+        source._require_numbers("catalogue")
+        sticks, t1, realizations = source.sticks, float(source.time_reached), [(source.system, source.base)]
+        mask = np.asarray(sticks.mask)
+        contact, start, end, moved = (
+            np.asarray(column)[mask] for column in (sticks.contact, sticks.start, sticks.end, sticks.slip_displacement)
+        )
+        sample = np.zeros_like(contact)
+    elif hasattr(source, "of_all_contacts") and not isinstance(source, Simulation):
+        flat, t1 = [source.of_contact(number).flat_sticks for number in range(source.contacts)], source.t1
+        if flat[0] is None or source.status_counts[Status.FINISHED] < source.samples:
+            wanted = 'be from simulate_contacts(..., keep="sticks"), and all its samples finish'
+            raise checks.refused("source", wanted, source)
+        contact = np.repeat(np.arange(len(flat)), [len(of.start) for of in flat])
+        sample, sticks = np.concatenate([of.sample for of in flat]), FlatSticks.joined(flat)
+        start, end, moved = sticks.start, sticks.end, sticks.slip_displacement
+        realizations = [source.realization(number)[:2] for number in range(source.samples)]
+    else:
+        raise checks.refused("source", "be a Simulation of several contacts, or from simulate_contacts", source)
+    neighbours, samples = source.system.neighbours, len(realizations)
+    contacts = len(neighbours)
+
+    # Slips lie between two sticks of one contact in one sample, or between a stick and the begin or end of the motion.
+    tracks = np.arange(samples * contacts)
+    ends, cut = np.repeat([0.0, t1], len(tracks)), np.repeat([False, True], [len(start), 2 * len(tracks)])
+    track = np.concatenate([sample * contacts + contact, tracks, tracks])
+    start, end, moved = (np.concatenate(both) for both in ((start, ends), (end, ends), (moved, 0 * ends)))
+    order = np.lexsort((end, start, track))
+    track, start, end, moved, cut = (column[order] for column in (track, start, end, moved, cut))
+    slips = (track[1:] == track[:-1]) & (start[1:] > end[:-1])
+    track, begin, end, moved, cut = (
+        column[slips] for column in (track[1:], end[:-1], start[1:], moved[1:], cut[1:] | cut[:-1])
+    )
+    places = np.searchsorted(track, np.append(tracks, len(tracks)))
+    for number, (system, base) in enumerate(realizations):
+        own = slice(places[number * contacts], places[(number + 1) * contacts])
+        moved[own] -= system.shares_of_base[track[own] % contacts] * way_of_base(base, begin[own], end[own])
+    event, number = _connected(begin, end, places, neighbours)
+
+    # What each contact slips in an event, in which it may stop and go on.
+    pair, place = np.unique(event * contacts + track % contacts, return_inverse=True)
+    of_pair, slipped = pair // contacts, np.bincount(place, np.abs(moved))
+    first, last, largest = np.full(number, np.inf), np.zeros(number), np.zeros(number)
+    np.minimum.at(first, event, begin)
+    np.maximum.at(last, event, end)
+    np.maximum.at(largest, of_pair, slipped)
+    own, whole = track[np.unique(event, return_index=True)[1]] // contacts, np.bincount(event, cut, number) == 0
+    size, moment = np.bincount(of_pair, minlength=number), np.bincount(of_pair, slipped, number)
+    chosen = [number for number in np.lexsort((first, own)) if whole[number]]
+    columns = [column[chosen] for column in (own, first, last - first, size, moment, largest)]
+    return Catalogue(*columns, t1=t1, samples=samples, contacts=contacts, left_out=int(np.sum(~whole)))
+
+
+def _connected(
+    begin: np.ndarray, end: np.ndarray, places: np.ndarray, neighbours: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """To which event each slip belongs, and how many there are.
+
+    `places`: where the slips of each contact in each sample begin, those of a contact in order of time.
+    """
+    edges, contacts = [np.zeros((2, 0), int)], len(neighbours)
+    pairs = np.argwhere(np.triu(neighbours, 1))
+    for of_sample in range(0, len(places) - 1, contacts):
+        for one, other in pairs + of_sample:
+            own, others = (slice(places[number], places[number + 1]) for number in (one, other))
+            # The other's slips that overlap with each of these are all from the first to the last such one.
+            first = np.searchsorted(end[others], begin[own], "left")
+            count = np.maximum(np.searchsorted(begin[others], end[own], "right") - first, 0)
+            within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+            rows = np.repeat(np.arange(len(begin))[own], count)
+            edges.append(np.stack([rows, others.start + np.repeat(first, count) + within]))
+    rows, columns = np.concatenate(edges, axis=1)
+    graph = sparse.coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(len(begin),) * 2)
+    number, event = csgraph.connected_components(graph, directed=False)
+    return event.astype(int), number

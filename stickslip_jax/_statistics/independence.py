@@ -368,10 +368,9 @@ def identically_distributed(
         remarks.append(f"Orders left out, with fewer than {FEWEST_VALUES} values: {', '.join(left)}.")
     reason = ""
     if len(kept) < 2:
-        all_need = FEWEST_VALUES * len(wanted)
-        fewer = f"; orders=2 needs {2 * FEWEST_VALUES}" if len(wanted) > 2 else ""
-        reason = f"needs {FEWEST_VALUES} samples for each of {len(wanted)} orders, {all_need}; {samples} given{fewer}"
-        if samples >= all_need:
+        need, fewer = FEWEST_VALUES * len(wanted), f"; orders=2 needs {2 * FEWEST_VALUES}" * (len(wanted) > 2)
+        reason = f"needs {FEWEST_VALUES} samples for each of {len(wanted)} orders, {need}; {samples} given{fewer}"
+        if samples >= need:
             reason = f"two orders need {FEWEST_VALUES} values; {has.sum()} of {samples} samples have a value of theirs"
         tests = tuple(HypothesisTest(name, reason=reason) for name in ("Anderson-Darling", "Kolmogorov-Smirnov"))
     else:

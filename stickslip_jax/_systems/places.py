@@ -111,7 +111,7 @@ class OneWay(ByDirection):
         ValueError: If `forward` is no friction law, or for a capacity out of range.
 
     >>> hub = ss.FrictionDisk(normal_force=100.0, friction=ss.OneWay())
-    >>> pedals = ss.ForceSteps([0.0, 3.0], [4.2, -0.1])  # N m: they drive the wheel for 3 s, and stop then
+    >>> pedals = ss.ForceSteps([0.0, 3.0], [4.2, -0.1])  # N m: they drive for 3 s
     >>> bicycle = ss.drivetrain([0.1, 2.0], clutches=[hub], torque=(pedals, -0.4))
     >>> one = ss.simulate(bicycle, ss.Constant(0.0), t1=4.0)
     >>> print([f"{speed:.3f}" for speed in one.final_state[2:]], one.sticks.end[0])

@@ -280,6 +280,18 @@ class LinearStructure(WithContacts):
         return RecordedForces(recorded_in(self.force or ()), recorded_in(normal))
 
     @property
+    def neighbours(self) -> np.ndarray:
+        """Of which contacts a mass is the same, or joined by a spring, (contacts, contacts), true or false."""
+        touched = np.stack([np.asarray(contact.direction) != 0 for contact in self.contacts]).astype(int)
+        joined = (np.asarray(_matrix(self.stiffness)) != 0) | np.eye(self.size, dtype=bool)
+        return touched @ joined @ touched.T > 0
+
+    @property
+    def shares_of_base(self) -> np.ndarray:
+        """How much of the base's way is in the relative displacement of each contact, (contacts,)."""
+        return np.array([float(contact.on_base) for contact in self.contacts])
+
+    @property
     def size(self) -> int:
         """The number d of masses."""
         return np.shape(self.mass)[0]
@@ -466,7 +478,7 @@ class LinearStructure(WithContacts):
     def _mechanism(self, state: tuple[np.ndarray, ...], base: np.ndarray) -> Mechanism:
         positions, stiffness = state[: self.size], np.asarray(_matrix(self.stiffness))
         directions = np.stack([np.asarray(contact.direction) for contact in self.contacts])
-        on_base = np.array([float(contact.on_base) for contact in self.contacts])
+        on_base = self.shares_of_base
         if self.rotates:
             return disks(positions, base, stiffness, directions, on_base)
         on = tuple(tuple(np.flatnonzero(column).tolist()) for column in directions.T)

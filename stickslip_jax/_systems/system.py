@@ -609,6 +609,16 @@ class WithContacts(System):
         self._require_contacts()
         return self._counting("all")
 
+    @property
+    def neighbours(self) -> np.ndarray:
+        """Whose slips belong to one event if they overlap in time, (contacts, contacts), true or false: here all."""
+        return np.ones((self._require_contacts(),) * 2, bool)
+
+    @property
+    def shares_of_base(self) -> np.ndarray:
+        """How much of the base's way is in the relative displacement of each contact, (contacts,); not known: zero."""
+        return np.zeros(self._require_contacts())
+
     def _require_contacts(self) -> int:
         if self.tracks.contacts is None:
             raise ValueError(

@@ -19,7 +19,7 @@ DOCUMENTS = {
     "docs/howto/brakes.md": 3,
     "docs/howto/calibration.md": 5,
     "docs/howto/calibration_sticks.md": 2,
-    "docs/howto/contacts.md": 12,
+    "docs/howto/contacts.md": 13,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 9,
     "docs/howto/friction_memory.md": 7,

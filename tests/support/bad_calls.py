@@ -27,6 +27,12 @@ def many() -> ss.Ensemble:
     return ss.simulate_ensemble(SYSTEM, LAW, t1=20.0, samples=32, key=KEY, y0=(0.0, 1.0), keep="sticks")
 
 
+@cache
+def row_of_blocks() -> ss.Simulation:
+    row = ss.block_row(2, mass=1.0, between=9.0, to_ground=1.0, normal_force=1.0, friction=ss.Coulomb(0.4, 0.5))
+    return ss.simulate(row, ss.Constant(0.02), t1=60.0, y0=(0.0, 0.1, 0.02, 0.02))
+
+
 ENSEMBLE = {
     "t1": (5.0, "positive"),
     "samples": (4, "whole | design"),
@@ -305,6 +311,10 @@ def results() -> Iterator[Target]:
     yield fields(
         ss.sobol_indices, outputs=(np.ones(24), "any"), design=(ss.design.saltelli(4, ["mu", "mass"]), "design"),
     )  # fmt: skip
+    yield fields(ss.catalogue, source=(row_of_blocks(), "never"))
+    events = ss.catalogue(row_of_blocks())
+    yield fields(events.slope, least=(1e-3, "positive"))
+    yield fields(events.frequencies, bins=(4, "whole"))
     yield fields(ss.common_bins, distributions=([many().statistics.duration], "never"), bins=(4, "optional whole"))
     yield fields(ss.concatenate, ensembles=([many()], "never"))
     yield fields(
