@@ -4,7 +4,7 @@ The friction coefficient follows from the relative velocity v and the inner stat
 """
 
 import abc
-from typing import Annotated
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy.typing as npt
 
 from .._excitation.motion import Signal
+from .._excitation.piecewise_constant import PiecewiseConstant
 from .._excitation.recorded import Recorded
 from .._foundation import checks
 from .._foundation.fields import Choice, Quantity
@@ -43,6 +44,10 @@ class DynamicFriction(FrictionLaw):
     def steady(self, velocity: FloatArray) -> FloatArray:
         """The friction coefficient of a slip that has long had this relative velocity (m/s, not zero)."""
 
+    def at_normal_force(self, z: FloatScalar, normal_force: FloatScalar) -> FloatScalar:
+        """The state that counts under this normal force (N), of laws whose state steps with it; here `z`."""
+        return z
+
     @property
     def initial_state(self) -> Scalar:
         """The inner state of a contact at rest."""
@@ -70,8 +75,8 @@ class DynamicFriction(FrictionLaw):
     def force(  # pyright: ignore[reportIncompatibleMethodOverride] - other options than laws of the speed have
         self,
         times: npt.ArrayLike,
-        velocity: npt.ArrayLike | Recorded | Signal,
-        normal_force: Number = 1.0,
+        velocity: npt.ArrayLike | Recorded | Signal | PiecewiseConstant,
+        normal_force: Any = 1.0,
         *,
         series_stiffness: Number | None = None,
         backlash: Number = 0.0,
@@ -85,9 +90,10 @@ class DynamicFriction(FrictionLaw):
         Args:
             times: s, increasing, (times,), at least 2.
             velocity: The relative velocity at these times, m/s, (times,), joined by straight lines; or a `Recorded` or
-                `Signal` such as `Harmonic`, whose points and turns between the times count too. With a spring, that of
-                the end of the spring.
-            normal_force: N, zero or positive; one number, or without a spring one for each time.
+                `Signal` such as `Harmonic`, whose points and turns between the times count too; or steps, a
+                `PiecewiseConstant`, at whose jumps the force is that after them. With a spring, that of its end.
+            normal_force: N, zero or positive; one number, or without a spring one for each time, or a function of time:
+                a `Signal`, a `Recorded` or a `ForceSteps`.
             series_stiffness: N/m, of a spring in front of the contact, for `Dahl`, `BoucWen` and `DieterichRuina`.
                 With this last one the contact begins to slip as fast as the spring's end moves: by default steadily
                 at the reference speed.
@@ -144,6 +150,8 @@ def _spring(
     owners = [next(kind for kind in type(law).__mro__ if name in vars(kind)) for name in ("rate", "coefficient")]
     if any(kind.__module__ != __name__ for kind in owners):  # a subclass may jump
         raise _jumps(law, series_stiffness)
+    if isinstance(law, DieterichRuina) and law.normal_stress is not None:
+        raise checks.refused("series_stiffness", "be None for a law with normal_stress", series_stiffness)
     checks.positive("series_stiffness", series_stiffness, "N/m")
     checks.bounded("backlash", backlash, "m", at_least=0)
     checks.positive("normal_force", normal_force, "N")
@@ -347,10 +355,18 @@ class DieterichRuina(DynamicFriction):
     With the state variable theta (s) and the inner state ``z = log(reference_speed theta / length)``,
     ``coefficient = direct asinh(v / (2 reference_speed) exp((mu + evolution z) / direct))``, which for speeds that are
     not tiny is ``mu + direct log(v / reference_speed) + evolution z``; ageing form: ``theta' = 1 - |v| theta /
-    length``; slip form: ``theta' = -(|v| theta / length) log(|v| theta / length)``.
+    length``; slip form: ``theta' = -(|v| theta / length) log(|v| theta / length)``; form of Perrin, Rice and Zheng:
+    ``theta' = 1 - (v theta / (2 length))^2``, whose steady theta is ``2 length / |v|``, and ``z = log(reference_speed
+    theta / (2 length))``, so that `mu` is the steady coefficient at the reference speed in all forms.
 
-    Source: Ruina 1983, Slip instability and state variable friction laws, J. Geophys. Res. 88, 10359; the inverse
-    hyperbolic sine: Rice and Ben-Zion 1996, Proc. Natl. Acad. Sci. 93, 3811.
+    With Linker and Dieterich's alpha, `normal_stress`, a step of the normal force from N to N_1 multiplies theta by
+    ``(N_1 / N)^(-alpha / evolution)``: ``theta' = ... - alpha theta N' / (evolution N)``. The inner state is then what
+    does not step, ``z + alpha / evolution log(N / reference_normal_force)``: that at the reference.
+
+    Source: Linker and Dieterich 1992, Effects of variable normal stress on rock friction, J. Geophys. Res. 97, 4923;
+    Ruina 1983, Slip instability and state variable friction laws, J. Geophys. Res. 88, 10359; the inverse
+    hyperbolic sine: Rice and Ben-Zion 1996, Proc. Natl. Acad. Sci. 93, 3811; the third form: Perrin, Rice and Zheng
+    1995, Self-healing slip pulse on a frictional surface, J. Mech. Phys. Solids 43, 1461.
 
     Args:
         mu: The friction coefficient of a steady slip at the reference speed, positive.
@@ -358,7 +374,10 @@ class DieterichRuina(DynamicFriction):
         evolution: Ruina's b: with that of the state, zero or positive.
         length: D_c: the slip in which the state changes, m, positive.
         reference_speed: m/s, positive.
-        form: "ageing" or "slip".
+        form: "ageing", "slip" or "perrin".
+        normal_stress: Linker and Dieterich's alpha, zero or positive, for a `MassSpring`, a `LinearStructure` and a
+            `SwitchedSystem` with `normal_forces`; None: theta does not step.
+        reference_normal_force: N, positive, given with `normal_stress`.
 
     Raises:
         ValueError: For numbers outside these bounds and another `form`.
@@ -369,19 +388,41 @@ class DieterichRuina(DynamicFriction):
     evolution: Annotated[Number, Quantity(meaning="b: growth with the logarithm of the state", at_least=0)]
     length: Annotated[Number, Quantity("m", "slip in which the state changes", above=0)]
     reference_speed: Annotated[Number, Quantity("m/s", above=0)]
-    form: Annotated[str, Choice(("ageing", "slip"), "how the state follows the motion")] = eqx.field(
+    form: Annotated[str, Choice(("ageing", "slip", "perrin"), "how the state follows the motion")] = eqx.field(
         static=True, default="ageing"
     )
+    normal_stress: Annotated[Number | None, Quantity(meaning="Linker and Dieterich's alpha", at_least=0)] = None
+    reference_normal_force: Annotated[Number | None, Quantity("N", "given with normal_stress", above=0)] = None
+
+    def check_relations(self) -> None:
+        if (self.normal_stress is None) != (self.reference_normal_force is None):
+            wanted = "be given if normal_stress is, and only then"
+            raise checks.refused("reference_normal_force", wanted, self.reference_normal_force)
+        if self.normal_stress is not None:
+            checks.positive("evolution", self.evolution)
+
+    def at_normal_force(self, z: FloatScalar, normal_force: FloatScalar) -> FloatScalar:
+        if self.normal_stress is None or self.reference_normal_force is None:
+            return z
+        # Of an open contact, which has no friction, the state of the reference.
+        share = jnp.where(normal_force > 0, normal_force, self.reference_normal_force) / self.reference_normal_force
+        return z - self.normal_stress / self.evolution * jnp.log(share)
 
     @property
     def static(self) -> Scalar:
         """The coefficient at the reference speed: this law has none of a stick."""
         return self.mu
 
+    def theta(self, z: FloatArray) -> FloatArray:
+        """The state variable (s) at the inner state `z`, any shape, such as that number of ``evaluate(times)``."""
+        return (2 if self.form == "perrin" else 1) * self.length / self.reference_speed * jnp.exp(z)
+
     def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
         speed, per = jnp.abs(velocity), self.reference_speed / self.length
         if self.form == "ageing":
             return per * jnp.exp(-z) - speed / self.length
+        if self.form == "perrin":
+            return per / 2 * (jnp.exp(-z) - (speed / self.reference_speed * jnp.exp(z / 2)) ** 2)
         is_slip = speed > 0
         log = jnp.log(jnp.where(is_slip, speed, 1) / self.reference_speed) + z
         return jnp.where(is_slip, -speed / self.length * log, 0)

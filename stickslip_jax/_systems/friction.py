@@ -23,6 +23,7 @@ from .prescribed import force_of_law
 
 if TYPE_CHECKING:
     from .._excitation.motion import Signal
+    from .._excitation.piecewise_constant import PiecewiseConstant
     from .._excitation.recorded import Recorded
 
 
@@ -218,7 +219,7 @@ class FrictionLaw(Checked):
     def force(
         self,
         times: npt.ArrayLike,
-        velocity: "npt.ArrayLike | Recorded | Signal",
+        velocity: "npt.ArrayLike | Recorded | Signal | PiecewiseConstant",
         normal_force: Any = 1.0,
         *,
         series_stiffness: Number | None = None,
@@ -229,8 +230,8 @@ class FrictionLaw(Checked):
         Args:
             times: s, increasing, (times,), at least 2.
             velocity: At these times, m/s, (times,), joined by straight lines; or a `Recorded` or `Signal` such as
-                `Harmonic`, whose points and turns between the times count too. The relative velocity; with a spring,
-                that of the end of the spring.
+                `Harmonic`, whose points and turns between the times count too, or steps, a `PiecewiseConstant`. The
+                relative velocity; with a spring, that of its end.
             normal_force: N, zero or positive; one number, or without a spring one for each time.
             series_stiffness: N/m, of a spring in front of the contact, for laws with one constant coefficient in either
                 direction. Its deflection is zero at the first time.
@@ -527,7 +528,6 @@ def static_at_least(
 
 
 # Friction laws made of others: a static friction that grows while the stick lasts.
-
 
 _AGES = np.array([1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6])  # s, at which a user's growth is looked at
 

@@ -35,6 +35,7 @@ from .._numerics.elementary import responses, sincos
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
 from .contacts import Contact, ForceQuantity, SeriesStiffness, check_spring, force_at, is_function, recorded_in
 from .contacts_model import stick_band
+from .dynamic_friction import DieterichRuina
 from .friction import AtAge, FrictionLaw, require_law, times_of_slips
 from .layouts import mass_on_belt
 from .memory_models import (
@@ -358,9 +359,10 @@ class MassSpring(System):
     @property
     def _is_structure(self) -> bool:
         """Whether it moves as a structure with one contact: its normal force varies, it rubs behind a spring, or its
-        friction weakens with the slip distance.
+        friction weakens with the slip distance or steps with the normal force.
         """
-        return self._has_no_band or isinstance(self.friction, SlipWeakening)
+        steps = isinstance(self.friction, DieterichRuina) and self.friction.normal_stress is not None
+        return self._has_no_band or steps or isinstance(self.friction, SlipWeakening)
 
     @property
     def _has_no_band(self) -> bool:

@@ -473,6 +473,19 @@ class InnerStates(_Remembering):
     laws: tuple[DynamicFriction, ...]
     speed: int | None = eqx.field(static=True, default=None)
 
+    def __check_init__(self):
+        steps = [law for law in self.laws if isinstance(law, DieterichRuina) and law.normal_stress is not None]
+        if steps and isinstance(self.inner, OneContactModel):
+            raise ValueError(
+                f"Argument normal_stress must be None in this system, but {steps[0]} was given: its normal force is "
+                "not known in N; take a MassSpring, a LinearStructure, or a SwitchedSystem with normal_forces."
+            )
+
+    def _states(self, forcing: Any, tau: FloatScalar, y: State) -> list[FloatScalar]:
+        """The inner states of several contacts, as they count under the normal forces."""
+        normal = self.inner.normal_forces_at(forcing, tau, y[:-1])
+        return [law.at_normal_force(y[-1][i], normal[i]) for i, law in enumerate(self.laws)]
+
     def slip_of_law(self, y: State) -> FloatArray:
         """The slip of the law over that of the one contact; not zero."""
         share = jnp.abs(jnp.asarray(self.inner.to_inner_law(y[:-1])[0], y[0].dtype))
@@ -525,7 +538,8 @@ class InnerStates(_Remembering):
         if isinstance(self.inner, OneContactModel):
             to_law, from_law = self.inner.to_inner_law(y[:-1])
             return jnp.asarray(from_law * self.laws[0].coefficient(y[-1], to_law * velocity))
-        return jnp.stack([law.coefficient(y[-1][i], velocity[i]) for i, law in enumerate(self.laws)])
+        states = self._states(forcing, tau, y)
+        return jnp.stack([law.coefficient(states[i], velocity[i]) for i, law in enumerate(self.laws)])
 
     def rates(self, forcing: Any, tau: FloatScalar, y: State) -> State:
         """The time derivative of the state."""
@@ -537,5 +551,6 @@ class InnerStates(_Remembering):
         # An open contact has no friction; its inner state goes on with the motion.
         force = coefficients * jnp.maximum(self.inner.normal_forces_at(forcing, tau, y[:-1]), 0)
         by_friction = self.inner.effect(forcing, tau, y[:-1], force)
-        inner_rates = jnp.stack([law.rate(y[-1][i], velocity[i]) for i, law in enumerate(self.laws)])
+        states = self._states(forcing, tau, y)
+        inner_rates = jnp.stack([law.rate(states[i], velocity[i]) for i, law in enumerate(self.laws)])
         return *(a + b for a, b in zip(now.rates, by_friction, strict=True)), inner_rates

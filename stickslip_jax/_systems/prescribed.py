@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from functools import reduce
+from importlib import import_module
+from typing import Any, ClassVar, cast
 
 import equinox as eqx
 import jax
@@ -14,7 +16,8 @@ from jaxtyping import Array
 
 from .._compiler.programs import kept_jit
 from .._excitation.motion import SEEN_IN_STEPS, Signal
-from .._excitation.recorded import Recorded
+from .._excitation.piecewise_constant import PiecewiseConstant
+from .._excitation.recorded import ForceSteps, Recorded
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import require_single
@@ -122,7 +125,7 @@ _HALVES = 40  # of the time between two instants, until the turn between them is
 def force_of_dynamic(
     law: Any,
     times: npt.ArrayLike,
-    velocity: npt.ArrayLike | Recorded | Signal,
+    velocity: npt.ArrayLike | Recorded | Signal | PiecewiseConstant,
     normal_force: Any,
     start: Number,
     rtol: float,
@@ -133,10 +136,16 @@ def force_of_dynamic(
     require_single(law=law)
     times, motion = _checked(times, velocity)
     normal = _normal(normal_force, times)
+    steps = getattr(law, "normal_stress", None) is not None
+    if steps and jnp.ndim(normal) and not isinstance(normal_force, Signal | Recorded | ForceSteps):
+        wanted = "be one number or a function of time, with which theta steps"
+        raise checks.refused("normal_force", wanted, normal_force)
     checks.positive("rtol", rtol)
     # Steps end at every time, for states between steps are less accurate, and where the velocity has a kink.
-    ends = jnp.append(times[1:], _knots(motion, times.dtype))
-    longest = primal_of(_shortest_period(motion)) / SEEN_IN_STEPS if isinstance(motion, Signal) else math.inf
+    knots = _knots(motion, times.dtype), _knots(normal_force, times.dtype)
+    ends = jnp.concatenate([times[1:], *(knots if steps else knots[:1])])
+    signals = [one for one in (motion, normal_force if steps else None) if isinstance(one, Signal)]
+    longest = reduce(jnp.minimum, (primal_of(_shortest_period(one)) / SEEN_IN_STEPS for one in signals), math.inf)
     most = _FEW + _EACH * len(ends) if max_steps is None else checks.whole_number("max_steps", max_steps, maximum=_MOST)
     if adjoint is not None and not isinstance(adjoint, diffrax.AbstractAdjoint):
         raise checks.refused("adjoint", "be one of diffrax's, such as diffrax.ForwardMode()", adjoint)
@@ -145,12 +154,15 @@ def force_of_dynamic(
     if isinstance(law, BehindSpring | SpeedBehindSpring):
         state = law.start(state, velocities[0])
     longest = jnp.asarray(longest, times.dtype)
-    states, done = _states(law, times, motion, state, (ends, longest), jnp.asarray(rtol), most, adjoint)
+    given = (motion, normal_force) if steps else (motion, None)
+    states, done = _states(law, times, given, state, (ends, longest), jnp.asarray(rtol), most, adjoint)
     if not checks.is_traced(done) and not bool(done):
         raise ValueError(
             f"Argument max_steps must be larger, or rtol: {most} steps do not follow the motion to its end at "
             f"rtol = {rtol:g}.{law.why_endless if isinstance(law, SpeedBehindSpring) else ''}"
         )
+    if steps:
+        states = jax.vmap(cast(Any, law).at_normal_force)(states, jnp.broadcast_to(normal, times.shape))
     return normal * jax.vmap(law.coefficient)(states, velocities)
 
 
@@ -160,7 +172,9 @@ def _velocities(motion: Any, times: Array) -> FloatArray:
 
 
 def _velocity_at(motion: Any, t: FloatArray) -> FloatArray:
-    """The prescribed velocity at one time."""
+    """The prescribed velocity at one time; right after it where it jumps there."""
+    if isinstance(motion, PiecewiseConstant):
+        return jnp.asarray(motion.velocities)[jnp.searchsorted(jnp.asarray(motion.times), t, side="right") - 1]
     return jnp.interp(t, *motion) if isinstance(motion, tuple) else motion.value(t)
 
 
@@ -168,7 +182,7 @@ def _velocity_at(motion: Any, t: FloatArray) -> FloatArray:
 def _states(
     law: Any,
     times: Array,
-    motion: Any,
+    given: tuple[Any, Any],
     start: FloatArray,
     steps: tuple[Array, FloatArray],
     rtol: FloatArray,
@@ -179,9 +193,11 @@ def _states(
 
     `steps`: the times at which steps end in any case, and the longest one (s).
     """
-    ends, longest = steps
+    (ends, longest), (motion, normal) = steps, given
 
     def rates(t, z, _):
+        if normal is not None:
+            z = law.at_normal_force(z, _value_at(normal, t))
         return law.rate(z, jnp.asarray(_velocity_at(motion, t), times.dtype))
 
     tolerance = rtol.astype(times.dtype)
@@ -191,8 +207,13 @@ def _states(
         rtol=tolerance, atol=tolerance * law.state_scale, dtmin=_LEAST * (times[-1] - times[0]), force_dtmin=False,
         dtmax=longest,
     )  # fmt: skip
+    solver = diffrax.Kvaerno5()
+    if normal is not None or isinstance(motion, PiecewiseConstant):
+        # After a jump the chords of diffrax' own root finder may not converge in any step, however short.
+        newton = import_module("optimistix").Newton  # which diffrax cannot do without
+        solver = diffrax.Kvaerno5(root_finder=newton(rtol=tolerance / 100, atol=tolerance / 100 * law.state_scale))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rates), diffrax.Kvaerno5(), times[0], times[-1], None, start,
+        diffrax.ODETerm(rates), solver, times[0], times[-1], None, start,
         saveat=diffrax.SaveAt(ts=times), max_steps=most, adjoint=adjoint, throw=False,
         stepsize_controller=diffrax.ClipStepSizeController(control, jump_ts=ends),
     )  # fmt: skip
@@ -204,7 +225,7 @@ def _states(
 def force_of_law(
     law: Any,
     times: npt.ArrayLike,
-    velocity: npt.ArrayLike | Recorded | Signal,
+    velocity: npt.ArrayLike | Recorded | Signal | PiecewiseConstant,
     normal_force: Any,
     series_stiffness: Number | None,
     backlash: Number,
@@ -237,7 +258,7 @@ def force_of_law(
 
 def _knots(motion: Any, dtype: DType) -> Array:
     """The times between which the velocity is a straight line, s, besides those at which it is given."""
-    return jnp.asarray(motion.times if isinstance(motion, Recorded) else [], dtype)
+    return jnp.asarray(motion.times if isinstance(motion, Recorded | PiecewiseConstant | ForceSteps) else [], dtype)
 
 
 def _shortest_period(motion: Signal) -> Scalar:
@@ -274,6 +295,8 @@ def _moves(motion: Any, points: Array) -> Array:
     """
     velocities = _velocities(motion, points)
     first, last, h = velocities[:-1], velocities[1:], jnp.diff(points)
+    if isinstance(motion, PiecewiseConstant):
+        last = first
     turns = first * last < 0
     share = jnp.where(turns, first / jnp.where(turns, first - last, 1), 1)
     before = jnp.where(turns, first / 2, (first + last) / 2) * share * h
@@ -327,12 +350,16 @@ def _behind_a_spring(
 
 
 def _checked(times: npt.ArrayLike, velocity: Any) -> tuple[Array, Any]:
-    """The times, and the motion: a `Recorded`, a `Signal`, or times and velocities at them."""
+    """The times, and the motion: a `Recorded`, a `Signal`, steps, or times and velocities at them."""
     checks.bounded("times", times, "s", ndim=1)
     array = jnp.asarray(times, float)
     if not checks.is_traced(array) and (len(array) < 2 or np.any(np.diff(array) <= 0)):
         raise checks.refused("times", "increase, and be at least 2 (in s)", times)
     if isinstance(velocity, Signal):
+        return array, velocity
+    if isinstance(velocity, PiecewiseConstant):
+        if not checks.is_traced(array) and array[0] < 0:
+            raise checks.refused("times", "be zero or positive, as those of the velocity are", times)
         return array, velocity
     if isinstance(velocity, Recorded):
         if not checks.is_traced(array) and not (array[0] >= 0 and float(array[-1]) <= velocity.covered_time):
@@ -348,8 +375,15 @@ def _checked(times: npt.ArrayLike, velocity: Any) -> tuple[Array, Any]:
     return array, (array, values)
 
 
+def _value_at(force: Any, t: FloatArray) -> Any:
+    """A force at one time, N; none where it would pull."""
+    return jnp.maximum(force.value(t) if isinstance(force, Signal | Recorded | ForceSteps) else force, 0)
+
+
 def _normal(value: Any, times: Array) -> FloatArray:
     """The normal force, one number or one for each of the times."""
+    if isinstance(value, Signal | Recorded | ForceSteps):
+        return jax.vmap(lambda t: jnp.asarray(_value_at(value, t), times.dtype))(times)
     checks.bounded("normal_force", value, "N", at_least=0, ndim=1 if checks.dimensions(value) else 0)
     array = jnp.asarray(value, times.dtype)
     if array.shape not in ((), times.shape):

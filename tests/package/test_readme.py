@@ -22,7 +22,7 @@ DOCUMENTS = {
     "docs/howto/contacts.md": 13,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 9,
-    "docs/howto/friction_memory.md": 7,
+    "docs/howto/friction_memory.md": 8,
     "docs/howto/joints.md": 4,
     "docs/howto/memory.md": 1,
     "docs/howto/nonlinear.md": 8,
