@@ -263,24 +263,26 @@ class Equilibrium(WithMethods):
 
     @property
     def is_stable(self) -> Bool[Array, "*batch"]:
-        """Whether no disturbance grows, but for round-off."""
-        return self.growth_rate <= _UNCERTAIN * jnp.max(jnp.abs(self.eigenvalues), axis=-1)
+        """Whether it exists, and no disturbance grows, but for round-off."""
+        return self.exists & (self.growth_rate <= _UNCERTAIN * jnp.max(jnp.abs(self.eigenvalues), axis=-1))
 
     def __repr__(self) -> str:
         name = f"Equilibrium of a {type(self.system).__name__}"
         if self.state.ndim > 1 or checks.holds_traced(self):
             return f"{name}, {self.state.shape[:-1]} states"
+        if not self.exists:
+            return f"{name}, DOES NOT EXIST: near y0 no state is at rest in which every contact slides"
         how = "stable" if self.is_stable else "unstable"
         swings = f"growth rate {float(self.growth_rate):.4g} 1/s at {float(self.angular_frequency):.4g} rad/s"
-        found = f"{in_one_line(np.asarray(self.state))}, {how}, {swings}"
-        return f"{name}: {found}" if self.exists else f"{name}, DOES NOT EXIST: {found}"
+        return f"{name}: {in_one_line(np.asarray(self.state))}, {how}, {swings}"
 
 
 def equilibrium(system: System, base: BaseMotion, *, y0: InitialState | None = None) -> Equilibrium:
     """The state of steady sliding near `y0`, and the eigenvalues of the motion about it.
 
-    Newton's method on the rates of the slips in which the contacts are at `y0`. A pure function: under ``jit``,
-    ``vmap`` and ``grad`` (the derivatives are those of the implicit function).
+    Newton's method on the rates of the slips in which the contacts are at `y0`. What turns as a whole is at rest only
+    seen from a part that turns evenly, such as the table of a drill string (docs/howto/drilling.md). A pure function:
+    under ``jit``, ``vmap`` and ``grad`` (the derivatives are those of the implicit function).
 
     Args:
         system: A `MassSpring`, a `LinearStructure` or one of your own, with any number of contacts.
@@ -352,10 +354,10 @@ def stability_map(system: System, base: BaseMotion, over: Over, *, y0: InitialSt
 
     Returns:
         ``growth_rate`` (1/s) and ``angular_frequency`` (rad/s) of the fastest growing disturbance, ``is_stable``,
-        ``exists``, and the numbers of the state, over the parameters. Along the first parameter, between values of
-        which one is stable and the next is not, ``critical`` is where that changes, to round-off, with the dimension
-        "change" (NaN beyond the last), and ``critical_frequency`` the angular frequency there: of flutter or a Hopf
-        point, or 0 where it is lost without swinging.
+        ``exists``, and the numbers of the state, over the parameters. Along the first parameter, between values at
+        which it exists and of which one is stable and the next is not, ``critical`` is where that changes, to
+        round-off, with the dimension "change" (NaN beyond the last), and ``critical_frequency`` the angular frequency
+        there: of flutter or a Hopf point, or 0 where it is lost without swinging.
 
     Raises:
         ValueError: For arguments that do not fit, and for a drive that changes with time.
@@ -366,7 +368,8 @@ def stability_map(system: System, base: BaseMotion, over: Over, *, y0: InitialSt
     found = eqx.filter_vmap(_found)(cases.cycle, jnp.asarray(cases.starts, cases.dtype))
     first, *others = cases.points.dimensions
     stable = np.asarray(found.is_stable).reshape(cases.shape)
-    changes = np.argwhere(stable[:-1] != stable[1:])
+    exists = np.asarray(found.exists).reshape(cases.shape)
+    changes = np.argwhere((stable[:-1] != stable[1:]) & exists[:-1] & exists[1:])
     where, frequencies = _critical(cases, changes, stable)
     rows = [tuple(one[1:]) for one in changes.tolist()]
     numbers = [rows[:place].count(row) for place, row in enumerate(rows)]
@@ -378,7 +381,7 @@ def stability_map(system: System, base: BaseMotion, over: Over, *, y0: InitialSt
     variables: Entries = {
         "growth_rate": cases.variable(found.growth_rate, "growth rate of disturbances", "1/s"),
         "angular_frequency": cases.variable(found.angular_frequency, "angular frequency of disturbances", "rad/s"),
-        "is_stable": cases.variable(stable.ravel(), "whether no disturbance grows"),
+        "is_stable": cases.variable(stable.ravel(), "whether it exists and no disturbance grows"),
         "exists": cases.variable(found.exists, "whether there is such an equilibrium"),
         "critical": variable(own, values["critical"], f"{first.name} at which stability changes"),
         "critical_frequency": variable(own, values["critical_frequency"], "angular frequency there", "rad/s"),

@@ -108,6 +108,12 @@ def test_what_does_not_exist():
         BELT,
     )  # fmt: skip
     assert not lifted.exists
+    assert not lifted.is_stable
+    # At rest on a belt at rest nothing slides: that it comes to exist between two speeds is no change of stability.
+    map_of_speeds = ss.nonlinear.stability_map(brake(0.3), ss.Constant(0.0), {"speed": [0.0, 1.0, 2.0]})
+    np.testing.assert_array_equal(map_of_speeds.exists, [False, True, True])
+    np.testing.assert_array_equal(map_of_speeds.is_stable, [False, True, True])
+    assert np.all(np.isnan(map_of_speeds.critical))
     with pytest.raises(ValueError, match="constant velocity, without other drives"):
         ss.nonlinear.equilibrium(brake(0.3), ss.Harmonic(1.0, 2.0))
     with pytest.raises(ValueError, match="constant velocity, without other drives"):
