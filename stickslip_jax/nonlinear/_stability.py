@@ -296,8 +296,9 @@ def equilibrium(system: System, base: BaseMotion, *, y0: InitialState | None = N
     >>> brake = ss.LinearStructure(
     ...     [1.0, 1.0], [[2.0, -0.8], [-0.8, 2.4]], contacts=[pad]
     ... )
-    >>> print(ss.nonlinear.equilibrium(brake, ss.Constant(1.0)).is_stable)
-    True
+    >>> found = ss.nonlinear.equilibrium(brake, ss.Constant(1.0))
+    >>> print(found.is_stable, found.growth_rate.round(4), found.angular_frequency.round(4))
+    False 0.1771 1.4938
     """
     _check_steady(system, base)
     dtype = jnp.result_type(float)
