@@ -154,7 +154,11 @@ def iwan_sliders(
         number = checks.whole_number("sliders", sliders, maximum=MOST_CONTACTS)
         strengths = strengths.icdf((jnp.arange(number) + 0.5) / number)
     each = numbers_in("strengths", strengths)
-    if np.ndim(each) != 1 or not (checks.is_traced(each) or np.all((each > 0) & np.isfinite(each))):
+    if (
+        np.ndim(each) != 1
+        or not np.size(each)
+        or not (checks.is_traced(each) or np.all((each > 0) & np.isfinite(each)))
+    ):
         raise checks.refused("strengths", "hold positive numbers (in N), or be a distribution of such", strengths)
     number = np.shape(each)[0]
     return tuple(Contact(direction, each[i] / number, Coulomb(1.0), on_base, stiffness / number) for i in range(number))

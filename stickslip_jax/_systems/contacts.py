@@ -199,8 +199,9 @@ class Contact(Checked):
             between two masses, or with the ground.
         series_stiffness: N/m, of a spring in front of the contact, as in the elements of Jenkins and Iwan and in
             friction dampers: a slider without mass, which sticks while the spring's force is within the limit. What
-            sticks and slips is the slider; the elongation of its spring is a further number of the state. For laws with
-            one constant coefficient in either direction. None: no spring.
+            sticks and slips is the slider; the elongation of its spring is a further number of the state, zero at first
+            unless given; one beyond the limit slips to it at once. For laws with one constant coefficient in either
+            direction. None: no spring.
         normal_stiffness: (d,), by how much the normal force grows with each position of the structure, N/m, as where
             a spring or pad presses; the contact is open where that makes it zero or negative. None: with none.
 

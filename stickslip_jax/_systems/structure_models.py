@@ -229,7 +229,8 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
 
     def friction(self, forcing: Forcing, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The friction forces against the relative velocities, N, and these, of sliders their own; (contacts,)."""
-        now, own, none = self.instant(forcing, jnp.zeros_like(forcing.t), y), self._own(sign), jnp.zeros_like(forcing.t)
+        none, own = jnp.zeros_like(forcing.t), self._own(sign)
+        now = self.instant(forcing, none, y)
         limits = self._limits(forcing, none, y, now.velocity, sign)
         force = solved(now.gain, now.drift, limits.slip(own), self._rigid(own == 0))
         velocity = now.velocity

@@ -374,6 +374,9 @@ def test_refusals():
     for stiffness in (0.0, -1.0, np.nan, "stiff"):
         with pytest.raises(ValueError, match="Argument series_stiffness must be"):
             ss.Contact.of_mass(0, 1, 1.0, ss.Coulomb(0.3), stiffness)
+    for strengths in ([], [1.0, -1.0], ss.Uniform(-1.0, 2.0)):
+        with pytest.raises(ValueError, match="Argument strengths must hold positive numbers"):
+            ss.iwan_sliders(1.0, strengths)
     with pytest.raises(ValueError, match=r"be Exact\(...\) for contacts with a series_stiffness"):
         ss.simulate(jenkins(), 0.0, t1=1.0, method=ss.Regularized(1e-3))
     with pytest.raises(ValueError, match="series_stiffness is 2"):
