@@ -6,27 +6,27 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._compiler.native import sharing
 from .._compiler.programs import is_compiling, kept_jit
 from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, in_one_line, with_fields
-from .._foundation.types import AnyArray, Ending, FloatArray, FloatScalar, Scalar, State, Status
+from .._foundation.types import AnyArray, FloatArray, IntArray, Scalar, Status
 from .._numerics.matrices import MANY, stacked
-from .._systems.memory_models import InnerStates
-from .._systems.switched_model import Form, OneContactModel, Powers, Terms, require_energy_model
+from .._systems.switched_model import Form, OneContactModel, is_observed, of_form, require_energy_model
 from .._systems.system import Coordinate, System
+from .common.lanes import SIGNS, Asked, Sums
 from .common.method import Exact, Regularized
 from .common.path import CHECK_EVERY, MotionPath, padded_length
-from .regularized.field import Switch
+from .energies import Energies, energies, forces, forces_of_contacts, rule_for
+from .interval.engine import IntervalPath
 from .sticks import (
     NUMBERS,
     Columns,
@@ -43,164 +43,17 @@ from .sticks import (
     table_of,
     write_table,
 )
-from .switched.engine import MOST_STEPS, StepBeginnings, StepPath, follow_steps, state_in_step
+from .switched.engine import MOST_STEPS, StepPath, follow_steps
+from .switched.inside import halves_for
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
 
-# Friction force and energies along one trajectory.
-
-
-Times: TypeAlias = Float[Array, " times"]
-
 T = TypeVar("T")
 
 _ROOMS = (16, 1 << 12, 1 << 16)  # numbers of times that programs are made for; more: one part after the other
-_MOST_HALVES = 40  # of a step: it then resolves what dies out in 1e-12 of its length
-
-
-class Energies(NamedTuple):
-    """Energies along a trajectory, J: dicts of arrays with the shape of the times, by name.
-
-    Attributes:
-        stored: Kinetic and elastic energy (of a `MotorCart` kinetic and magnetic), at each time.
-        supplied: From the start to each time, by the base (the friction force times the base velocity; negative where
-            the mass drives the base) and by the load (external force and ground acceleration), of a `MotorCart` by the
-            voltage.
-        dissipated: From the start to each time, by friction (only in slips) and by damping, of a `MotorCart` also in
-            the resistance.
-        imbalance: What was stored at the start and supplied, less what is stored and was dissipated: round-off, and
-            for a trajectory without a closed form the error of its steps.
-    """
-
-    stored: dict[str, Float[Array, "*times"]]
-    supplied: dict[str, Float[Array, "*times"]]
-    dissipated: dict[str, Float[Array, "*times"]]
-    imbalance: Float[Array, "*times"]
-
-
-_Rule: TypeAlias = tuple[Float[AnyArray, " nodes"], Float[AnyArray, " nodes"]]
-"""Nodes and weights of Gauss's rule on [0, 1], the unit of which is a time step."""
-
-
-def _rule_for(decay: Scalar, longest: Scalar) -> _Rule:
-    """The rule for steps of at most `longest` (s), at whose beginning a motion may die out at the rate `decay`.
-
-    No step is longer than a tenth of the shortest period, so that powers are smooth in it, unless damping is so strong
-    that a motion dies out within the step. Then the step is cut into parts, each half as long as the next.
-    """
-    if not checks.is_traced(decay) and decay == 0:
-        halves = 0
-    elif checks.is_traced(decay) or checks.is_traced(longest):
-        halves = _MOST_HALVES
-    else:
-        halves = min(math.ceil(math.log2(max(float(decay) * float(longest), 1))), _MOST_HALVES)
-    nodes, weights = np.polynomial.legendre.leggauss(8 if halves == 0 else 16)
-    bounds = np.concatenate([[0.0], 0.5 ** np.arange(halves, -1, -1)])
-    parts = np.diff(bounds)[:, None]
-    return (bounds[:-1, None] + parts * (nodes + 1) / 2).reshape(-1), (parts * weights / 2).reshape(-1)
-
-
-def _sum(terms: Terms) -> FloatScalar:
-    return jnp.stack(list(terms.values())).sum(axis=0)
-
-
-@kept_jit
-def _forces(
-    model: Any,  # a OneContactModel, one of several places, or one with inner states
-    path: MotionPath,
-    method: Exact | Regularized,
-    sticks: Sticks,
-    last: FloatScalar,
-    times: Times,
-) -> tuple[Times, Times]:
-    """The friction force, and the relative velocity that it opposes."""
-
-    def at(time: FloatScalar) -> tuple[FloatScalar, FloatScalar]:
-        y, forcing = path.state(time), model.forcing(time, path.segments(time))
-        now, known = jnp.zeros((), bool), cast(Any, model)
-        if isinstance(model, InnerStates):
-            coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
-            known, y = model.inner, y[:-1]
-        else:
-            known, y = model.without_memory(y)
-            if isinstance(method, Regularized):
-                assert method.width is not None
-                speed = known.relative_velocity(forcing, jnp.zeros_like(time), y)
-                coefficient = Switch(method.width, method.shape).coefficient(known.friction_at(y), speed)
-            else:
-                lasts = (time < sticks.end) | ((sticks.ending == Ending.HORIZON) & (time <= sticks.end))
-                # At isolated instants of no relative velocity the friction of the slip that follows.
-                sign = jnp.where(known.at_rest(forcing, y), known.release_sign(forcing, y), known.slip_sign(forcing, y))
-                now = jnp.any(sticks.mask & (sticks.start <= time) & lasts)
-                coefficient = known.coefficient_in(forcing, y, sign, now)
-        # The power of friction is linear in the force, and minus the velocity its slope.
-        velocity = jnp.where(now, 0, -known.powers(forcing, y, jnp.ones_like(time)).dissipated["friction"])
-        inside = (time >= 0) & (time <= last)
-        force = known.friction_force(y, coefficient)
-        return jnp.where(inside, force, jnp.nan), jnp.where(inside, velocity, jnp.nan)
-
-    return jax.vmap(at)(times)
-
-
-@kept_jit
-def _forces_of_contacts(model: Any, path: StepPath, last: FloatScalar, times: Times) -> tuple[FloatArray, FloatArray]:
-    """As `_forces`, of a `StructureModel`; (times, contacts)."""
-
-    def at(time: FloatScalar) -> tuple[FloatArray, FloatArray]:
-        begun = path.beginnings.at(time)
-        known, y = model.without_memory(state_in_step(model, begun, time - begun.t))
-        force, velocity = known.friction(known.forcing(time, begun.segments), y, model.modes_without_memory(begun.sign))
-        inside = (time >= 0) & (time <= last)
-        return jnp.where(inside, -force, jnp.nan), jnp.where(inside, velocity, jnp.nan)
-
-    return jax.vmap(at)(times)
-
-
-@kept_jit
-def _energies(model: Any, beginnings: StepBeginnings, last: FloatScalar, rule: _Rule, times: Times) -> Energies:
-    # Terms of a power series are not computed anew for each that follows.
-    state_at = sharing(state_in_step) if model.has_short_steps else state_in_step
-
-    def worked(begun: StepBeginnings, h: FloatScalar) -> Powers:
-        """What is supplied and dissipated in the first `h` (s) of a step, J."""
-
-        def power(node: FloatScalar) -> Powers:
-            now = begun.t + node * h
-            known, y = model.without_memory(state_at(model, begun, node * h))
-            return known.powers_in(model.forcing(now, begun.segments), y, model.modes_without_memory(begun.sign))
-
-        nodes, weights = (jnp.asarray(numbers, h.dtype) for numbers in rule)
-        return jax.tree.map(lambda values: h * jnp.dot(weights, values), jax.vmap(power)(nodes))
-
-    ends = jnp.append(beginnings.t[1:], last)
-    steps = jax.vmap(worked)(beginnings, ends - beginnings.t)
-    if model.has_sliders:
-        # A slider whose limit falls at once, as at a release, loses energy of its spring.
-        def elastic(y: State) -> FloatScalar:
-            known, y = model.without_memory(y)
-            return known.stored_energies(y)["elastic"]
-
-        at_ends = jax.vmap(lambda begun, h: elastic(state_at(model, begun, h)))(beginnings, ends - beginnings.t)
-        steps.dissipated["friction"] += jnp.append((at_ends - jnp.roll(jax.vmap(elastic)(beginnings.y), -1))[:-1], 0)
-    before = jax.tree.map(lambda values: jnp.cumsum(values) - values, steps)
-
-    def at(time: FloatScalar) -> Energies:
-        index = jnp.clip(jnp.searchsorted(beginnings.t, time, side="right") - 1, 0)
-        begun, sums = jax.tree.map(lambda values: values[index], (beginnings, before))
-        h = time - begun.t
-        done = jax.tree.map(jnp.add, sums, worked(begun, h))
-        known, y = model.without_memory(state_at(model, begun, h))
-        _, first = model.without_memory(tuple(values[0] for values in beginnings.y))
-        stored, start = known.stored_energies(y), known.stored_energies(first)
-        left = _sum(start) + _sum(done.supplied) - _sum(stored) - _sum(done.dissipated)
-        found = Energies(stored, done.supplied, done.dissipated, left)
-        inside = (time >= 0) & (time <= last)
-        return jax.tree.map(lambda value: jnp.where(inside, value, jnp.nan), found)
-
-    return jax.vmap(at)(times)
 
 
 # One trajectory as a table of its sticks and as labelled arrays.
@@ -431,8 +284,8 @@ class Simulation(WithMethods):
 
         Args:
             coordinate: Its name, "position" or "velocity"; for a `MotorCart` "angle", "angular velocity" or "current".
-                Or the difference of two of one unit, as the drift of a storey, ``"position 2 - position 1"``. By
-                default the first.
+                Or what `response` knows beside the coordinates, such as "total acceleration". Or the difference of two
+                of one unit, as the drift of a storey, ``"position 2 - position 1"``. By default the first.
 
         Returns:
             The maximum, in the unit of the coordinate.
@@ -445,11 +298,11 @@ class Simulation(WithMethods):
         >>> print(f"{one.maximum():.4f} m, {one.maximum('velocity'):.4f} m/s, {one.peak():.4f} m")
         0.7500 m, 1.0000 m/s, 0.7500 m
         """
-        return _largest(self, self._form_of(coordinate), 1)
+        return self._largest(self._form_of(coordinate), 1)
 
     def minimum(self, coordinate: str | None = None) -> FloatArray:
         """The smallest value of a coordinate over ``[0, time_reached]``; as `maximum`."""
-        return -_largest(self, self._form_of(coordinate), -1)
+        return -self._largest(self._form_of(coordinate), -1)
 
     def peak(self, coordinate: str | None = None) -> FloatArray:
         """The largest absolute value of a coordinate over ``[0, time_reached]``; as `maximum`.
@@ -457,12 +310,17 @@ class Simulation(WithMethods):
         ``one.peak("position")`` is the peak displacement.
         """
         form = self._form_of(coordinate)
-        return jnp.maximum(_largest(self, form, 1), _largest(self, form, -1))
+        return jnp.maximum(self._largest(form, 1), self._largest(form, -1))
+
+    def _largest(self, form: Form, sign: int) -> FloatArray:
+        if not is_observed(form, len(self.final_state)):
+            return _largest(self, form, sign)
+        return self._along_steps("maximum", Asked(observed=(form,)))[0][SIGNS.index(sign), 0]
 
     def _form_of(self, coordinate: str | None) -> Form:
-        """A coordinate, or the difference of two of a kind, by the places in the state."""
+        """A coordinate, or what is observed beside them, or the difference of two of a kind, by their places."""
         self._require_one()
-        coordinates = self.system.coordinates
+        coordinates = self.system.coordinates + self.system.observed
         if coordinate is None:
             return ((0, 1.0),)
         names = [one.name for one in coordinates]
@@ -523,12 +381,12 @@ class Simulation(WithMethods):
         if not isinstance(known, OneContactModel):
             if not isinstance(self.method, Exact):
                 raise checks.refused("method", "be Exact() for friction forces in a list of contacts", self.method)
-            found = self._at(partial(_forces_of_contacts, model, self._path, self.time_reached), times)
+            found = self._at(partial(forces_of_contacts, model, self._path, self.time_reached), times)
             tracks = self.system.tracks
             counted = 0 if tracks.contacts == 1 else tracks.counted
             force, velocity = (jnp.moveaxis(one, -1, 0) for one in found)
             return (force, velocity) if counted in (None, -1) else (force[counted], velocity[counted])
-        return self._at(partial(_forces, model, self._path, self.method, self.sticks, self.time_reached), times)
+        return self._at(partial(forces, model, self._path, self.method, self.sticks, self.time_reached), times)
 
     def energies(self, times: AnyArray | float) -> Energies:
         """Stored, supplied and dissipated energies at `times` (s, any shape), J: an `Energies`.
@@ -547,23 +405,113 @@ class Simulation(WithMethods):
                 batch, and under ``jit`` where `t1` is traced.
         """
         times = self._checked(times)
-        if not isinstance(self.method, Exact):
-            raise ValueError(
-                f"energies needs a simulation with method=Exact(), but one with {checks.show(self.method)} was given."
-            )
-        path, last = self._path, self.time_reached
-        if not isinstance(path, StepPath):
-            # Its steps end at each change of sign of the relative velocity, which intervals do not record.
-            y0 = tuple(path.state(jnp.zeros_like(last)))
-            path = follow_steps(self.system, self.base, Exact(), self.t1, y0, last.dtype).path
-            assert isinstance(path, StepPath)
-        model = self.system.switched_model(path.smooth, path.solver)
+        path, last = self._in_steps("energies"), self.time_reached
+        assert isinstance(path, StepPath)
+        model = path.model
         known, _ = model.without_memory(())
         require_energy_model(known, "energies")
         known.check_energy()
         lengths = jnp.append(path.beginnings.t[1:], last) - path.beginnings.t
-        rule = _rule_for(known.fastest_decay, jnp.max(lengths))
-        return self._at(partial(_energies, model, path.beginnings, last, rule), times)
+        rule = rule_for(known.fastest_decay, jnp.max(lengths))
+        return self._at(partial(energies, model, path.beginnings, last, rule), times)
+
+    def response(self, name: str, times: AnyArray | float) -> FloatArray:
+        """What is called `name`, at `times` (s, any shape): a coordinate, what follows from them, or a difference.
+
+        Of a `MassSpring` "position" and "velocity", "acceleration", "total acceleration" (with that of the ground),
+        "relative velocity" (of the contact), "friction force" and "base shear". Of a `LinearStructure` the same with
+        the number of the mass or contact: "total acceleration 2". With `rotates`, "angular acceleration 0" and "base
+        torque".
+        The base shear is the force of ground and base on all masses, of a building on sliding bearings that in the
+        bearings: the sum of mass times total acceleration, less the external forces.
+
+        Accelerations and friction forces jump at events; there they are those after it.
+
+        Args:
+            name: As above, or a difference of two of one unit: "total acceleration 1 - total acceleration 0".
+            times: s, any shape.
+
+        Returns:
+            The values, in their unit (m, m/s, m/s^2, N); NaN outside ``[0, time_reached]``.
+
+        Raises:
+            ValueError: For another name, for a batch, and for what is no coordinate with a `Regularized` method.
+
+        >>> system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5))
+        >>> one = ss.simulate(system, ss.Constant(0.0), t1=10.0, y0=(1.0, 0.0))
+        >>> print(one.response("acceleration", 0.0), one.peak("base shear"))
+        -3.5 3.5
+        """
+        form, times = self._form_of(name), self._checked(times)
+        path = self._in_steps("response") if is_observed(form, len(self.final_state)) else self._path
+        return self._at(partial(_responses, path, form, self.time_reached), times)
+
+    @property
+    def slip_path(self) -> FloatArray:
+        """The length of the path slid in the contact until the end, there and back, m; of several (contacts,).
+
+        Of contacts behind springs that of the slider. Raises ValueError as `energies`.
+        """
+        return self._sums("slip_path")
+
+    @property
+    def slip_reversals(self) -> IntArray:
+        """How many slips go the other way than the slip before them; of several contacts (contacts,).
+
+        Raises ValueError as `energies`.
+        """
+        return self._sums("reversals")
+
+    @property
+    def input_energy(self) -> FloatArray:
+        """The energy that ground, base and external forces have supplied until the end, J.
+
+        That of the ground's acceleration is relative to the ground. Raises ValueError as `energies`.
+        """
+        return self._sums("supplied")
+
+    @property
+    def friction_energy(self) -> FloatArray:
+        """The energy that friction has dissipated until the end, in all contacts, J.
+
+        Raises ValueError as `energies`.
+        """
+        return self._sums("friction")
+
+    @property
+    def damping_energy(self) -> FloatArray:
+        """The energy that viscous damping has dissipated until the end, J. Raises ValueError as `energies`."""
+        return self._sums("damping")
+
+    def _sums(self, name: str) -> Array:
+        self._require_one()
+        sums = self._along_steps(name, Asked(sums=True))[1]
+        assert sums is not None
+        value, tracks = getattr(sums, name), self.system.tracks
+        counted = 0 if tracks.contacts == 1 else tracks.counted
+        return value if not value.ndim or counted in (None, -1) else value[counted]
+
+    def _along_steps(self, call: str, asked: Asked) -> tuple[FloatArray, Sums | None]:
+        path = self._in_steps(call)
+        if not isinstance(path, StepPath):
+            return path.along_steps(self.time_reached, asked, 0)
+        known, begun = path.model.without_memory(())[0], path.beginnings.t
+        halves = halves_for(known.fastest_decay, jnp.max(jnp.append(begun[1:], self.time_reached) - begun))
+        return _along_steps(path, self.time_reached, asked, halves=halves)
+
+    def _in_steps(self, call: str) -> MotionPath:
+        """The path in time steps that end at all events, whose system has an energy."""
+        require_energy_model(self.system.switched_model(None, None).without_memory(())[0], call)
+        if not isinstance(self.method, Exact):
+            raise ValueError(
+                f"{call} needs a simulation with method=Exact(), but one with {checks.show(self.method)} was given."
+            )
+        path, last = self._path, self.time_reached
+        if not isinstance(path, IntervalPath):
+            return path
+        # Steps end at each change of sign of the relative velocity, which intervals do not record.
+        y0 = tuple(path.state(jnp.zeros_like(last)))
+        return follow_steps(self.system, self.base, Exact(), self.t1, y0, last.dtype).path
 
     def to_pandas(self) -> "pandas.DataFrame":
         """The sticks as a table of pandas, one row each; names of columns include the units.
@@ -749,6 +697,24 @@ class Simulation(WithMethods):
 def _largest(one: Simulation, form: Form, sign: Scalar) -> FloatArray:
     """The largest value of `sign` times a `form` of the state."""
     return one._path.largest(form, sign, one.time_reached, one.final_state)
+
+
+@kept_jit(static_argnames="halves")
+def _along_steps(path: MotionPath, last: FloatArray, asked: Asked, *, halves: int) -> tuple[FloatArray, Sums | None]:
+    return path.along_steps(last, asked, halves)
+
+
+@kept_jit(static_argnames="form")
+def _responses(path: MotionPath, form: Form, last: FloatArray, times: FloatArray) -> FloatArray:
+    """The values of a `form`, (times,)."""
+
+    def at(time: FloatArray) -> FloatArray:
+        numbers = path.state(time)
+        if is_observed(form, len(numbers)):
+            numbers = path.with_observed(time)
+        return jnp.where((time >= 0) & (time <= last), of_form(form, numbers), jnp.nan)
+
+    return jax.vmap(at)(times)
 
 
 @kept_jit(static_argnames="size")

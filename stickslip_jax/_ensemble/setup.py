@@ -20,10 +20,13 @@ from .._compiler.native import Layout, packed
 from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import (
     BLOCK,
+    SIGNS,
+    Asked,
     End,
     Engine,
     Job,
     SampleTotals,
+    Sums,
     VaryingEngine,
     WatchedEngine,
     WatchedTotals,
@@ -45,7 +48,7 @@ from .._foundation.processes import device, lanes_at_once, usual_threads
 from .._foundation.types import AnyArray, DType, FloatArray, Number, Scalar, Status
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
-from .._systems.switched_model import Form, Segments, State
+from .._systems.switched_model import Form, Segments, State, is_observed
 from .._systems.system import System, Tracks, WithContacts, require_system
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
@@ -213,28 +216,46 @@ _AT_ONCE = 1024  # samples
 
 
 class _Noted:
-    """Forms whose extremes are asked for."""
+    """Forms whose extremes are asked for: of the state, and with what is observed beside it; and whether sums are."""
 
-    def __init__(self):
+    def __init__(self, size: int, knows_observed: bool):
+        self.size, self.knows_observed = size, knows_observed
         self.forms: list[Form] = []
+        self.sums = False
+
+    @property
+    def asked(self) -> Asked:
+        forms = dict.fromkeys(self.forms)
+        observed = [form for form in forms if is_observed(form, self.size)]
+        return Asked(tuple(form for form in forms if form not in observed), tuple(observed), self.sums)
 
 
 _NO_PATH = "the path of a sample is not kept"
 
 
 class _EndPath(MotionPath):
-    """Path of which the extremes of some `forms` are known, as in `WatchedTotals`; or none yet: they are noted."""
+    """Path of which what is `asked` for is known, as in `WatchedTotals`; or nothing yet: it is noted."""
 
     smooth: Signal | None
-    forms: tuple[Form, ...] | _Noted = eqx.field(static=True)
+    asked: Asked | _Noted = eqx.field(static=True)
     extremes: FloatArray
+    sums: Sums | None
 
     def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
-        if isinstance(self.forms, _Noted):
-            self.forms.forms.append(form)
+        if isinstance(self.asked, _Noted):
+            self.asked.forms.append(form)
             return last
-        largest, minus_smallest = self.extremes[:, self.forms.index(form)]
+        largest, minus_smallest = self.extremes[:, self.asked.every.index(form)]
         return jnp.where(jnp.asarray(sign) > 0, largest, minus_smallest)
+
+    def along_steps(self, last: FloatArray, asked: Asked, halves: int) -> tuple[FloatArray, Sums | None]:
+        if not isinstance(self.asked, _Noted):
+            return self.extremes[:, [self.asked.every.index(form) for form in asked.observed]], self.sums
+        if not self.asked.knows_observed:
+            raise LookupError(_NO_PATH)
+        self.asked.forms.extend(asked.observed)
+        self.asked.sums |= asked.sums
+        return jnp.broadcast_to(last, (len(SIGNS), len(asked.observed))), self.sums
 
     @property
     def times(self) -> Array:
@@ -255,37 +276,40 @@ class AtEnd:
 
     def __init__(self, setup: EnsembleSetup, outputs: Mapping[str, Output]):
         """Traces every function once. Raises ValueError for one that does not return a number."""
-        self.setup, self.outputs, self.forms, self.others = setup, dict[str, Output](), (), None
+        self.setup, self.outputs, self.others = setup, dict[str, Output](), None
         engine = setup.engine.template if isinstance(setup.engine, VaryingEngine) else setup.engine
         if not outputs:
             return
-        zero, tracks, noted = jnp.zeros((), setup.dtype), engine.tracks, _Noted()
+        zero, tracks = jnp.zeros((), setup.dtype), engine.tracks
         numbers = (zero,) * len(setup.inputs.model.system.coordinates)
+        noted = _Noted(len(numbers), engine.knows_observed)
+        sums = engine.no_sums(zero.dtype) if engine.knows_observed else None
         end = End(start_totals(zero.dtype, () if tracks is None else (tracks,)), zero, numbers)
         key_data, *of_sample = setup.arguments(0, 1)
-        one = key_data, *jax.tree.map(lambda leaf: leaf[0], of_sample), np.zeros(2, np.int32), end, zero
+        one = key_data, *jax.tree.map(lambda leaf: leaf[0], of_sample), np.zeros(2, np.int32), end, zero, sums
         for name, output in outputs.items():
-            before = len(noted.forms)
+            before, summed = len(noted.forms), noted.sums
             try:
-                jax.eval_shape(self._function({name: output}, noted if engine.knows_extremes else ()), *one)
+                jax.eval_shape(self._function({name: output}, noted if engine.knows_extremes else Asked()), *one)
                 self.outputs[name] = output
             except Exception:  # of what is not known here; a mistake is found once more by the others
                 del noted.forms[before:]
+                noted.sums = summed
         others = {name: output for name, output in outputs.items() if name not in self.outputs}
         self.others = OutputRunner(setup, others) if others else None
         if self.outputs:
-            self.forms = tuple(dict.fromkeys(noted.forms))
-            engine = WatchedEngine(engine, self.forms)
+            asked = noted.asked
+            engine = WatchedEngine(engine, asked)
             if setup.leaf_numbers:
                 engine = VaryingEngine(engine, setup.leaf_numbers)
             self.setup = dataclasses.replace(setup, engine=engine)
-            at_once = jax.vmap(self._function(self.outputs, self.forms), in_axes=(None, 0, 0, 0, 0, 0, 0))
+            at_once = jax.vmap(self._function(self.outputs, asked), in_axes=(None, *[0] * 7))
             self._run = kept_jit(at_once)
 
     def values(self, first: int, samples: int, results: WatchedTotals) -> Values:
         """The outputs of so many samples `first`, ``first + 1``, ..., of which `results` are the first ones."""
-        (*_, status, near_grazing_count), end, extremes = results
-        known, found = (np.stack([status, near_grazing_count], axis=-1), end, extremes), []
+        (*_, status, near_grazing_count), end, extremes, sums = results
+        known, found = (np.stack([status, near_grazing_count], axis=-1), end, extremes, sums), []
         for begin in range(0, max(samples, 1), _AT_ONCE):
             number = max(min(_AT_ONCE, samples - begin), 1)
             key_data, *of_samples = self.setup.arguments(first + begin, number)
@@ -297,10 +321,8 @@ class AtEnd:
         columns = (np.concatenate(parts).astype(np.float64)[:samples] for parts in zip(*found, strict=True))
         return dict(zip(self.outputs, columns, strict=True))
 
-    def _function(
-        self, outputs: Mapping[str, Output], forms: tuple[Form, ...] | _Noted
-    ) -> Callable[..., tuple[Array, ...]]:
-        """A function of what differs among samples, of the status and the near-grazing count, and of the end."""
+    def _function(self, outputs: Mapping[str, Output], asked: Asked | _Noted) -> Callable[..., tuple[Array, ...]]:
+        """A function of what differs among samples, the status and near-grazing count, and the end and way."""
         realized, setup = _realized(self.setup.inputs, self.setup.t1), self.setup
         t1, method, dtype = setup.t1, setup.method, setup.dtype
 
@@ -312,12 +334,13 @@ class AtEnd:
             counts: Array,
             end: End,
             extremes: Array,
+            sums: Sums | None,
         ) -> tuple[Array, ...]:
             system, base, _ = realized(key_data, values, number, base)
             totals, of_all = apart(end.totals, system)
             if of_all is not None and system.tracks.contacts == 1:  # as `simulate` gives them
                 totals = jax.tree.map(lambda of_each: of_each[0], totals)
-            sticks, path = object.__new__(Sticks), _EndPath(None, forms, extremes)  # without any number of sticks
+            sticks, path = object.__new__(Sticks), _EndPath(None, asked, extremes, sums)  # without any number of sticks
             others = counts[0], end.time, end.state, counts[1], path, None if of_all is None else (sticks, of_all)
             one = Simulation(system, base, t1, method, sticks, totals, *others)
             return tuple(output.number(one, dtype) for output in outputs.values())

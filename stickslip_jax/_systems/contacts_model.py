@@ -379,6 +379,9 @@ class ContactsModel(SwitchedModel[Forcing]):
         sticks = (self._own(sign) == 0) & ~is_open
         return jnp.append(sticks, jnp.all(sticks | is_open) & jnp.any(sticks))
 
+    def slips(self, sign: FloatArray) -> FloatArray:
+        return jnp.where(self._is_open(sign), 0, self._own(sign))
+
     def _limits(self, forcing: Forcing, tau: FloatScalar, y: State, velocity: FloatArray, sign: FloatArray) -> Limits:
         """The `limits`, zero in open contacts."""
         return self._closed(self.limits(forcing, tau, y, velocity), sign)

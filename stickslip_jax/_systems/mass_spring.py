@@ -70,6 +70,7 @@ from .system import (
     Tracks,
     Traits,
     is_built_in,
+    observed_of,
     shortest_period,
 )
 
@@ -202,6 +203,11 @@ class OscillatorModel(EnergyModel[Forcing]):
 
     def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
         return -coefficient * self.system.normal_force
+
+    def base_shear(self, forcing: Forcing, total: FloatArray) -> FloatScalar:
+        # Of the load, the ground's acceleration is no force in the frame at rest.
+        none = jnp.zeros_like(total)
+        return self.system.mass * (total - forcing.ground[0]) - self.load_at(forcing, none)
 
     def stored_energies(self, y: State) -> Terms:
         system, (x, p) = self.system, y
@@ -418,6 +424,10 @@ class MassSpring(System):
     def coordinates(self) -> tuple[Coordinate, ...]:
         motion = Coordinate("position", "m", "x"), Coordinate("velocity", "m/s", r"\dot x")
         return *motion, *self.memory.coordinates
+
+    @property
+    def observed(self) -> tuple[Coordinate, ...]:
+        return observed_of(("",), ("",))
 
     @property
     def memory(self) -> Memory:

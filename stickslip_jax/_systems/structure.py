@@ -71,6 +71,7 @@ from .system import (
     WithContacts,
     ages_of,
     bars,
+    observed_of,
     shortest_period,
 )
 
@@ -304,6 +305,10 @@ class LinearStructure(WithContacts):
         positions = [Coordinate(f"{name} {i}", unit, f"{symbol}_{{{i}}}") for i in numbers]
         rates = (Coordinate(f"{rate} {i}", f"{unit}/s", rf"\dot {symbol}_{{{i}}}") for i in numbers)
         return *positions, *rates, *self.memory.coordinates
+
+    @property
+    def observed(self) -> tuple[Coordinate, ...]:
+        return observed_of(range(self.size), range(len(self.contacts)), rotates=self.rotates)
 
     @property
     def memory(self) -> Memory:

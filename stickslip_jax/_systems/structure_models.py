@@ -1,5 +1,6 @@
 """A linear structure with dry-friction contacts under its excitation, as the engines integrate it."""
 
+from collections.abc import Callable
 from functools import reduce
 from operator import add
 from typing import Any, ClassVar, NamedTuple, TypeVar, cast
@@ -227,8 +228,7 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         load = load + times(magnitudes(of.by_springs), jnp.abs(y[2]))
         return h * (v + h * load), h * load, h * self.velocity_scale(forcing, y)
 
-    def friction(self, forcing: Forcing, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The friction forces against the relative velocities, N, and these, of sliders their own; (contacts,)."""
+    def friction_forces(self, forcing: Forcing, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
         none, own = jnp.zeros_like(forcing.t), self._own(sign)
         now = self.instant(forcing, none, y)
         limits = self._limits(forcing, none, y, now.velocity, sign)
@@ -239,6 +239,11 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
             force, velocity = (jnp.where(self.elastic, *pair) for pair in ((of.force, force), (of.velocity, velocity)))
         return force, jnp.where(own == 0, 0, velocity)
 
+    def base_shear(self, forcing: Forcing, total: FloatArray) -> FloatScalar:
+        # Of the load, the ground's acceleration is no force in the frame at rest.
+        applied = self._load(forcing, jnp.zeros_like(forcing.t)) + forcing.ground[0]
+        return jnp.sum(_product(self.structure.mass, total - applied))
+
     def stored_energies(self, y: State) -> Terms:
         of, (x, v) = self.structure, y[:2]
         elastic = jnp.dot(x, _product(of.stiffness, x))
@@ -248,7 +253,7 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         return {"kinetic": jnp.dot(v, _product(of.mass, v)) / 2, "elastic": elastic / 2}
 
     def powers_in(self, forcing: Forcing, y: State, sign: FloatArray) -> Powers:
-        (force, velocity), of, v = self.friction(forcing, y, sign), self.structure, y[1]
+        (force, velocity), of, v = self.friction_forces(forcing, y, sign), self.structure, y[1]
         none = jnp.zeros_like(forcing.t)
         base = -jnp.dot(force, self._in_precision_of(y).on_base) * forcing.base_at(self.smooth, none).velocity
         damping = jnp.zeros_like(base) if of.damping is None else jnp.dot(v, _product(of.damping, v))
@@ -315,6 +320,15 @@ class ArcsModel(StructureModel):
     def flow_and_error(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray) -> tuple[State, None]:
         reached = tuple(reduce(add, reversed(series)) for series in _series(self, forcing, y, h, sign) if series)
         return self._held(forcing, h, reached, self._own(sign) == 0), None
+
+    def dense(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray) -> Callable[[FloatScalar], State]:
+        series, length = _series(self, forcing, y, h, sign), jnp.where(h > 0, h, 1)
+
+        def at(tau: FloatScalar) -> State:
+            share = tau / length
+            return tuple(reduce(lambda value, term: value * share + term, reversed(one)) for one in series if one)
+
+        return at
 
     def along(self, forcing: Forcing, y: State, h: FloatScalar, sign: FloatArray, forms: tuple[Form, ...]) -> Along:
         of_numbers = self.numbers(tuple(jnp.stack(series) for series in _series(self, forcing, y, h, sign) if series))

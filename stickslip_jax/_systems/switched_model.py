@@ -4,7 +4,7 @@ import abc
 from collections.abc import Callable
 from functools import reduce
 from operator import add
-from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeAlias, TypeVar, cast
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ Guard: TypeAlias = tuple[FloatArray, FloatArray]
 
 
 Form: TypeAlias = tuple[tuple[int, float], ...]
-"""A linear form of the numbers of a state: the places of some, each with its weight."""
+"""A linear form of the numbers of a state, and of what is observed beside it: the places of some, with its weight."""
 Along: TypeAlias = Callable[[FloatArray], FloatPair]
 """The values of forms, and their slopes, each at its time (forms,) (s) after the beginning of a step."""
 
@@ -48,6 +48,11 @@ Along: TypeAlias = Callable[[FloatArray], FloatPair]
 def of_form(form: Form, numbers: State) -> FloatArray:
     """The value of the `form`."""
     return reduce(add, (weight * numbers[place] for place, weight in form))
+
+
+def is_observed(form: Form, size: int) -> bool:
+    """Whether some of the `form` is beside the state of this `size`, as `System.observed`."""
+    return any(place >= size for place, _ in form)
 
 
 class Segments(NamedTuple):
@@ -203,6 +208,10 @@ class SwitchedModel(eqx.Module, Generic[F]):
         """What sticks in the mode `sign`: of several contacts (contacts + 1,), each, and last all that are closed."""
         return sign == 0
 
+    def slips(self, sign: FloatArray) -> FloatArray:
+        """The sign of the slip of each contact in the mode `sign`; 0 of what sticks or is open."""
+        return sign
+
     def stick_position(self, y: State) -> FloatArray:
         """What is recorded as the position of a stick that begins in the state `y`, for each that can be `stuck`."""
         return y[0]
@@ -224,6 +233,10 @@ class SwitchedModel(eqx.Module, Generic[F]):
     @abc.abstractmethod
     def rates(self, forcing: F, tau: FloatScalar, y: State, sign: FloatArray) -> State:
         """The time derivative of the state; `sign` is 0 in a stick."""
+
+    def dense(self, forcing: F, y: State, h: FloatScalar, sign: FloatArray) -> Callable[[FloatScalar], State]:
+        """The state as a function of the time (s) since the beginning of a step of the length `h` (s)."""
+        return lambda tau: self.flow(forcing, y, tau, sign)
 
     def along(self, forcing: F, y: State, h: FloatScalar, sign: FloatArray, forms: tuple[Form, ...]) -> Along:
         """The `forms` of the state within a step of the length `h` (s) in the mode of this `sign`."""
@@ -452,6 +465,25 @@ class HasEnergies(SwitchedModel[F]):
     """A model whose equations are those of a system with an energy."""
 
     @abc.abstractmethod
+    def friction_forces(self, forcing: F, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The friction force in each contact, against its relative velocity, N, and that velocity, m/s, at `tau` 0.
+
+        Of contacts behind springs those of the sliders.
+        """
+
+    def base_shear(self, forcing: F, total: FloatArray) -> FloatScalar:
+        """The force that the ground and the base exert on the masses, which have these `total` accelerations, N."""
+        raise NotImplementedError("of systems that do not name it")
+
+    def observed(self, forcing: F, y: State, sign: FloatArray) -> State:
+        """The numbers that `System.observed` names, at `tau` 0 in the mode of this `sign`."""
+        accelerations = self.rates(forcing, jnp.zeros_like(y[0], shape=()), y, sign)[1]
+        total = accelerations + cast(Forcing, forcing).ground[0]
+        force, velocity = self.friction_forces(forcing, y, sign)
+        each = accelerations, total, velocity, -force, self.base_shear(forcing, total)
+        return tuple(number for values in each for number in (values if jnp.ndim(values) else (values,)))
+
+    @abc.abstractmethod
     def stored_energies(self, y: State) -> Terms:
         """The energies stored in the state, J."""
 
@@ -475,9 +507,14 @@ class EnergyModel(HasEnergies[F], OneContactModel[F]):
     def friction_force(self, y: State, coefficient: FloatScalar) -> FloatScalar:
         """The friction force under this signed friction coefficient, N: on the mass, of a motor on the cart."""
 
+    def friction_forces(self, forcing: F, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+        force = self.friction_force(y, self.coefficient_in(forcing, y, sign, sign == 0))
+        # The power of friction is linear in the force, and minus the velocity its slope.
+        velocity = -self.powers(forcing, y, jnp.ones_like(force)).dissipated["friction"]
+        return -force, jnp.where(sign == 0, 0, velocity)
+
     def powers_in(self, forcing: F, y: State, sign: FloatArray) -> Powers:
-        coefficient = self.coefficient_in(forcing, y, sign, sign == 0)
-        return self.powers(forcing, y, self.friction_force(y, coefficient))
+        return self.powers(forcing, y, -self.friction_forces(forcing, y, sign)[0])
 
     @abc.abstractmethod
     def powers(self, forcing: F, y: State, force: FloatScalar) -> Powers:

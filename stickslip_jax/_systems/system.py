@@ -5,7 +5,7 @@ motion.
 import abc
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar, cast
 
 import equinox as eqx
@@ -425,6 +425,11 @@ class System(Checked):
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The numbers of its state. Phase portraits show the second against the first."""
 
+    @property
+    def observed(self) -> tuple[Coordinate, ...]:
+        """What can be asked of a motion beside its `coordinates`, in the order of `HasEnergies.observed`."""
+        return ()
+
     @abc.abstractmethod
     def switched_model(self, smooth: Signal | None, solver: ExplicitSolver | None) -> SwitchedModel:
         """The system under one realisation of the smooth excitation.
@@ -519,6 +524,25 @@ class System(Checked):
     def look(self) -> Look:
         """What figures show of it."""
         return Look()
+
+
+def observed_of(
+    masses: Iterable[int | str], contacts: Iterable[int | str], *, rotates: bool = False
+) -> tuple[Coordinate, ...]:
+    """`System.observed` of `masses` and `contacts` with these numbers; where there is one it has none."""
+    rate, unit = ("angular acceleration", "rad/s^2") if rotates else ("acceleration", "m/s^2")
+
+    def named(name: str, number: int | str) -> str:
+        return f"{name} {number}".rstrip()
+
+    masses, contacts = tuple(masses), tuple(contacts)
+    return (
+        *(Coordinate(named(rate, i), unit) for i in masses),
+        *(Coordinate(named(f"total {rate}", i), unit) for i in masses),
+        *(Coordinate(named("relative velocity", i), "m/s") for i in contacts),
+        *(Coordinate(named("friction force", i), "N") for i in contacts),
+        Coordinate("base torque", "N m") if rotates else Coordinate("base shear", "N"),
+    )
 
 
 def one_contact_model(system: System, smooth: Signal | None, solver: ExplicitSolver | None) -> Any:

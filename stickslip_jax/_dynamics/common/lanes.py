@@ -117,11 +117,20 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
     def step(self, shared: Shared, sample: Sample, motion: Motion, drawn: Any) -> tuple[Motion, Record]:
         """Take one step: returns the motion after it and its record."""
 
+    @property
+    def knows_observed(self) -> bool:
+        """Whether `watched` follows what is observed beside the state, and what adds up."""
+        return False
+
+    def no_sums(self, dtype) -> "Sums":
+        """What adds up, before the first step."""
+        raise NotImplementedError("of engines that do not know them")
+
     def watched(
-        self, shared: Shared, sample: Sample, motion: Motion, drawn: Any, forms: tuple[Form, ...]
-    ) -> tuple[Motion, Record, FloatArray]:
-        """A `step`, and the largest of each of the `forms` of the state in it, and minus the smallest, (2, forms); but
-        for the values at its end.
+        self, shared: Shared, sample: Sample, motion: Motion, drawn: Any, asked: "Asked"
+    ) -> tuple[Motion, Record, FloatArray, "Work | None"]:
+        """A `step`; the largest of each of the forms that are asked for in it, and minus the smallest, (2, forms), of
+        those of the state but for the values at its end; and what adds up in it.
         """
         raise NotImplementedError("of engines of sensitivities")
 
@@ -174,32 +183,93 @@ def values_of_forms(forms: tuple[Form, ...], numbers: State) -> FloatArray:
     return jnp.stack([of_form(form, numbers) for form in forms]) if forms else jnp.zeros_like(numbers[0], shape=(0,))
 
 
+class Asked(eqx.Module):
+    """What is asked for of the way of a sample: the extremes of `forms` of the state, and of those with what is
+    `observed` beside it; and `sums`, whether what adds up.
+    """
+
+    forms: tuple[Form, ...] = eqx.field(static=True, default=())
+    observed: tuple[Form, ...] = eqx.field(static=True, default=())
+    sums: bool = eqx.field(static=True, default=False)
+
+    @property
+    def every(self) -> tuple[Form, ...]:
+        """All forms, in the order of `WatchedTotals.extremes`."""
+        return self.forms + self.observed
+
+
+class Work(NamedTuple):
+    """What adds up in one step: of each contact the slip path, m, and its way, the sign of the slip or 0; what base and
+    load supply, and what friction and damping dissipate, J.
+    """
+
+    slip_path: FloatArray
+    way: FloatArray
+    supplied: FloatArray
+    friction: FloatArray
+    damping: FloatArray
+
+
+class Sums(NamedTuple):
+    """What adds up, as in `Work`; `way`: of the last slip of each contact; `reversals`: slips the other way than the
+    slip before.
+    """
+
+    slip_path: FloatArray
+    way: FloatArray
+    supplied: FloatArray
+    friction: FloatArray
+    damping: FloatArray
+    reversals: AnyArray
+
+    @classmethod
+    def zero(cls, contacts: int | None, dtype) -> "Sums":
+        """Before the first step."""
+        each, none = jnp.zeros(() if contacts is None else (contacts,), dtype), jnp.zeros((), dtype)
+        return cls(each, each, none, none, none, each.astype(jnp.int32))
+
+    def with_work(self, work: Work) -> "Sums":
+        """After a step."""
+        turned = self.way * work.way < 0
+        return Sums(
+            self.slip_path + work.slip_path,
+            jnp.where(work.way != 0, work.way, self.way),
+            self.supplied + work.supplied,
+            self.friction + work.friction,
+            self.damping + work.damping,
+            self.reversals + turned,
+        )
+
+
 class WatchedTotals(NamedTuple):
-    """What is recorded of each sample, and where it ended; `extremes`: of each form the largest value, and minus the
-    smallest one, (2, forms).
+    """What is recorded of each sample, and where it ended; `extremes`: of each form that was asked for the largest
+    value, and minus the smallest one, (2, forms); and what added up, if that was.
     """
 
     totals: SampleTotals
     end: End
     extremes: AnyArray
+    sums: Sums | None
 
 
 class _Watched(NamedTuple):
-    """The motion of an engine, and the extremes so far."""
+    """The motion of an engine, and the extremes and sums so far."""
 
     motion: Any
     extremes: FloatArray
+    sums: Sums | None
 
 
 class WatchedEngine(_AroundEngine):
-    """The `template`, which also keeps extremes of `forms` of the state, and the end of each sample."""
+    """The `template`, which also keeps what is `asked` of the way of each sample, and its end."""
 
     template: Any
-    forms: tuple[Form, ...] = eqx.field(static=True)
+    asked_for: Asked
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Any, _Watched]:
         sample, motion = self.template.begin(key_data, dtype)
-        return sample, _Watched(motion, jnp.full((len(SIGNS), len(self.forms)), -jnp.inf, dtype))
+        sums = self.template.no_sums(dtype) if self.asked_for.sums else None
+        return sample, _Watched(motion, jnp.full((len(SIGNS), len(self.asked_for.every)), -jnp.inf, dtype), sums)
 
     def shared(self, dtype) -> Any:
         return self.template.shared(dtype)
@@ -208,19 +278,21 @@ class WatchedEngine(_AroundEngine):
         return self.template.draw(sample, number, dtype)
 
     def step(self, shared: Any, sample: Any, motion: _Watched, drawn: Any) -> tuple[_Watched, Any]:
-        if not self.forms:
+        if not (motion.extremes.size or self.asked_for.sums):
             moved, record = self.template.step(shared, sample, motion.motion, drawn)
             return motion._replace(motion=moved), record
-        moved, record, found = self.template.watched(shared, sample, motion.motion, drawn, self.forms)
-        return _Watched(moved, jnp.maximum(motion.extremes, found)), record
+        moved, record, found, work = self.template.watched(shared, sample, motion.motion, drawn, self.asked_for)
+        sums = None if motion.sums is None else motion.sums.with_work(work)
+        return _Watched(moved, jnp.maximum(motion.extremes, found), sums), record
 
     def ended(self, motion: _Watched, before: _Watched) -> BoolArray:
         return self.template.ended(motion.motion, before.motion)
 
     def results(self, sample: Any, motion: _Watched) -> WatchedTotals:
-        end = self.template.end(sample, motion.motion)
-        extremes = jnp.maximum(motion.extremes, np.array(SIGNS)[:, None] * values_of_forms(self.forms, end.state)[None])
-        return WatchedTotals(self.template.results(sample, motion.motion), end, extremes)
+        end, forms = self.template.end(sample, motion.motion), self.asked_for.forms
+        at_end = np.array(SIGNS)[:, None] * values_of_forms(forms, end.state)[None]
+        extremes = motion.extremes.at[:, : len(forms)].max(at_end)
+        return WatchedTotals(self.template.results(sample, motion.motion), end, extremes, motion.sums)
 
 
 # Lanes whose system, excitation or start differ from sample to sample.

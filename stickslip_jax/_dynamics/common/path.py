@@ -27,7 +27,7 @@ from ..._numerics.derivatives import NotKnown, values_of, with_slope
 from ..._systems.switched_model import Along, Form, Segments, State
 from ..._systems.system import System
 from ..sticks import StickRecord, Sticks, Totals, count_slips, sticks_in_order
-from .lanes import SIGNS, End, Engine, SampleTotals, values_of_forms
+from .lanes import SIGNS, Asked, End, Engine, SampleTotals, Sums, Work, values_of_forms
 
 T = TypeVar("T")
 Other = TypeVar("Other")
@@ -52,6 +52,17 @@ class MotionPath(eqx.Module):
     @abc.abstractmethod
     def largest(self, form: Form, sign: Scalar, last: FloatArray, final: State) -> FloatArray:
         """The largest value of `sign` times a `form` of the state until the time `last` (s), where that is `final`."""
+
+    def with_observed(self, time: FloatArray) -> State:
+        """The state at one time (s), followed by what is observed beside it."""
+        raise LookupError("of paths of time steps with events")
+
+    def along_steps(self, last: FloatArray, asked: Asked, halves: int) -> tuple[FloatArray, Sums | None]:
+        """What is `asked` of the way until the time `last` (s): extremes as in `WatchedTotals`, and sums.
+
+        Steps are cut into parts, of which the first is so many times halved.
+        """
+        raise LookupError("of paths of time steps with events")
 
     @abc.abstractmethod
     def segments(self, time: FloatArray) -> Segments:
@@ -488,16 +499,24 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         return motion, of_track(record, self.system)
 
     def watched(
-        self, shared: StepsShared, sample: Signal | None, motion: StepsLane, drawn: None, forms: tuple[Form, ...]
-    ) -> tuple[StepsLane, StickRecord, FloatArray]:
+        self, shared: StepsShared, sample: Signal | None, motion: StepsLane, drawn: None, asked: Asked
+    ) -> tuple[StepsLane, StickRecord, FloatArray, Work | None]:
         if self.knows_motion:
-            lane, record, found = _step_with_extremes(self, shared, sample, motion, _Forms(forms))
+            lane, record, found, work = _watched_step(self, shared, sample, motion, asked)
         else:
             lane, record, passage = self.advanced(shared, sample, motion)
             # One form after the other: for more at once some operation is so large that XLA refuses the native loop.
-            given = self, sample, motion, lane, passage
-            found = jnp.concatenate([_extremes_alone(*given, _Forms((form,))) for form in forms], axis=1)
-        return lane, of_track(record, self.system), found
+            given, work = (self, sample, motion, lane, passage), None
+            found = jnp.concatenate([_extremes_alone(*given, Asked((form,))) for form in asked.forms], axis=1)
+        return lane, of_track(record, self.system), found, work
+
+    def seen(
+        self, smooth: Signal | None, begun: Any, length: FloatArray, end: State, asked: Asked
+    ) -> tuple[FloatArray, Work | None]:
+        """What is asked for beside the extremes of forms of the state, of a step; `begun`: what the path keeps of it,
+        `end`: the state after it.
+        """
+        raise NotImplementedError("of engines that do not know it")
 
     def end(self, sample: Signal | None, motion: StepsLane) -> End:
         lane: Any = motion
@@ -515,19 +534,13 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         return status_of_lane(motion, jnp.asarray(self.t1, motion.t.dtype))
 
 
-class _Forms(eqx.Module):
-    """The forms of a state whose extremes are asked for."""
-
-    all: tuple[Form, ...] = eqx.field(static=True)
-
-
 def _extremes(
-    engine: StepsEngine, smooth: Signal | None, before: Any, after: Any, passage: Any, forms: _Forms
+    engine: StepsEngine, smooth: Signal | None, before: Any, after: Any, passage: Any, asked: Asked
 ) -> FloatArray:
-    """Of lanes before and after a step, and what the path keeps of it: as `Engine.watched`."""
+    """Of lanes before and after a step, and what the path keeps of it: extremes of forms of the state."""
     length, end = after.t - before.t, engine.numbers(smooth, after)
-    along = engine.inside(smooth, forms.all, (passage, end, length))
-    start = values_of_forms(forms.all, engine.numbers(smooth, before))
+    along = engine.inside(smooth, asked.forms, (passage, end, length))
+    start = values_of_forms(asked.forms, engine.numbers(smooth, before))
     return largest_in_step(along, along, start, length, SIGNS, is_short=engine.steps_are_short(smooth))
 
 
@@ -535,9 +548,15 @@ _extremes_alone = sharing(_extremes)
 
 
 @partial(sharing, whole=True)
-def _step_with_extremes(
-    engine: StepsEngine, shared: StepsShared, smooth: Signal | None, lane: Any, forms: _Forms
-) -> tuple[Any, StickRecord, FloatArray]:
+def _watched_step(
+    engine: StepsEngine, shared: StepsShared, smooth: Signal | None, lane: Any, asked: Asked
+) -> tuple[Any, StickRecord, FloatArray, Work | None]:
     """Cut together: the motion in the step is computed once."""
     moved, record, passage = engine.advanced(shared, smooth, lane)
-    return moved, record, _extremes(engine, smooth, lane, moved, passage, forms)
+    found, work = [], None
+    if asked.forms:
+        found.append(_extremes(engine, smooth, lane, moved, passage, asked))
+    if asked.observed or asked.sums:
+        seen, work = engine.seen(smooth, passage, moved.t - lane.t, moved.y, asked)
+        found.append(seen)
+    return moved, record, jnp.concatenate(found, axis=1), work

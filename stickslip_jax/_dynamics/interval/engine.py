@@ -23,7 +23,7 @@ from ..._excitation.segments import Segment, marked
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar
 from ..._systems.mass_spring import MassSpring
 from ..._systems.switched_model import Form, Segments, State
-from ..common.lanes import SIGNS, End, Engine, SampleTotals
+from ..common.lanes import SIGNS, Asked, End, Engine, SampleTotals
 from ..common.path import MotionPath, Run, sample_totals
 from ..sticks import ALL, QUANTITIES, StickRecord, Totals, closed_up, start_totals, sticks_of
 from .arcs import (
@@ -98,12 +98,12 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
         return _Lane(memory, moved, totals, motion.ties + tie), stick
 
     def watched(
-        self, shared: Scales, sample: _Sample, motion: _Lane, drawn: Any, forms: tuple[Form, ...]
-    ) -> tuple[_Lane, StickRecord, FloatArray]:
+        self, shared: Scales, sample: _Sample, motion: _Lane, drawn: Any, asked: Asked
+    ) -> tuple[_Lane, StickRecord, FloatArray, None]:
         duration, velocity, _ = self.law.next_interval(motion.memory, drawn, shared.t1.dtype)
         of_interval = partial(largest_in_interval, shared, motion.motion, duration, velocity)
-        found = [of_interval(of_velocity=form[0][0] == 1, sign=sign) for sign in SIGNS for form in forms]
-        return *self.step(shared, sample, motion, drawn), jnp.stack(found).reshape(len(SIGNS), len(forms))
+        found = [of_interval(of_velocity=form[0][0] == 1, sign=sign) for sign in SIGNS for form in asked.forms]
+        return *self.step(shared, sample, motion, drawn), jnp.stack(found).reshape(len(SIGNS), -1), None
 
     def end(self, sample: _Sample, motion: _Lane) -> End:
         return End(motion.totals, motion.motion.t, (motion.motion.x, motion.motion.v))

@@ -36,7 +36,7 @@ from ..._systems.switched_model import (
     of_form,
 )
 from ..._systems.system import System
-from ..common.lanes import SampleTotals
+from ..common.lanes import Asked, SampleTotals, Sums, Work
 from ..common.method import Arguments, Exact, max_steps_advice, time_scales_of
 from ..common.path import (
     MotionPath,
@@ -64,6 +64,7 @@ from ..sticks import (
     recorded,
     start_totals,
 )
+from .inside import FEW_HALVES, StepBeginnings, along_step, halves_for, seen_in_step, state_in_step
 
 # The state of a trajectory between two steps of the switched engine, and what counts as round-off in it.
 
@@ -554,7 +555,7 @@ def _close_calls(
     return tie, at_stop & (due | (age < few * step))
 
 
-# The state at any time of one trajectory of the switched engine.
+# How many steps a trajectory has room for.
 
 
 MOST_STEPS = 2**30  # steps are counted in 32 bits
@@ -563,41 +564,6 @@ _ROOM = 96  # steps more, for short trajectories
 _FEWEST = 256  # steps that one trajectory has room for: all short ones share a program
 _PER_GROUP = 16  # contacts whose events need as many steps as the motion
 _PER_SEGMENT = 8  # time steps in a segment of a record where neither is known
-
-
-class StepBeginnings(NamedTuple):
-    """The beginning of each loop step, arrays (steps,): time (s), state, sign of the mode, and the current segments.
-
-    `tried`: the length that was tried, s, while lanes move.
-    """
-
-    t: Array
-    y: tuple[Array, ...]
-    sign: Array
-    segments: Segments
-    tried: Array | None = None
-
-    def at(self, time: FloatArray) -> "StepBeginnings":
-        """The beginning of the step that contains `time` (s)."""
-        # Of loop steps with the same beginning (tries of one time step), the last is the one that was accepted.
-        index = jnp.clip(jnp.searchsorted(self.t, time, side="right") - 1, 0)
-        return jax.tree.map(lambda values: values[index], self)
-
-
-def state_in_step(model: SwitchedModel, begun: StepBeginnings, h: FloatArray) -> State:
-    """The state at `h` (s) after the beginning of one step."""
-    _, y, sign, segments, _ = begun
-    return model.flow(model.forcing(begun.t, segments), y, h, sign)
-
-
-def along_step(
-    model: SwitchedModel, forms: tuple[Form, ...], step: tuple[StepBeginnings, FloatArray], is_fixed: bool
-) -> Along:
-    """The `forms` of the state in a step that has begun so and is so long, s; `is_fixed`: without derivatives."""
-    (t, y, sign, segments, _), h = step
-    given = model, model.forcing(t, segments), y, h, sign
-    model, forcing, y, h, sign = without_derivatives(given) if is_fixed else given
-    return model.along(forcing, y, h, sign, forms)
 
 
 def steps_for(system: System, excitation: Excitation, t1: Scalar, step: Scalar, name: str = "t1") -> int:
@@ -690,6 +656,20 @@ class SwitchedEngine(StepsEngine[Lane]):
     def steps_are_short(self, smooth: Signal | None) -> bool:
         return self._model(smooth).has_short_steps
 
+    def seen(
+        self, smooth: Signal | None, begun: StepBeginnings, length: FloatArray, end: State, asked: Asked
+    ) -> tuple[FloatArray, Work | None]:
+        model = self._model(smooth)
+        halves = halves_for(model.without_memory(())[0].fastest_decay, self.step_length, most=FEW_HALVES)
+        return seen_in_step(model, begun, length, end, asked, halves)
+
+    def no_sums(self, dtype) -> Sums:
+        return Sums.zero(self.system.tracks.contacts, dtype)
+
+    @property
+    def knows_observed(self) -> bool:
+        return bool(self.system.observed)
+
     def totals(self, lane: Lane) -> Totals:
         return lane.totals
 
@@ -754,6 +734,26 @@ class StepPath(MotionPath):
         inside, steps = partial(along_step, model, (form,)), (begun, lengths)
         ends = sign, of_form(form, final)
         return largest_in_steps(inside, steps, starts, lengths, *ends, are_short=model.has_short_steps)
+
+    def along_steps(self, last: FloatArray, asked: Asked, halves: int) -> tuple[FloatArray, Sums | None]:
+        begun, model = self.beginnings, self.model
+        lengths = jnp.append(begun.t[1:], last) - begun.t
+        end = state_in_step(model, jax.tree.map(lambda values: values[-1], begun), lengths[-1])
+        ends = jax.tree.map(lambda values, of_last: jnp.concatenate([values[1:], of_last[None]]), begun.y, end)
+        extremes, works = jax.vmap(lambda begun, h, end: seen_in_step(model, begun, h, end, asked, halves))(
+            begun, lengths, ends
+        )
+        if works is None:
+            return jnp.max(extremes, axis=0), None
+        none = Sums.zero(self.system.tracks.contacts, last.dtype)
+        return jnp.max(extremes, axis=0), lax.scan(lambda sums, work: (sums.with_work(work), None), none, works)[0]
+
+    def with_observed(self, time: FloatArray) -> State:
+        begun, model = self.beginnings.at(time), self.model
+        y = state_in_step(model, begun, time - begun.t)
+        known, own = model.without_memory(y)
+        now, mode = model.forcing(time, begun.segments), model.modes_without_memory(begun.sign)
+        return *model.numbers(y), *known.observed(now, own, mode)
 
     def rates(self, time: FloatArray) -> State:
         """The rates of the state at one time (s), per second; at an event, those after it."""
