@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 import keyword
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -33,17 +33,78 @@ _NOT_TRACEABLE = (
 )
 
 
+_SUMS = {
+    "slip path": ("slip_path", "m"),
+    "slip reversals": ("slip_reversals", "1"),
+    "input energy": ("input_energy", "J"),
+    "friction energy": ("friction_energy", "J"),
+    "damping energy": ("damping_energy", "J"),
+}
+_KINDS = ("peak", "maximum", "minimum", "residual")
+_UNITS = {
+    **dict.fromkeys(("position", "elongation", "slip distance"), "m"),
+    **dict.fromkeys(("velocity", "relative velocity"), "m/s"),
+    **dict.fromkeys(("acceleration", "total acceleration"), "m/s^2"),
+    **dict.fromkeys(("friction force", "base shear"), "N"),
+    "angle": "rad",
+    "angular velocity": "rad/s",
+    "base torque": "N m",
+    "current": "A",
+    **dict.fromkeys(("angular acceleration", "total angular acceleration"), "rad/s^2"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class _Named:
+    """An output that is known by its name, such as "peak total acceleration 2" or "slip path 0"."""
+
+    name: str
+
+    @property
+    def _parts(self) -> tuple[str, str, int | None]:
+        """What is asked; of which quantity; and of a sum of one of several contacts, the number of the contact."""
+        words, _, number = self.name.rpartition(" ")
+        for what in (self.name, words):
+            if what in _SUMS and (what == self.name or number.isdecimal()):
+                return what, "", None if what == self.name else int(number)
+        what, _, quantity = self.name.partition(" ")
+        if what in _KINDS and quantity:
+            return what, quantity, None
+        demand = f"begin with {', '.join(_KINDS)} and name a coordinate or what Simulation.response knows"
+        raise checks.refused("function", f"{demand}, or be one of {', '.join(_SUMS)}", self.name)
+
+    @property
+    def unit(self) -> str:
+        """Its unit; "1" where it is not known. Raises ValueError for a name that is none."""
+        what, quantity, _ = self._parts
+        return _SUMS[what][1] if what in _SUMS else _UNITS.get(quantity.split(" - ")[0].rstrip(" 0123456789"), "1")
+
+    def __call__(self, one: Simulation) -> FloatArray:
+        what, quantity, number = self._parts
+        if what == "residual":
+            return one.residual(quantity)
+        if what not in _SUMS:
+            return getattr(one, what)(quantity)
+        value = getattr(one, _SUMS[what][0])
+        return value if number is None else value[number]
+
+
 @dataclasses.dataclass(frozen=True)
 class Output:
     """A number of one trajectory: an output of an ensemble or a sweep, or what `sensitivity` takes the mean of.
 
     Args:
-        function: Takes a `Simulation` and returns one number; JAX traces it, so write it in ``jax.numpy``.
-        name: For tables and figures; in ensembles and sweeps it is that in the dict of outputs.
-        unit: For tables and figures.
+        function: Takes a `Simulation` and returns one number; JAX traces it, so write it in ``jax.numpy``. Or a name:
+            "peak", "maximum", "minimum" or "residual" (the value at the end) and what is meant, a coordinate or what
+            `Simulation.response` knows, such as "peak total acceleration 2" or "residual position"; or "slip path",
+            "slip reversals" (with the number of the contact where there are several), "input energy", "friction energy"
+            or "damping energy".
+        name: For tables and figures; in ensembles and sweeps it is that in the dict of outputs. Not given: the name
+            above, or "output".
+        unit: For tables and figures. Not given: that of what is named, else "1".
 
     Raises:
-        ValueError: Unless `function` can be called.
+        ValueError: Unless `function` can be called or is such a name.
 
     >>> peak = ss.Output(lambda one: one.peak("position"), name="peak displacement", unit="m")
     >>> system, law = ss.papers.belt_oscillator(1.0), ss.PoissonSwitching(speed=1.0, rate=1.0)
@@ -55,12 +116,19 @@ class Output:
     """
 
     function: Callable[[Simulation], ArrayLike]
-    name: str = "output"
-    unit: str = "1"
+    name: str = ""
+    unit: str = ""
 
-    def __post_init__(self):
+    def __init__(
+        self, function: Callable[[Simulation], ArrayLike] | str, name: str | None = None, unit: str | None = None
+    ):
+        named = _Named(function) if isinstance(function, str) else None
+        object.__setattr__(self, "function", function if named is None else named)
         if not callable(self.function):
             raise checks.refused("function", "be a function of a Simulation", self.function)
+        usual = ("output", "1") if named is None else (named.name, named.unit)
+        for field, given, other in (("name", name, usual[0]), ("unit", unit, usual[1])):
+            object.__setattr__(self, field, other if given is None else given)
         checks.text("name", self.name)
         checks.text("unit", self.unit)
 
@@ -96,6 +164,9 @@ class Output:
 
 def code_of(function: Any) -> Iterator[str]:
     """The code of a function in words, those of functions in it too; of another object its class."""
+    if isinstance(function, _Named):
+        yield function.name
+        return
     function = getattr(function, "__wrapped__", function)
     code = function if isinstance(function, types.CodeType) else getattr(function, "__code__", None)
     if code is None:
@@ -110,8 +181,8 @@ def code_of(function: Any) -> Iterator[str]:
             yield repr(value) if isinstance(value, (int, float, str, tuple, type(None))) else type(value).__qualname__
 
 
-Outputs = Mapping[str, Callable[[Simulation], ArrayLike] | Output]
-"""Outputs by name."""
+Outputs = Mapping[str, Callable[[Simulation], ArrayLike] | Output | str] | Sequence[str]
+"""Outputs by name, or names of them."""
 
 
 def checked_outputs(outputs: Outputs | None, taken: Mapping[str, str]) -> dict[str, Output]:
@@ -121,10 +192,12 @@ def checked_outputs(outputs: Outputs | None, taken: Mapping[str, str]) -> dict[s
     """
     if outputs is None:
         return {}
+    if isinstance(outputs, (list, tuple)) and all(isinstance(name, str) for name in outputs):
+        # "peak position 1 - position 0" is called peak_position_1_minus_position_0.
+        outputs = {name.replace(" - ", " minus ").replace(" ", "_"): name for name in outputs}
     if not isinstance(outputs, Mapping):
-        raise checks.refused(
-            "outputs", 'be a dict from names to functions, as {"peak": lambda one: one.peak()}', outputs
-        )
+        demand = 'be a dict from names to functions, as {"peak": lambda one: one.peak()}'
+        raise checks.refused("outputs", f'{demand}, or a list of names such as "peak position"', outputs)
     found = {}
     for name, given in outputs.items():
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
@@ -134,8 +207,8 @@ def checked_outputs(outputs: Outputs | None, taken: Mapping[str, str]) -> dict[s
                 f"Argument outputs must have names of its own, but {name!r} is the name of {taken[name]}; choose "
                 "another."
             )
-        if not callable(given) and not isinstance(given, Output):
-            raise checks.refused(f"outputs[{name!r}]", "be a function of a Simulation, or an Output", given)
+        if not callable(given) and not isinstance(given, (Output, str)):
+            raise checks.refused(f"outputs[{name!r}]", "be a function of a Simulation, its name, or an Output", given)
         output = given if isinstance(given, Output) else Output(given)
         found[name] = dataclasses.replace(output, name=name)
     return found

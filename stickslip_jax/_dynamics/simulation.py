@@ -446,6 +446,20 @@ class Simulation(WithMethods):
         path = self._in_steps("response") if is_observed(form, len(self.final_state)) else self._path
         return self._at(partial(_responses, path, form, self.time_reached), times)
 
+    def residual(self, coordinate: str | None = None) -> FloatArray:
+        """The value of a coordinate, or of the difference of two, at the end: `final_state` by name.
+
+        Args:
+            coordinate: As in `maximum`; by default the first.
+
+        Raises:
+            ValueError: For another name, for a batch, and for what is no coordinate.
+        """
+        form = self._form_of(coordinate)
+        if is_observed(form, len(self.final_state)):
+            raise checks.refused("coordinate", "be a coordinate for a residual", coordinate)
+        return of_form(form, self.final_state)
+
     @property
     def slip_path(self) -> FloatArray:
         """The length of the path slid in the contact until the end, there and back, m; of several (contacts,).

@@ -72,6 +72,10 @@ class PointConfig(Section):
         "of regularised friction: linear, tanh, rational or arctan", "linear"
     )
 
+    outputs: list[str] | None = about(
+        'numbers of each sample, such as ["peak position", "slip path"]; not given: none', None
+    )
+
     def method(self, has_inner_states: bool = False) -> Exact | Regularized:
         """The method as the simulation takes it, for friction laws that have inner states or not."""
         if has_inner_states:

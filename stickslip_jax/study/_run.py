@@ -278,6 +278,7 @@ def arguments_of(config: FileConfig, run: PointConfig) -> dict[str, Any]:
         "method": run.method(config.system.has_inner_states),
         "orders": run.orders,
         "count_initial_rest": run.count_initial_rest,
+        "outputs": run.outputs,
     }
 
 
