@@ -130,7 +130,7 @@ def energies(model: Any, beginnings: StepBeginnings, last: FloatScalar, rule: _R
 
         def power(node: FloatScalar) -> Powers:
             now = begun.t + node * h
-            known, y = model.without_memory(state_at(model, begun, node * h))
+            known, y = model.without_memory(state_at(model, begun, node * h), begun.sign)
             return known.powers_in(model.forcing(now, begun.segments), y, model.modes_without_memory(begun.sign))
 
         nodes, weights = (jnp.asarray(numbers, h.dtype) for numbers in rule)

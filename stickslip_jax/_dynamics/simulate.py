@@ -85,7 +85,7 @@ class _Named:
             return one.residual(quantity)
         if what not in _SUMS:
             return getattr(one, what)(quantity)
-        value = getattr(one, _SUMS[what][0])
+        value = jnp.asarray(getattr(one, _SUMS[what][0]), one.time_reached.dtype)
         return value if number is None else value[number]
 
 

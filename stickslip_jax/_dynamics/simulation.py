@@ -1,5 +1,6 @@
 """One simulated trajectory: `Simulation`, with its friction force, energies and labelled arrays."""
 
+import dataclasses
 import math
 import os
 import warnings
@@ -508,10 +509,10 @@ class Simulation(WithMethods):
     def _along_steps(self, call: str, asked: Asked) -> tuple[FloatArray, Sums | None]:
         path = self._in_steps(call)
         if not isinstance(path, StepPath):
-            return path.along_steps(self.time_reached, asked, 0)
+            return path.along_steps(self.time_reached, asked)
         known, begun = path.model.without_memory(())[0], path.beginnings.t
         halves = halves_for(known.fastest_decay, jnp.max(jnp.append(begun[1:], self.time_reached) - begun))
-        return _along_steps(path, self.time_reached, asked, halves=halves)
+        return _along_steps(path, self.time_reached, dataclasses.replace(asked, halves=halves))
 
     def _in_steps(self, call: str) -> MotionPath:
         """The path in time steps that end at all events, whose system has an energy."""
@@ -713,9 +714,9 @@ def _largest(one: Simulation, form: Form, sign: Scalar) -> FloatArray:
     return one._path.largest(form, sign, one.time_reached, one.final_state)
 
 
-@kept_jit(static_argnames="halves")
-def _along_steps(path: MotionPath, last: FloatArray, asked: Asked, *, halves: int) -> tuple[FloatArray, Sums | None]:
-    return path.along_steps(last, asked, halves)
+@kept_jit
+def _along_steps(path: MotionPath, last: FloatArray, asked: Asked) -> tuple[FloatArray, Sums | None]:
+    return path.along_steps(last, asked)
 
 
 @kept_jit(static_argnames="form")

@@ -482,9 +482,9 @@ def simulate_ensemble(
         progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
         first_sample: The number i of the first, where several machines share one ensemble (see `concatenate`).
         outputs: Numbers of your own: a dict from names to functions of a `Simulation` that return one number, or to
-            `Output` objects, which have a unit, such as ``{"peak": lambda one: one.peak("position")}``; or to names that
-            `Output` knows, or a list of such: ``["peak position", "slip path"]``. Those of ends, extremes, slip paths
-            and energies are found as samples are simulated; for others every sample is simulated once more and
+            `Output` objects, which have a unit, such as ``{"peak": lambda one: one.peak("position")}``; or to names
+            that `Output` knows, or a list of such: ``["peak position", "slip path"]``. Those of ends, extremes, slip
+            paths and energies are found as samples are simulated; for others every sample is simulated once more and
             recorded, batch by batch. ``many.outputs["peak"]`` is their distribution, ``many.output_values["peak"]`` the
             number of each sample; of a name in a list with ``_`` between the words, ``"peak_position"``.
 

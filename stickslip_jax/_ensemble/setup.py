@@ -40,6 +40,7 @@ from .._dynamics.regularized.lanes import RegularizedEngine
 from .._dynamics.simulate import Output, simulate
 from .._dynamics.simulation import Simulation
 from .._dynamics.sticks import ALL, StickCollector, Sticks, StickStream, start_totals
+from .._dynamics.switched.inside import halves_for
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._excitation.motion import Signal
 from .._foundation import checks
@@ -213,6 +214,7 @@ Values = dict[str, np.ndarray]
 
 
 _AT_ONCE = 1024  # samples
+_FEW_SAMPLES = 64
 
 
 class _Noted:
@@ -248,7 +250,7 @@ class _EndPath(MotionPath):
         largest, minus_smallest = self.extremes[:, self.asked.every.index(form)]
         return jnp.where(jnp.asarray(sign) > 0, largest, minus_smallest)
 
-    def along_steps(self, last: FloatArray, asked: Asked, halves: int) -> tuple[FloatArray, Sums | None]:
+    def along_steps(self, last: FloatArray, asked: Asked) -> tuple[FloatArray, Sums | None]:
         if not isinstance(self.asked, _Noted):
             return self.extremes[:, [self.asked.every.index(form) for form in asked.observed]], self.sums
         if not self.asked.knows_observed:
@@ -299,12 +301,25 @@ class AtEnd:
         self.others = OutputRunner(setup, others) if others else None
         if self.outputs:
             asked = noted.asked
+            if asked.sums or asked.observed:
+                asked = dataclasses.replace(asked, halves=halves_for(self._decay_in_step(engine), 1.0))
             engine = WatchedEngine(engine, asked)
             if setup.leaf_numbers:
                 engine = VaryingEngine(engine, setup.leaf_numbers)
             self.setup = dataclasses.replace(setup, engine=engine)
             at_once = jax.vmap(self._function(self.outputs, asked), in_axes=(None, *[0] * 7))
             self._run = kept_jit(at_once)
+
+    def _decay_in_step(self, engine: Any) -> float:
+        """The largest `decay_in_step` of some samples, with something to spare where samples differ."""
+        leaves = self.setup.varying_leaves(0, _FEW_SAMPLES)
+        if not leaves:
+            return float(engine.decay_in_step)
+
+        def of_one(*values: AnyArray) -> Array:
+            return jnp.asarray(with_leaves(engine, self.setup.leaf_numbers, values).decay_in_step)
+
+        return 2 * float(jnp.max(jax.vmap(of_one)(*leaves)))
 
     def values(self, first: int, samples: int, results: WatchedTotals) -> Values:
         """The outputs of so many samples `first`, ``first + 1``, ..., of which `results` are the first ones."""

@@ -73,10 +73,10 @@ class Sweep:
         realizations: Of how many samples the sticks are in the result, for figures.
         batch: Number of samples that are simulated, and stored, together; by default chosen from the size of the
             sweep. It decides the last digits of means.
-        outputs: A dict from names to functions of a `Simulation` that return one number, to `Output` objects or to what
-            these take, or a list of such names as in `simulate_ensemble`. Of "peak" the result has ``peak_mean``, ``peak_standard_deviation`` (each with ``..._error``),
-            ``peak_quantile`` and ``peak_values``, the number of samples with a value. Functions are not stored: to go
-            on, run the same program again.
+        outputs: As in `simulate_ensemble`: a dict from names to functions of a `Simulation` that return one number, to
+            `Output` objects or what these know, or a list of names. Of "peak" the result has ``peak_mean``,
+            ``peak_standard_deviation`` (each with ``..._error``), ``peak_quantile`` and ``peak_values``, the number of
+            samples with a value. Functions are not stored: to go on, run the same program again.
 
     Raises:
         ValueError: For arguments that do not fit, at any point.

@@ -144,7 +144,7 @@ class _WithAges(_Remembering, SwitchedModel[F]):
         longest = jnp.where(self._stuck(sign), _SHARE * (y[-1] + time), jnp.inf)
         return jnp.minimum(self.inner.step_limit(age, step, y[:-1], sign), jnp.min(longest))
 
-    def without_memory(self, y: State) -> tuple[Any, State]:
+    def without_memory(self, y: State, sign: FloatArray | None = None) -> tuple[Any, State]:
         return self.inner, y[:-1]
 
     def _stuck(self, sign: FloatArray) -> BoolArray:
@@ -438,7 +438,7 @@ class WeakeningContacts(_Remembering, SwitchedModel[F]):
         longest = jnp.where(heals, _SHARE / jnp.where(heals, self._decay(y), 1), jnp.inf)
         return jnp.minimum(self.inner.step_limit(age, step, y[:-1], self._split(sign)[0]), jnp.min(longest))
 
-    def without_memory(self, y: State) -> tuple[Any, State]:
+    def without_memory(self, y: State, sign: FloatArray | None = None) -> tuple[Any, State]:
         if not y:
             return self.inner, y
         slip = jnp.minimum(y[-1], self._distances(y))

@@ -337,9 +337,11 @@ class PlacedContact(SwitchedModel[F]):
         friction = self.law.in_region(jnp.floor(region))
         return eqx.tree_at(lambda model: model.system.friction, self.inner, friction)
 
-    def without_memory(self, y: State) -> tuple[OneContactModel[F], State]:
-        """The model in the region of the state `y`, and its state."""
-        return (self.within(self.law.region_of(self.place(y)) + _OFFSET), self._own(y)) if y else (self.inner, y)
+    def without_memory(self, y: State, sign: FloatArray | None = None) -> tuple[OneContactModel[F], State]:
+        """The model in the region of the state `y`, on a border that of the mode, and its state."""
+        if not y:
+            return self.inner, y
+        return self.within(self.law.region_of(self.place(y)) + _OFFSET if sign is None else sign[1]), self._own(y)
 
     def modes_without_memory(self, sign: FloatArray) -> FloatArray:
         return sign[0]

@@ -311,8 +311,11 @@ class SwitchedModel(eqx.Module, Generic[F]):
     def at_base_velocity(self, forcing: F, y: State, resting: BoolArray) -> State:
         """The state at `tau` 0 with the relative velocity made exactly zero where contacts are `resting`."""
 
-    def without_memory(self, y: State) -> "tuple[Any, State]":
-        """The model that knows forces and energies in this state, without what friction remembers, and its state."""
+    def without_memory(self, y: State, sign: FloatArray | None = None) -> "tuple[Any, State]":
+        """The model that knows forces and energies in this state, without what friction remembers, and its state.
+
+        `sign`: of the mode in which the state is reached; not given: of what follows.
+        """
         return self, y
 
     def modes_without_memory(self, sign: FloatArray) -> FloatArray:

@@ -277,7 +277,8 @@ def test_every_kind_of_contact(name):
     for i, path in enumerate(paths):
         number = f" {i}" if len(paths) > 1 else ""
         speeds = np.abs(np.asarray(one.response(f"relative velocity{number}", times)))
-        assert path == pytest.approx(np.trapezoid(speeds, times), rel=2e-5)
+        jumps = 8 * 1.6 if isinstance(base, ss.SquareWave) else 0.0  # in m/s, which a grid meets too late or too early
+        assert path == pytest.approx(np.trapezoid(speeds, times), rel=2e-5, abs=1e-4 * jumps)
         force = np.asarray(one.response(f"friction force{number}", times))
         expected = np.asarray(one.friction_force(times))
         np.testing.assert_allclose(force, expected[i] if len(paths) > 1 else expected, rtol=0, atol=1e-9)
@@ -298,7 +299,9 @@ def test_what_is_refused():
     with pytest.raises(ValueError, match=r"Argument function must begin with peak, maximum, minimum, residual"):
         ss.Output("largest position")
     one = ss.simulate(BEARING, GROUND, t1=6.0, method=RECORDED)
-    with pytest.raises(ValueError, match=r"coordinate must be position, velocity, acceleration"):
+    with pytest.raises(
+        ValueError, match=r"coordinate must be one of 'position', 'velocity', 'acceleration', 'total acc"
+    ):
         one.peak("jerk")
     with pytest.raises(ValueError, match=r"coordinate must be a coordinate for a residual"):
         one.residual("acceleration")

@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from ..._compiler.native import Layout, packed, unpacked
 from ..._foundation import checks
-from ..._foundation.types import AnyArray, AnyInteger, BoolArray, FloatArray, IntArray, State
+from ..._foundation.types import AnyArray, AnyInteger, BoolArray, FloatArray, IntArray, Scalar, State
 from ..._numerics.elementary import stored_words
 from ..._systems.switched_model import Form, of_form
 from ..sticks import NUMBERS, Totals
@@ -122,6 +122,11 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
         """Whether `watched` follows what is observed beside the state, and what adds up."""
         return False
 
+    @property
+    def decay_in_step(self) -> Scalar:
+        """By how many time constants the fastest motion may die out within a step."""
+        return 0.0
+
     def no_sums(self, dtype) -> "Sums":
         """What adds up, before the first step."""
         raise NotImplementedError("of engines that do not know them")
@@ -185,12 +190,14 @@ def values_of_forms(forms: tuple[Form, ...], numbers: State) -> FloatArray:
 
 class Asked(eqx.Module):
     """What is asked for of the way of a sample: the extremes of `forms` of the state, and of those with what is
-    `observed` beside it; and `sums`, whether what adds up.
+    `observed` beside it; and `sums`, whether what adds up. `halves`: how often a step is halved for that, see
+    `halves_for`.
     """
 
     forms: tuple[Form, ...] = eqx.field(static=True, default=())
     observed: tuple[Form, ...] = eqx.field(static=True, default=())
     sums: bool = eqx.field(static=True, default=False)
+    halves: int = eqx.field(static=True, default=0)
 
     @property
     def every(self) -> tuple[Form, ...]:

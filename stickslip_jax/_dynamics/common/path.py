@@ -57,11 +57,8 @@ class MotionPath(eqx.Module):
         """The state at one time (s), followed by what is observed beside it."""
         raise LookupError("of paths of time steps with events")
 
-    def along_steps(self, last: FloatArray, asked: Asked, halves: int) -> tuple[FloatArray, Sums | None]:
-        """What is `asked` of the way until the time `last` (s): extremes as in `WatchedTotals`, and sums.
-
-        Steps are cut into parts, of which the first is so many times halved.
-        """
+    def along_steps(self, last: FloatArray, asked: Asked) -> tuple[FloatArray, Sums | None]:
+        """What is `asked` of the way until the time `last` (s): extremes as in `WatchedTotals`, and sums."""
         raise LookupError("of paths of time steps with events")
 
     @abc.abstractmethod

@@ -64,7 +64,7 @@ from ..sticks import (
     recorded,
     start_totals,
 )
-from .inside import FEW_HALVES, StepBeginnings, along_step, halves_for, seen_in_step, state_in_step
+from .inside import StepBeginnings, along_step, seen_in_step, state_in_step
 
 # The state of a trajectory between two steps of the switched engine, and what counts as round-off in it.
 
@@ -659,9 +659,11 @@ class SwitchedEngine(StepsEngine[Lane]):
     def seen(
         self, smooth: Signal | None, begun: StepBeginnings, length: FloatArray, end: State, asked: Asked
     ) -> tuple[FloatArray, Work | None]:
-        model = self._model(smooth)
-        halves = halves_for(model.without_memory(())[0].fastest_decay, self.step_length, most=FEW_HALVES)
-        return seen_in_step(model, begun, length, end, asked, halves)
+        return seen_in_step(self._model(smooth), begun, length, end, asked)
+
+    @property
+    def decay_in_step(self) -> Scalar:
+        return self._model(None).without_memory(())[0].fastest_decay * self.step_length
 
     def no_sums(self, dtype) -> Sums:
         return Sums.zero(self.system.tracks.contacts, dtype)
@@ -735,12 +737,12 @@ class StepPath(MotionPath):
         ends = sign, of_form(form, final)
         return largest_in_steps(inside, steps, starts, lengths, *ends, are_short=model.has_short_steps)
 
-    def along_steps(self, last: FloatArray, asked: Asked, halves: int) -> tuple[FloatArray, Sums | None]:
+    def along_steps(self, last: FloatArray, asked: Asked) -> tuple[FloatArray, Sums | None]:
         begun, model = self.beginnings, self.model
         lengths = jnp.append(begun.t[1:], last) - begun.t
         end = state_in_step(model, jax.tree.map(lambda values: values[-1], begun), lengths[-1])
         ends = jax.tree.map(lambda values, of_last: jnp.concatenate([values[1:], of_last[None]]), begun.y, end)
-        extremes, works = jax.vmap(lambda begun, h, end: seen_in_step(model, begun, h, end, asked, halves))(
+        extremes, works = jax.vmap(lambda begun, h, end: seen_in_step(model, begun, h, end, asked))(
             begun, lengths, ends
         )
         if works is None:
@@ -751,7 +753,7 @@ class StepPath(MotionPath):
     def with_observed(self, time: FloatArray) -> State:
         begun, model = self.beginnings.at(time), self.model
         y = state_in_step(model, begun, time - begun.t)
-        known, own = model.without_memory(y)
+        known, own = model.without_memory(y, begun.sign)
         now, mode = model.forcing(time, begun.segments), model.modes_without_memory(begun.sign)
         return *model.numbers(y), *known.observed(now, own, mode)
 

@@ -1,6 +1,8 @@
 """The motion inside the time steps of the switched engine: states, what is observed beside them, and what adds up."""
 
 import math
+from functools import reduce
+from operator import add
 from typing import Any, NamedTuple
 
 import jax
@@ -69,25 +71,21 @@ _LEGENDRE = np.polynomial.legendre.Legendre.basis(_POINTS - 1)
 _X = np.concatenate([[-1.0], _LEGENDRE.deriv().roots(), [1.0]])  # the nodes, on [-1, 1]
 _WEIGHTS = 2 / (_POINTS * (_POINTS - 1) * _LEGENDRE(_X) ** 2)
 _TO_POWERS = np.linalg.inv(np.vander(_X, increasing=True))  # from values at the nodes to those of a polynomial
-_LAGRANGE = 1 / np.prod(_X[:, None] - _X[None, :] + np.eye(_POINTS), axis=1)
 _NEWTON_STEPS = 5
-FEW_HALVES = 6
 _MOST_HALVES = 40  # it then resolves what dies out in 1e-12 of its length
 
 
-def halves_for(decay: Scalar, longest: Scalar, *, most: int = _MOST_HALVES) -> int:
-    """How often a step of at most `longest` (s) is halved where a motion may die out at the rate `decay`; `most`: for
-    numbers that JAX traces.
-    """
+def halves_for(decay: Scalar, longest: Scalar) -> int:
+    """How often a step of at most `longest` (s) is halved where a motion may die out at the rate `decay`."""
     if not checks.is_traced(decay) and decay == 0:
         return 0
     if checks.is_traced(decay) or checks.is_traced(longest):
-        return most
+        return _MOST_HALVES
     return min(math.ceil(math.log2(max(float(decay) * float(longest), 1))), _MOST_HALVES)
 
 
 def seen_in_step(
-    model: Any, begun: StepBeginnings, length: FloatScalar, end: State, asked: Asked, halves: int
+    model: Any, begun: StepBeginnings, length: FloatScalar, end: State, asked: Asked
 ) -> tuple[FloatArray, Work | None]:
     """The largest of each form of what is observed in a step of this `length` (s), and minus the smallest, (2, forms);
     minus infinity in one of no length; and what adds up in it.
@@ -97,39 +95,43 @@ def seen_in_step(
     forcing = model.forcing(begun.t, begun.segments)
     # As long as was tried: that motion has been computed, wherever an event has ended it.
     dense = model.dense(forcing, begun.y, length if begun.tried is None else begun.tried, begun.sign)
-    known, _ = model.without_memory(begun.y)
+    known, _ = model.without_memory(begun.y, begun.sign)
     way = jnp.where(length > 0, known.slips(model.modes_without_memory(begun.sign)), 0)
-    bounds = np.concatenate([[0.0], 0.5 ** np.arange(halves, -1, -1)])
+    bounds = np.concatenate([[0.0], 0.5 ** np.arange(asked.halves, -1, -1)])
     nodes = bounds[:-1, None] + np.diff(bounds)[:, None] * (_X + 1) / 2  # (parts, points), shares of the step
 
-    def at(share: FloatScalar) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The forms; the speeds in the contacts; what is supplied, and dissipated by friction and by damping, W."""
+    def at(sums: tuple[FloatArray, FloatArray], node: tuple[FloatScalar, FloatScalar]) -> tuple[Any, FloatArray]:
+        """At a share of the step, with its weight: the forms. Adds up, where that is asked for, the speeds in the
+        contacts, and what is supplied, and dissipated by friction and by damping.
+        """
+        (share, weight), (path, work) = node, sums
         tau = share * length
         reached = dense(tau)
-        now, (known, own) = model.forcing(begun.t + tau, begun.segments), model.without_memory(reached)
-        mode, none = model.modes_without_memory(begun.sign), jnp.zeros((0,), length.dtype)
-        forms, speeds, powers = none, none, none
-        if asked.observed:
-            numbers = (*model.numbers(reached), *known.observed(now, own, mode))
-            forms = jnp.stack([of_form(form, numbers) for form in asked.observed])
+        now, (known, own) = model.forcing(begun.t + tau, begun.segments), model.without_memory(reached, begun.sign)
+        mode = model.modes_without_memory(begun.sign)
         if asked.sums:
-            speeds = jnp.abs(known.friction_forces(now, own, mode)[1] * way)
+            path = path + weight * jnp.abs(known.friction_forces(now, own, mode)[1] * way)
             supplied, dissipated = known.powers_in(now, own, mode)
             terms = sum(supplied.values()), dissipated["friction"], dissipated["damping"]
-            powers = jnp.stack([jnp.asarray(term, length.dtype) for term in terms])
-        return forms, speeds, powers
+            work = work + weight * jnp.stack([jnp.asarray(term, length.dtype) for term in terms])
+        if not asked.observed:
+            return (path, work), jnp.zeros((0,), length.dtype)
+        numbers = (*model.numbers(reached), *known.observed(now, own, mode))
+        return (path, work), jnp.stack([of_form(form, numbers) for form in asked.observed])
 
-    forms, speeds, powers = lax.map(at, jnp.asarray(nodes.reshape(-1), length.dtype))
+    weights = (np.diff(bounds)[:, None] * _WEIGHTS / 2).reshape(-1)
+    scanned = jnp.asarray(nodes.reshape(-1), length.dtype), jnp.asarray(weights, length.dtype)
+    none = jnp.zeros_like(way), jnp.zeros(3, length.dtype)
+    (path, work), forms = lax.scan(at, none, scanned)
     extremes = jnp.full((len(SIGNS), 0), -jnp.inf, length.dtype)
     if asked.observed:
         of_parts = forms.reshape(*nodes.shape, -1)
-        largest = [jnp.max(jax.vmap(_largest_through)(sign * of_parts), axis=0) for sign in SIGNS]
-        extremes = jnp.where(length > 0, jnp.stack(largest), -jnp.inf)
+        largest = _largest_through([of_parts[:, j] for j in range(_POINTS)])
+        extremes = jnp.stack([reduce(jnp.maximum, [one[i] for i in range(len(nodes))]) for one in largest])
+        extremes = jnp.where(length > 0, extremes, -jnp.inf)
     if not asked.sums:
         return extremes, None
-    weights = jnp.asarray((np.diff(bounds)[:, None] * _WEIGHTS / 2).reshape(-1), length.dtype) * length
-    path = jnp.tensordot(weights, speeds, 1)
-    supplied, friction, damping = jnp.tensordot(weights, powers, 1)
+    path, (supplied, friction, damping) = length * path, length * work
     if model.has_sliders:
         # A slider whose limit falls at once, as at a release, loses energy of its spring.
         def elastic(y: State) -> FloatScalar:
@@ -140,22 +142,35 @@ def seen_in_step(
     return extremes, Work(path, way, supplied, friction, damping)
 
 
-def _largest_through(values: FloatArray) -> FloatArray:
-    """The largest values (forms,) of the polynomials through these `values` at the nodes, (points, forms)."""
-    fixed, x = lax.stop_gradient(values), jnp.asarray(_X, values.dtype)
-    powers = jnp.tensordot(jnp.asarray(_TO_POWERS, values.dtype), fixed, 1)
-    best = jnp.argmax(fixed, axis=0)
-    low, at, high = (x[jnp.clip(best + i, 0, _POINTS - 1)] for i in (-1, 0, 1))
-    for _ in range(_NEWTON_STEPS):
-        slope, bend = jnp.zeros_like(at), jnp.zeros_like(at)
-        for power in reversed(range(1, _POINTS)):
-            bend = bend * at + slope
-            slope = slope * at + power * powers[power]
-        at = jnp.clip(at - slope / jnp.where(bend < 0, bend, -jnp.inf), low, high)
-    # By Lagrange's form, which is as exact as the values.
-    away = [at - node for node in _X]
-    inside = jnp.zeros_like(at)
-    for i, weight in enumerate(_LAGRANGE):
-        share = math.prod([away[j] for j in range(_POINTS) if j != i], start=weight)
-        inside = inside + share * values[i]
-    return jnp.maximum(inside, jnp.max(values, axis=0))
+def _largest_through(values: list[FloatArray]) -> list[FloatArray]:
+    """The largest of the polynomials through these `values` at the nodes, and minus the smallest; each of any shape.
+
+    Written out in small pieces, and Newton's method in a loop: XLA puts no products of matrices into a native loop, no
+    sums over many terms, and nothing that it takes for so much that it needs several threads.
+    """
+    powers = [
+        reduce(add, [float(weight) * value for weight, value in zip(row, values, strict=True)]) for row in _TO_POWERS
+    ]
+    slopes = [k * power for k, power in enumerate(lax.stop_gradient(powers))][1:]
+    bends = [k * slope for k, slope in enumerate(slopes)][1:]
+    found = []
+    for sign in SIGNS:
+        # From the node with the largest value, between its neighbours.
+        most, (low, at, high) = sign * values[0], (jnp.full_like(values[0], _X[i]) for i in (0, 0, 1))
+        for j, value in enumerate(values[1:], 1):
+            is_larger = sign * value > most
+            ends = _X[j - 1], _X[j], _X[min(j + 1, _POINTS - 1)]
+            low, at, high = (jnp.where(is_larger, *pair) for pair in zip(ends, (low, at, high), strict=True))
+            most = jnp.maximum(most, sign * value)
+
+        def newton(_: Array, at: FloatArray, way: int = sign, ends: tuple[Array, Array] = (low, high)) -> FloatArray:
+            slope, bend = _polynomial(slopes, at), _polynomial(bends, at)
+            return jnp.clip(at - slope / jnp.where(way * bend < 0, bend, jnp.inf), *ends)
+
+        at = lax.fori_loop(0, _NEWTON_STEPS, newton, at)
+        found.append(jnp.maximum(sign * _polynomial(powers, at), most))
+    return found
+
+
+def _polynomial(terms: list[FloatArray], at: FloatArray) -> FloatArray:
+    return reduce(lambda value, term: value * at + term, reversed(terms))
