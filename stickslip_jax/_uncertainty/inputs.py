@@ -207,6 +207,7 @@ def _each_as_array(realization: PyTree) -> PyTree:
 
 _FIRST_STATE, _FIRST_NAMED = 0xFFFFFE00, 1 << 31
 """Numbers of the random words that initial values and other inputs are drawn from; laws draw from those below."""
+_STATES_ABOVE = (1 << 32) - _FIRST_STATE  # 512
 _AT_ONCE = 1 << 16  # samples whose inputs are drawn together
 
 
@@ -231,7 +232,8 @@ class Input(NamedTuple):
     def stream(self) -> int:
         """Number of the random word that it is drawn from: its own, so that other inputs change nothing."""
         if self.path[0] == "y0":
-            return _FIRST_STATE + int(self.path[1])
+            number = int(self.path[1])  # up to the last word there is, those of longer chains of blocks down from there
+            return _FIRST_STATE + (number if number < _STATES_ABOVE else _STATES_ABOVE - 1 - number)
         return _FIRST_NAMED + zlib.crc32(self.name.encode()) % (_FIRST_STATE - _FIRST_NAMED)
 
 

@@ -20,7 +20,7 @@ DOCUMENTS = {
     "docs/howto/calibration.md": 5,
     "docs/howto/calibration_sticks.md": 2,
     "docs/howto/contacts.md": 13,
-    "docs/howto/control.md": 5,
+    "docs/howto/control.md": 12,
     "docs/howto/drilling.md": 5,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 9,

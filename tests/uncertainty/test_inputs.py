@@ -7,6 +7,7 @@ import pytest
 import scipy.stats as st
 
 import stickslip_jax as ss
+from stickslip_jax._uncertainty.inputs import Input
 
 KEY = jax.random.key(7)
 LAW = ss.PoissonSwitching(1.0, 2.0)
@@ -178,6 +179,14 @@ def test_arrays_of_starts():
         one = ss.simulate(oscillator(), base, t1=T1, y0=y0)
         mask = np.asarray(one.sticks.mask)
         np.testing.assert_allclose(sticks_of(many, number)[0], np.asarray(one.sticks.start)[mask], rtol=0, atol=ULPS)
+
+
+def test_every_number_of_a_long_start_has_a_word_of_its_own():
+    """Of 1,000 blocks, with their velocities; those of the first 512 numbers are what they always were."""
+    streams = [Input(("y0", i), ss.Uniform(0.0, 1.0), None).stream for i in range(2000)]
+    assert len(set(streams)) == 2000
+    assert all(1 << 31 <= stream < 1 << 32 for stream in streams)
+    assert streams[:512] == [0xFFFFFE00 + i for i in range(512)]
 
 
 @pytest.mark.slow
