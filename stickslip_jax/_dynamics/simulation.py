@@ -122,6 +122,7 @@ def _forces(
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
         now, known = jnp.zeros((), bool), cast(Any, model)
         if isinstance(model, InnerStates):
+            y = model.start(y, time.dtype)
             coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
             known, y = model.inner, y[:-1]
         else:

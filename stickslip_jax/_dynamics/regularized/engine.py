@@ -169,7 +169,7 @@ def solve_adaptive(
 
         def plain(t: FloatArray, y: Array) -> Array:
             here = jnp.where(jnp.isfinite(t), t, 0)
-            return jnp.stack(field.plain(model.forcing(here, tables.at(here)), zero, tuple(y)))
+            return jnp.stack(model.numbers(field.plain(model.forcing(here, tables.at(here)), zero, tuple(y))))
 
         y = jax.vmap(plain)(t, y)
     steps = jnp.sum(jnp.isfinite(t)).astype(jnp.int32) - 1
@@ -466,8 +466,8 @@ class LogarithmicPath(CubicPath):
         forcing, h = model.forcing(t, segments), end - t
 
         def logarithm(at: FloatArray, numbers: State, place: Any) -> FloatArray:
-            y = tuple(of[place] for of in numbers)
-            return model.with_logarithm(model.forcing(at, segments), y)[speed]
+            y = model.start(tuple(of[place] for of in numbers), h.dtype)
+            return self.field.solved(model.forcing(at, segments), y)[speed]
 
         begins, ends = logarithm(t, self.y, index), logarithm(end, self.y, index + 1)
         bulge, most = jnp.zeros_like(h), _SWINGS[1]
@@ -478,10 +478,11 @@ class LogarithmicPath(CubicPath):
             cubic, share = CubicPath._in_step(self, index, tau), tau / jnp.where(h > 0, h, 1)
             number = begins + share * (ends - begins) + 4 * share * (1 - share) * bulge
             numbers = tuple(number if i == speed else of for i, of in enumerate(cubic))
-            return cubic, model.without_logarithm(forcing, tau, numbers)
+            return cubic, model.numbers(self.field.plain(forcing, tau, numbers))
 
         def swings(tau: FloatArray) -> BoolArray:
-            cubic, by_values = (model.relative_velocity(forcing, tau, y) for y in both(tau))
+            states = (model.start(numbers, h.dtype) for numbers in both(tau))
+            cubic, by_values = (model.relative_velocity(forcing, tau, y) for y in states)
             return jnp.abs(cubic - by_values) > most * jnp.abs(by_values)
 
         cubic, by_values = both(tau)

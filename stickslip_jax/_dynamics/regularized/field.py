@@ -709,16 +709,16 @@ class InnerField(AnyField):
         return () if self.in_logarithms else (0.0,)
 
     def solved(self, forcing: Any, y: State) -> State:
-        return self.model.with_logarithm(forcing, y) if self.in_logarithms else super().solved(forcing, y)
+        return super().solved(forcing, self.model.with_logarithm(forcing, y) if self.in_logarithms else y)
 
     def plain(self, forcing: Any, tau: FloatArray, numbers: State) -> State:
-        if self.in_logarithms:
-            return self.model.without_logarithm(forcing, tau, numbers)
-        return super().plain(forcing, tau, numbers)
+        y = super().plain(forcing, tau, numbers)
+        return self.model.without_logarithm(forcing, tau, y) if self.in_logarithms else y
 
     def solved_rates(self, forcing: Any, tau: FloatArray, numbers: State) -> State:
         if self.in_logarithms:
-            return self.model.rates_with_logarithm(forcing, tau, numbers)
+            y = super().plain(forcing, tau, numbers)
+            return self.model.numbers(self.model.rates_with_logarithm(forcing, tau, y))
         return super().solved_rates(forcing, tau, numbers)
 
     def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:
