@@ -24,9 +24,8 @@ from .._numerics.matrices import MANY, stacked
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import Form, OneContactModel, Powers, Terms, require_energy_model
 from .._systems.system import Coordinate, System
-from .common.method import Exact, Regularized
+from .common.method import Exact, Regularized, Switch
 from .common.path import CHECK_EVERY, MotionPath, padded_length
-from .regularized.field import Switch
 from .sticks import (
     NUMBERS,
     Columns,

@@ -23,7 +23,7 @@ from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, wi
 from ..._numerics.matrices import any_of
 from ..._systems.switched_model import Along, Form, Segments, State, chosen_state, of_form
 from ..._systems.system import System
-from ..common.method import Regularized, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
+from ..common.method import Regularized, Switch, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
 from ..common.path import (
     MotionPath,
     Parts,
@@ -35,7 +35,7 @@ from ..common.path import (
     stopping_scan,
 )
 from ..sticks import ALL, StickRecord
-from .field import AnyField, InnerField, Switch, field_of
+from .field import AnyField, InnerField, field_of
 from .lanes import AdaptiveEngine, FixedEngine, PathStep, along_step, nothing_seen, tolerances
 from .sticks import Cubic, JoiningDetector, detect_joined, hermite, start_joining
 
@@ -345,12 +345,6 @@ def _check_contacts(system: System, method: Regularized) -> None:
         if shape not in ((),) + (() if contacts is None else ((contacts,),)):
             each = "" if contacts is None else f", or one for each of the {contacts} contacts"
             raise ValueError(f"Argument {name} must be one number{each}, but an array of shape {shape} was given.")
-    if contacts is not None and method.step is not None and system.static_exceeds_kinetic:
-        raise ValueError(
-            "Argument method must be Exact(), or Regularized(width) without a step, where static friction exceeds "
-            "kinetic friction in a list of contacts or under a normal force that varies, but a fixed step was given; "
-            "or make static friction equal to kinetic friction."
-        )
 
 
 def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
