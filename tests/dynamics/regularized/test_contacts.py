@@ -429,10 +429,11 @@ def test_static_friction_of_samples_in_fixed_steps():
     for sample in (0, 4):
         system, base, y0 = many.realization(sample)
         one = ss.simulate(system, base, y0=y0, **how)
+        assert int(one.totals.sticks.sum()) > 0
         for i in range(2):
             mask = np.asarray(many.of_contact(i).sticks.mask[sample])
             single = one.of_contact(i)
-            assert int(single.sticks.count) == mask.sum() > 0
+            assert int(single.sticks.count) == mask.sum()
             here = np.asarray(single.sticks.start)[: mask.sum()]
             np.testing.assert_allclose(np.asarray(many.of_contact(i).sticks.start[sample])[mask], here, atol=1e-9)
 
@@ -440,7 +441,7 @@ def test_static_friction_of_samples_in_fixed_steps():
 class Held(Stack):
     """A stack whose static friction exceeds the kinetic one, with a contact that opens."""
 
-    static_ratio = (1.4, 1.2, 1.8)
+    static_ratio = 1.4
 
 
 @pytest.mark.slow
