@@ -12,9 +12,8 @@ from .._compiler.programs import kept_jit
 from .._foundation.types import AnyArray, Ending, FloatArray, FloatScalar, Scalar, State
 from .._systems.memory_models import InnerStates
 from .._systems.switched_model import Powers, Terms
-from .common.method import Exact, Regularized
+from .common.method import Exact, Regularized, Switch
 from .common.path import MotionPath
-from .regularized.field import Switch
 from .sticks import Sticks
 from .switched.engine import StepPath
 from .switched.inside import StepBeginnings, halves_for, state_in_step
@@ -81,6 +80,7 @@ def forces(
         y, forcing = path.state(time), model.forcing(time, path.segments(time))
         now, known = jnp.zeros((), bool), cast(Any, model)
         if isinstance(model, InnerStates):
+            y = model.start(y, time.dtype)
             coefficient = model.coefficients(forcing, jnp.zeros_like(time), y)
             known, y = model.inner, y[:-1]
         else:

@@ -16,7 +16,8 @@ from .._excitation.piecewise_constant import PiecewiseConstant
 from .._excitation.recorded import Recorded
 from .._foundation import checks
 from .._foundation.fields import Choice, Quantity
-from .._foundation.types import FloatArray, FloatScalar, Number, Scalar
+from .._foundation.types import AnyArray, FloatArray, FloatScalar, Number, Scalar
+from .._numerics.matrices import stacked
 from .friction import FrictionLaw, static_at_least
 from .prescribed import BehindSpring, SpeedBehindSpring, force_of_dynamic
 
@@ -27,35 +28,43 @@ _BRISTLES = "of the bristles: friction coefficient per deflection"
 
 
 class DynamicFriction(FrictionLaw):
-    """Base class of friction laws with one inner state. Subclass it for one of your own.
+    """Base class of friction laws with an inner state. Subclass it for one of your own.
 
-    The inner state is zero at rest, unless `initial_state` says otherwise.
+    The inner state is zero at rest, unless `initial_state` says otherwise. It is one number, or as many as
+    `inner_states` names.
     """
 
     @abc.abstractmethod
-    def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
-        """The time derivative of the inner state `z` at the relative `velocity` (m/s)."""
+    def rate(self, z: FloatArray, velocity: FloatScalar) -> FloatArray:
+        """The time derivative of the inner state `z` at the relative `velocity` (m/s): a number, or as an array `z` of
+        those that `inner_states` names.
+        """
 
     @abc.abstractmethod
-    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+    def coefficient(self, z: FloatArray, velocity: FloatScalar) -> FloatScalar:
         """The friction coefficient, with the sign of a force against a positive relative velocity."""
 
     @abc.abstractmethod
     def steady(self, velocity: FloatArray) -> FloatArray:
         """The friction coefficient of a slip that has long had this relative velocity (m/s, not zero)."""
 
-    def at_normal_force(self, z: FloatScalar, normal_force: FloatScalar) -> FloatScalar:
+    def at_normal_force(self, z: FloatArray, normal_force: FloatScalar) -> FloatArray:
         """The state that counts under this normal force (N), of laws whose state steps with it; here `z`."""
         return z
 
     @property
-    def initial_state(self) -> Scalar:
-        """The inner state of a contact at rest."""
+    def initial_state(self) -> Scalar | tuple[Scalar, ...]:
+        """The inner state of a contact at rest; of several numbers one for each, or one for all."""
         return 0.0
 
     @property
     def inner_state(self) -> str:
         return "inner state"
+
+    @property
+    def inner_states(self) -> tuple[str, ...]:
+        """Name and unit of each number of the inner state. Where they are several, `z` is an array of them."""
+        return (self.inner_state,)
 
     @property
     def elastic_slip(self) -> Scalar:
@@ -80,7 +89,7 @@ class DynamicFriction(FrictionLaw):
         *,
         series_stiffness: Number | None = None,
         backlash: Number = 0.0,
-        initial_state: Number | None = None,
+        initial_state: Number | AnyArray | None = None,
         rtol: float = 1e-8,
         max_steps: int | None = None,
         adjoint: object = None,
@@ -98,7 +107,8 @@ class DynamicFriction(FrictionLaw):
                 With this last one the contact begins to slip as fast as the spring's end moves: by default steadily
                 at the reference speed.
             backlash: The free play in front of the spring, m. It begins in the middle, if there is no force.
-            initial_state: The inner state at the first time; by default that at rest.
+            initial_state: The inner state at the first time, an array if it has several numbers; by default that at
+                rest.
             rtol: Relative tolerance of the integration, by diffrax' ``Kvaerno5``, implicit and of fifth order. The
                 absolute one is as small a part of the inner state at which the law slips steadily. `DieterichRuina`
                 behind a spring takes no less than 8 units of round-off times ``mu / direct``.
@@ -115,8 +125,13 @@ class DynamicFriction(FrictionLaw):
                 spring in front of a law whose speed may jump there, and a signal whose shortest period is not known;
                 and where the steps were used up, unless JAX traces the numbers.
         """
-        start = self.initial_state if initial_state is None else initial_state
-        checks.bounded("initial_state", start)
+        start: Any = self.initial_state if initial_state is None else initial_state
+        number = len(self.inner_states)
+        checks.bounded("initial_state", start, ndim=min(number - 1, checks.dimensions(start)))
+        start = jnp.asarray(start, float)
+        if start.shape not in ((), (number,)):
+            raise checks.refused("initial_state", f"be one number, or {number} of them", start)
+        start = jnp.broadcast_to(start, (number,) if number > 1 else ())
         if series_stiffness is None:
             checks.bounded("backlash", backlash, "m", at_least=0, below=1e-300, hint="give the series_stiffness too")
             return force_of_dynamic(self, times, velocity, normal_force, start, rtol, max_steps, adjoint)
@@ -130,8 +145,8 @@ class DynamicFriction(FrictionLaw):
         raise _jumps(self, series_stiffness)
 
     @property
-    def state_scale(self) -> Scalar:
-        """A typical size of the inner state: that of its errors where it is small."""
+    def state_scale(self) -> Scalar | tuple[Scalar, ...]:
+        """A typical size of the inner state: that of its errors where it is small; as of `initial_state`."""
         return 1.0
 
 
@@ -363,8 +378,14 @@ class DieterichRuina(DynamicFriction):
     ``(N_1 / N)^(-alpha / evolution)``: ``theta' = ... - alpha theta N' / (evolution N)``. The inner state is then what
     does not step, ``z + alpha / evolution log(N / reference_normal_force)``: that at the reference.
 
+    With `second_evolution` b_2 and `second_length` L_2 there are two state variables, each of which follows the same
+    form over its own length: ``coefficient = ... + evolution z_1 + second_evolution z_2``. In the slip form the inner
+    states are Ruina's Theta_1 and Theta_2, ``Theta_i' = -(|v| / L_i) (Theta_i + log(|v| / reference_speed))``.
+
     Source: Linker and Dieterich 1992, Effects of variable normal stress on rock friction, J. Geophys. Res. 97, 4923;
-    Ruina 1983, Slip instability and state variable friction laws, J. Geophys. Res. 88, 10359; the inverse
+    Ruina 1983, Slip instability and state variable friction laws, J. Geophys. Res. 88, 10359; two state variables:
+    Gu, Rice, Ruina and Tse 1984, Slip motion and stability of a single degree of freedom elastic system with rate and
+    state dependent friction, J. Mech. Phys. Solids 32, 167; the inverse
     hyperbolic sine: Rice and Ben-Zion 1996, Proc. Natl. Acad. Sci. 93, 3811; the third form: Perrin, Rice and Zheng
     1995, Self-healing slip pulse on a frictional surface, J. Mech. Phys. Solids 43, 1461.
 
@@ -378,6 +399,9 @@ class DieterichRuina(DynamicFriction):
         normal_stress: Linker and Dieterich's alpha, zero or positive, for a `MassSpring`, a `LinearStructure` and a
             `SwitchedSystem` with `normal_forces`; None: theta does not step.
         reference_normal_force: N, positive, given with `normal_stress`.
+        second_evolution: The growth with the logarithm of a second state, of any sign; None: there is none. Not with
+            `normal_stress`.
+        second_length: The slip in which it changes, m, positive, given with `second_evolution`.
 
     Raises:
         ValueError: For numbers outside these bounds and another `form`.
@@ -393,15 +417,36 @@ class DieterichRuina(DynamicFriction):
     )
     normal_stress: Annotated[Number | None, Quantity(meaning="Linker and Dieterich's alpha", at_least=0)] = None
     reference_normal_force: Annotated[Number | None, Quantity("N", "given with normal_stress", above=0)] = None
+    second_evolution: Annotated[Number | None, Quantity(meaning="growth with the logarithm of a second state")] = None
+    second_length: Annotated[
+        Number | None, Quantity("m", "slip in which it changes, given with second_evolution", above=0)
+    ] = None
 
     def check_relations(self) -> None:
+        if (self.second_evolution is None) != (self.second_length is None):
+            wanted = "be given if second_evolution is, and only then"
+            raise checks.refused("second_length", wanted, self.second_length)
+        if self.second_evolution is not None and self.normal_stress is not None:
+            hint = "which state steps with the normal force is known of one state only"
+            raise checks.refused("normal_stress", "be None with second_evolution", self.normal_stress, hint)
         if (self.normal_stress is None) != (self.reference_normal_force is None):
             wanted = "be given if normal_stress is, and only then"
             raise checks.refused("reference_normal_force", wanted, self.reference_normal_force)
         if self.normal_stress is not None:
             checks.positive("evolution", self.evolution)
 
-    def at_normal_force(self, z: FloatScalar, normal_force: FloatScalar) -> FloatScalar:
+    @property
+    def inner_states(self) -> tuple[str, ...]:
+        first = self.inner_state
+        return (first,) if self.second_evolution is None else (first, f"second {first}")
+
+    def _of_states(self, z: FloatArray) -> FloatArray:
+        """What a state `z`, or its rate, adds to the coefficient, or its rate."""
+        if self.second_evolution is None:
+            return jnp.asarray(self.evolution * z)
+        return self.evolution * z[0] + self.second_evolution * z[1]
+
+    def at_normal_force(self, z: FloatArray, normal_force: FloatScalar) -> FloatArray:
         if self.normal_stress is None or self.reference_normal_force is None:
             return z
         # Of an open contact, which has no friction, the state of the reference.
@@ -413,23 +458,29 @@ class DieterichRuina(DynamicFriction):
         """The coefficient at the reference speed: this law has none of a stick."""
         return self.mu
 
-    def theta(self, z: FloatArray) -> FloatArray:
-        """The state variable (s) at the inner state `z`, any shape, such as that number of ``evaluate(times)``."""
-        return (2 if self.form == "perrin" else 1) * self.length / self.reference_speed * jnp.exp(z)
+    def theta(self, z: FloatArray, *, second: bool = False) -> FloatArray:
+        """The state variable (s), or the `second` one, at its inner state `z`, any shape, such as that number of
+        ``evaluate(times)``.
+        """
+        length = self.second_length if second else self.length
+        if length is None:
+            raise checks.refused("second", "be False for a law with one state", second)
+        return (2 if self.form == "perrin" else 1) * length / self.reference_speed * jnp.exp(z)
 
-    def rate(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
-        speed, per = jnp.abs(velocity), self.reference_speed / self.length
+    def rate(self, z: FloatArray, velocity: FloatScalar) -> FloatArray:
+        length = self.length if self.second_length is None else stacked((self.length, self.second_length), z.dtype)
+        speed, per = jnp.abs(velocity), self.reference_speed / length
         if self.form == "ageing":
-            return per * jnp.exp(-z) - speed / self.length
+            return per * jnp.exp(-z) - speed / length
         if self.form == "perrin":
             return per / 2 * (jnp.exp(-z) - (speed / self.reference_speed * jnp.exp(z / 2)) ** 2)
         is_slip = speed > 0
         log = jnp.log(jnp.where(is_slip, speed, 1) / self.reference_speed) + z
-        return jnp.where(is_slip, -speed / self.length * log, 0)
+        return jnp.where(is_slip, -speed / length * log, 0)
 
-    def coefficient(self, z: FloatScalar, velocity: FloatScalar) -> FloatScalar:
+    def coefficient(self, z: FloatArray, velocity: FloatScalar) -> FloatScalar:
         share = velocity / (2 * self.reference_speed)
-        exponent = jnp.asarray((self.mu + self.evolution * z) / self.direct)
+        exponent = (self.mu + self._of_states(z)) / self.direct
         most = 0.9 * jnp.log(jnp.finfo(exponent.dtype).max)
         small = jnp.arcsinh(share * jnp.exp(jnp.minimum(exponent, most)))
         # Beyond, the exponential would overflow: asinh x is log 2 x there.
@@ -437,19 +488,19 @@ class DieterichRuina(DynamicFriction):
         large = jnp.where(share != 0, jnp.sign(share) * (jnp.log(2 * size) + exponent), 0)
         return self.direct * jnp.where(exponent < most, small, large)
 
-    def slip_velocity(self, z: FloatScalar, coefficient: FloatScalar) -> FloatArray:
+    def slip_velocity(self, z: FloatArray, coefficient: FloatScalar) -> FloatArray:
         """The relative velocity (m/s) at which the law has this `coefficient`, with its sign."""
         sign = jnp.where(coefficient < 0, -1.0, 1.0)
         share = sign * coefficient / self.direct
-        exponent = share - (self.mu + self.evolution * z) / self.direct
+        exponent = share - (self.mu + self._of_states(z)) / self.direct
         return sign * self.reference_speed * jnp.exp(exponent) * -jnp.expm1(-2 * share)
 
-    def logarithm(self, z: FloatScalar, velocity: FloatScalar) -> FloatArray:
+    def logarithm(self, z: FloatArray, velocity: FloatScalar) -> FloatArray:
         """``coefficient / direct``: with its sign, and a constant, the logarithm of a speed that is not tiny."""
         return jnp.asarray(self.coefficient(z, velocity) / self.direct)
 
     def logarithm_rate(
-        self, z: FloatScalar, logarithm: FloatScalar, acceleration: FloatScalar, z_rate: FloatScalar
+        self, z: FloatArray, logarithm: FloatScalar, acceleration: FloatScalar, z_rate: FloatArray
     ) -> FloatArray:
         """The time derivative of the `logarithm` under a relative acceleration (m/s^2).
 
@@ -458,19 +509,23 @@ class DieterichRuina(DynamicFriction):
         """
         size = jnp.abs(logarithm)
         cosh = size + jnp.log1p(jnp.exp(-2 * size)) - jnp.log(2)
-        slow = (self.mu + self.evolution * z) / self.direct - cosh - jnp.log(2 * self.reference_speed)
+        slow = (self.mu + self._of_states(z)) / self.direct - cosh - jnp.log(2 * self.reference_speed)
         per_velocity = jnp.exp(jnp.minimum(slow, -jnp.log(_LEAST_SPEED * self.reference_speed)))
-        return per_velocity * acceleration + jnp.tanh(logarithm) * self.evolution / self.direct * z_rate
+        return per_velocity * acceleration + jnp.tanh(logarithm) * self._of_states(z_rate) / self.direct
 
     def behind_spring(self, series_stiffness: Number, backlash: Number, normal_force: Number) -> SpeedBehindSpring:
         return SpeedBehindSpring(self, *_spring(self, series_stiffness, backlash, normal_force))
 
     def steady(self, velocity: FloatArray) -> FloatArray:
         """With the state of a steady slip, ``z = -log(|v| / reference_speed)``."""
-        z = -jnp.log(jnp.abs(velocity) / self.reference_speed)
-        return jax.vmap(self.coefficient)(z, velocity) if jnp.ndim(velocity) else self.coefficient(z, velocity)
+
+        def of_one(velocity: FloatScalar) -> FloatScalar:
+            z = -jnp.log(jnp.abs(velocity) / self.reference_speed)
+            return self.coefficient(z if self.second_evolution is None else jnp.stack([z, z]), velocity)
+
+        return jax.vmap(of_one)(velocity) if jnp.ndim(velocity) else of_one(velocity)
 
     @property
     def initial_state(self) -> Scalar:
-        """That of a steady slip at the reference speed."""
+        """That of a steady slip at the reference speed, of each state."""
         return 0.0

@@ -532,7 +532,7 @@ class MassSpring(System):
         clock = xp.where(swings, 1 / xp.sqrt(xp.where(swings, squared, 1)), 1.0)
         deceleration = self.friction.static * self.normal_force / self.mass
         speed = deceleration * clock
-        of_memory = (*(clock for _ in memory.ages), *(law.state_scale for law in memory.laws))
+        of_memory = (*(clock for _ in memory.ages), *memory.state_scales)
         return Sizes(speed, deceleration, (speed * clock, speed, *(speed * clock for _ in memory.places), *of_memory))
 
     def check_solver(self, solver: Solver | None) -> None:

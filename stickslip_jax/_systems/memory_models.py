@@ -25,8 +25,8 @@ from .switched_model import Decision, F, Guard, OneContactModel, Question, Segme
 
 
 class _Remembering(eqx.Module):
-    """The model `inner` with `size` numbers in its state, followed by what its contacts remember: with several one
-    array (contacts,), with one contact a scalar.
+    """The model `inner` with `size` numbers in its state, followed by what its contacts remember: one array of as many
+    numbers as are `remembered`, or a scalar.
     """
 
     inner: Any  # a OneContactModel or a ContactsModel
@@ -38,6 +38,11 @@ class _Remembering(eqx.Module):
         return self.inner.contacts
 
     @property
+    def remembered(self) -> int | None:
+        """How many numbers are remembered; None: one, a scalar."""
+        return self.contacts
+
+    @property
     def varying(self) -> tuple[int, ...]:
         """As of every model."""
         return self.inner.varying
@@ -45,11 +50,11 @@ class _Remembering(eqx.Module):
     def start(self, y0: tuple[Number, ...] | FloatArray, dtype: DType) -> State:
         """The state with these numbers, one for each coordinate of the system."""
         remembered = jnp.stack([jnp.asarray(value, dtype) for value in y0[self.size :]])
-        return *self.inner.start(y0[: self.size], dtype), remembered if self.contacts else remembered[0]
+        return *self.inner.start(y0[: self.size], dtype), remembered if self.remembered else remembered[0]
 
     def numbers(self, y: State) -> State:
         """The numbers of the state `y`, one for each coordinate of the system."""
-        remembered = (y[-1],) if self.contacts is None else tuple(y[-1][i] for i in range(self.contacts))
+        remembered = (y[-1],) if self.remembered is None else tuple(y[-1][i] for i in range(self.remembered))
         return *self.inner.numbers(y[:-1]), *remembered
 
     def forcing(self, t: FloatScalar, segments: Segments) -> Any:
@@ -481,10 +486,21 @@ class InnerStates(_Remembering):
                 "not known in N; take a MassSpring, a LinearStructure, or a SwitchedSystem with normal_forces."
             )
 
-    def _states(self, forcing: Any, tau: FloatScalar, y: State) -> list[FloatScalar]:
+    @property
+    def remembered(self) -> int | None:
+        number = sum(self._numbers)
+        return number if self.contacts or number > 1 else None
+
+    @property
+    def _numbers(self) -> list[int]:
+        """How many numbers the inner state of each law has."""
+        return [len(law.inner_states) for law in self.laws]
+
+    def _states(self, forcing: Any, tau: FloatScalar, y: State) -> list[FloatArray]:
         """The inner states of several contacts, as they count under the normal forces."""
-        normal = self.inner.normal_forces_at(forcing, tau, y[:-1])
-        return [law.at_normal_force(y[-1][i], normal[i]) for i, law in enumerate(self.laws)]
+        normal, ends = self.inner.normal_forces_at(forcing, tau, y[:-1]), np.cumsum(self._numbers)
+        own = [y[-1][end - n : end] if n > 1 else y[-1][end - 1] for n, end in zip(self._numbers, ends, strict=True)]
+        return [law.at_normal_force(own[i], normal[i]) for i, law in enumerate(self.laws)]
 
     def slip_of_law(self, y: State) -> FloatArray:
         """The slip of the law over that of the one contact; not zero."""
@@ -552,5 +568,5 @@ class InnerStates(_Remembering):
         force = coefficients * jnp.maximum(self.inner.normal_forces_at(forcing, tau, y[:-1]), 0)
         by_friction = self.inner.effect(forcing, tau, y[:-1], force)
         states = self._states(forcing, tau, y)
-        inner_rates = jnp.stack([law.rate(states[i], velocity[i]) for i, law in enumerate(self.laws)])
+        inner_rates = jnp.hstack([law.rate(states[i], velocity[i]) for i, law in enumerate(self.laws)])
         return *(a + b for a, b in zip(now.rates, by_friction, strict=True)), inner_rates

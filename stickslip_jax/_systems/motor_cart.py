@@ -544,7 +544,7 @@ class MotorCart(System):
         assert isinstance(voltage, SourceVoltage)
         speed, memory = self.ideal_speed(voltage), self.memory
         state = 1.0, speed, speed * self.motor_constant / self.resistance
-        of_memory = (*(self.shortest_time for _ in memory.ages), *(law.state_scale for law in memory.laws))
+        of_memory = (*(self.shortest_time for _ in memory.ages), *memory.state_scales)
         slip = arm * torque * self.resistance / self.motor_constant**2
         return Sizes(slip, arm * torque / self.motor_inertia, (*state, *of_memory))
 

@@ -72,7 +72,7 @@ class BehindSpring(eqx.Module):
 
 
 class SpeedBehindSpring(eqx.Module):
-    """The `law`, whose speed follows from coefficient and inner state, behind a spring. The state is (p, z), (2,).
+    """The `law`, whose speed follows from coefficient and inner state, behind a spring. The state is p, and all of z.
 
     - `softness`: deflection of the spring (m) per friction coefficient.
     - `play`: the free play either way, m.
@@ -83,18 +83,19 @@ class SpeedBehindSpring(eqx.Module):
     play: FloatScalar
     why_endless: ClassVar[str] = (
         " Behind a soft spring a slip may accelerate without bound (after small disturbances if it is softer than "
-        "normal_force (evolution - direct) / length): then give the slider a mass (MassSpring)."
+        "normal_force (evolution - direct) / length, with one state): then give the slider a mass (MassSpring)."
     )
 
     def start(self, z: Number, velocity: FloatScalar) -> FloatArray:
         """The state in which a contact of the inner state `z` slips as fast as the spring's end moves."""
         coefficient = self.law.coefficient(jnp.asarray(z, velocity.dtype), velocity)
-        return jnp.stack([self.softness * coefficient + self.play * jnp.sign(coefficient), z])
+        return jnp.hstack([self.softness * coefficient + self.play * jnp.sign(coefficient), z])
 
     def rate(self, state: FloatArray, velocity: FloatScalar) -> FloatArray:
         """The time derivative of the state at the `velocity` (m/s) of the spring's end."""
-        slip = self.law.slip_velocity(state[1], self.coefficient(state, velocity))
-        return jnp.stack([velocity - slip, self.law.rate(state[1], slip)])
+        z = state[1] if len(state) == 2 else state[1:]
+        slip = self.law.slip_velocity(z, self.coefficient(state, velocity))
+        return jnp.hstack([velocity - slip, self.law.rate(z, slip)])
 
     def coefficient(self, state: FloatArray, velocity: FloatScalar) -> FloatArray:
         """The friction coefficient, with its sign: that of the spring's force."""
@@ -103,7 +104,7 @@ class SpeedBehindSpring(eqx.Module):
     @property
     def state_scale(self) -> FloatArray:
         """Typical sizes of the state: those of its errors where it is small."""
-        return jnp.stack([self.softness * self.law.mu, jnp.ones_like(self.softness)])
+        return jnp.hstack([self.softness * self.law.mu, jnp.ones(len(self.law.inner_states), self.softness.dtype)])
 
     @property
     def least_tolerance(self) -> FloatArray:
@@ -200,18 +201,18 @@ def _states(
             z = law.at_normal_force(z, _value_at(normal, t))
         return law.rate(z, jnp.asarray(_velocity_at(motion, t), times.dtype))
 
-    tolerance = rtol.astype(times.dtype)
+    tolerance, scale = rtol.astype(times.dtype), jnp.asarray(law.state_scale, times.dtype)
     if isinstance(law, SpeedBehindSpring):
         tolerance = jnp.maximum(tolerance, law.least_tolerance)
     control = diffrax.PIDController(
-        rtol=tolerance, atol=tolerance * law.state_scale, dtmin=_LEAST * (times[-1] - times[0]), force_dtmin=False,
+        rtol=tolerance, atol=tolerance * scale, dtmin=_LEAST * (times[-1] - times[0]), force_dtmin=False,
         dtmax=longest,
     )  # fmt: skip
     solver = diffrax.Kvaerno5()
     if normal is not None or isinstance(motion, PiecewiseConstant):
         # After a jump the chords of diffrax' own root finder may not converge in any step, however short.
         newton = import_module("optimistix").Newton  # which diffrax cannot do without
-        solver = diffrax.Kvaerno5(root_finder=newton(rtol=tolerance / 100, atol=tolerance / 100 * law.state_scale))
+        solver = diffrax.Kvaerno5(root_finder=newton(rtol=tolerance / 100, atol=tolerance / 100 * scale))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rates), solver, times[0], times[-1], None, start,
         saveat=diffrax.SaveAt(ts=times), max_steps=most, adjoint=adjoint, throw=False,

@@ -473,7 +473,7 @@ class LinearStructure(WithContacts):
         motion = (jnp.max(speed * clocks),) * self.size + (jnp.max(speed),) * self.size
         of_memory = (*(jnp.max(speed * clocks) for _ in memory.elongations), *(jnp.max(clocks) for _ in memory.ages))
         of_slips = (jnp.max(speed * clocks) for _ in memory.slips)
-        of_memory = (*of_memory, *of_slips, *(law.state_scale for law in memory.laws))
+        of_memory = (*of_memory, *of_slips, *memory.state_scales)
         return Sizes(speed, deceleration, (*motion, *of_memory))
 
     @property

@@ -341,7 +341,7 @@ class SwitchedSystem(WithContacts):
         speed, time, memory = self.speed_scale, self.shortest_time, self.memory
         state = (1.0,) * (len(self.state_names) + len(memory.ages))
         deceleration = None if speed is None or time is None else speed / time
-        return Sizes(speed, deceleration, (*state, *(law.state_scale for law in memory.laws)))
+        return Sizes(speed, deceleration, (*state, *memory.state_scales))
 
     def check_code(self, y0: tuple[Number, ...] | None = None) -> None:
         if y0 is None:

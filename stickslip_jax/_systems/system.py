@@ -4,6 +4,7 @@ motion.
 
 import abc
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Iterable
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar, cast
@@ -359,16 +360,26 @@ class Memory(NamedTuple):
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The elongations, the ages, the places, the slip distances and the inner states."""
-        names = [Coordinate.of(law.inner_state) for law in self.laws]
+        names = [[Coordinate.of(name) for name in law.inner_states] for law in self.laws]
         if len(names) > 1:
-            names = [name._replace(name=f"{name.name} {i}") for i, name in enumerate(names, start=1)]
-        return *self.elongations, *self.ages, *self.places, *self.slips, *names
+            names = [[name._replace(name=f"{name.name} {i}") for name in law] for i, law in enumerate(names, start=1)]
+        return *self.elongations, *self.ages, *self.places, *self.slips, *itertools.chain(*names)
 
     @property
     def start(self) -> tuple[Number, ...]:
         """What they begin with where an initial state leaves them out."""
         zeros = (0.0 for _ in (*self.elongations, *self.ages, *self.places, *self.slips))
-        return (*zeros, *(law.initial_state for law in self.laws))
+        return (*zeros, *self._of_states("initial_state"))
+
+    @property
+    def state_scales(self) -> tuple[Scalar, ...]:
+        """The sizes of inner states: those of their errors where they are small."""
+        return self._of_states("state_scale")
+
+    def _of_states(self, name: str) -> tuple[Scalar, ...]:
+        """A property of the laws, for each inner state of each."""
+        of_laws = ((getattr(law, name), len(law.inner_states)) for law in self.laws)
+        return tuple(itertools.chain(*(of if isinstance(of, tuple) else (of,) * number for of, number in of_laws)))
 
 
 class Tracks(NamedTuple):

@@ -24,7 +24,7 @@ DOCUMENTS = {
     "docs/howto/drilling.md": 5,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 9,
-    "docs/howto/friction_memory.md": 8,
+    "docs/howto/friction_memory.md": 9,
     "docs/howto/joints.md": 4,
     "docs/howto/memory.md": 1,
     "docs/howto/nonlinear.md": 8,

@@ -79,8 +79,10 @@ SYSTEMS = {
     ),
     "DieterichRuina": (
         '[system.friction]\nlaw = "DieterichRuina"\nmu = 0.6\ndirect = 0.01\nevolution = 0.02\nlength = 1e-5\n'
-        'reference_speed = 1e-6\nform = "slip"',
-        mass_spring(ss.DieterichRuina(0.6, 0.01, 0.02, 1e-5, 1e-6, form="slip")),
+        'reference_speed = 1e-6\nform = "slip"\nsecond_evolution = -0.005\nsecond_length = 1e-4',
+        mass_spring(
+            ss.DieterichRuina(0.6, 0.01, 0.02, 1e-5, 1e-6, "slip", second_evolution=-0.005, second_length=1e-4)
+        ),
     ),
     "damping": ("[system]\ndamping = 0.1", mass_spring(damping=0.1)),
     "no damping": ("[system]\ndamping = 0", mass_spring()),

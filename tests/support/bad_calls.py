@@ -92,6 +92,7 @@ def laws_with_a_memory() -> Iterator[Target]:
         ss.DieterichRuina, mu=(0.6, "positive field"), direct=(0.01, "positive field"),
         evolution=(0.015, "not negative field"), length=(1e-5, "positive field"),
         reference_speed=(1e-6, "positive field"), form=("slip", "never"),
+        second_evolution=(-0.01, "field"), second_length=(1e-4, "positive field"),
     )  # fmt: skip
     motion = {"times": ([0.0, 1.0], "array"), "velocity": ([0.1, 0.1], "array | base"),
               "normal_force": (1.0, "not negative | array")}  # fmt: skip

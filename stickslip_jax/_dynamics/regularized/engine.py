@@ -23,7 +23,7 @@ from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, wi
 from ..._numerics.matrices import any_of
 from ..._systems.switched_model import Along, Form, Segments, State, chosen_state, of_form
 from ..._systems.system import System
-from ..common.method import Regularized, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
+from ..common.method import Regularized, Switch, accurate_step, longest_step, max_steps_advice, step_for, time_scales_of
 from ..common.path import (
     MotionPath,
     Parts,
@@ -35,7 +35,7 @@ from ..common.path import (
     stopping_scan,
 )
 from ..sticks import ALL, StickRecord
-from .field import AnyField, InnerField, Switch, field_of
+from .field import AnyField, InnerField, field_of
 from .lanes import AdaptiveEngine, FixedEngine, PathStep, along_step, nothing_seen, tolerances
 from .sticks import Cubic, JoiningDetector, detect_joined, hermite, start_joining
 
@@ -169,7 +169,7 @@ def solve_adaptive(
 
         def plain(t: FloatArray, y: Array) -> Array:
             here = jnp.where(jnp.isfinite(t), t, 0)
-            return jnp.stack(field.plain(model.forcing(here, tables.at(here)), zero, tuple(y)))
+            return jnp.stack(model.numbers(field.plain(model.forcing(here, tables.at(here)), zero, tuple(y))))
 
         y = jax.vmap(plain)(t, y)
     steps = jnp.sum(jnp.isfinite(t)).astype(jnp.int32) - 1
@@ -345,12 +345,6 @@ def _check_contacts(system: System, method: Regularized) -> None:
         if shape not in ((),) + (() if contacts is None else ((contacts,),)):
             each = "" if contacts is None else f", or one for each of the {contacts} contacts"
             raise ValueError(f"Argument {name} must be one number{each}, but an array of shape {shape} was given.")
-    if contacts is not None and method.step is not None and system.static_exceeds_kinetic:
-        raise ValueError(
-            "Argument method must be Exact(), or Regularized(width) without a step, where static friction exceeds "
-            "kinetic friction in a list of contacts or under a normal force that varies, but a fixed step was given; "
-            "or make static friction equal to kinetic friction."
-        )
 
 
 def fixed_steps(system: System, excitation: Excitation, method: Regularized, t1: Scalar) -> int:
@@ -466,8 +460,8 @@ class LogarithmicPath(CubicPath):
         forcing, h = model.forcing(t, segments), end - t
 
         def logarithm(at: FloatArray, numbers: State, place: Any) -> FloatArray:
-            y = tuple(of[place] for of in numbers)
-            return model.with_logarithm(model.forcing(at, segments), y)[speed]
+            y = model.start(tuple(of[place] for of in numbers), h.dtype)
+            return self.field.solved(model.forcing(at, segments), y)[speed]
 
         begins, ends = logarithm(t, self.y, index), logarithm(end, self.y, index + 1)
         bulge, most = jnp.zeros_like(h), _SWINGS[1]
@@ -478,10 +472,11 @@ class LogarithmicPath(CubicPath):
             cubic, share = CubicPath._in_step(self, index, tau), tau / jnp.where(h > 0, h, 1)
             number = begins + share * (ends - begins) + 4 * share * (1 - share) * bulge
             numbers = tuple(number if i == speed else of for i, of in enumerate(cubic))
-            return cubic, model.without_logarithm(forcing, tau, numbers)
+            return cubic, model.numbers(self.field.plain(forcing, tau, numbers))
 
         def swings(tau: FloatArray) -> BoolArray:
-            cubic, by_values = (model.relative_velocity(forcing, tau, y) for y in both(tau))
+            states = (model.start(numbers, h.dtype) for numbers in both(tau))
+            cubic, by_values = (model.relative_velocity(forcing, tau, y) for y in states)
             return jnp.abs(cubic - by_values) > most * jnp.abs(by_values)
 
         cubic, by_values = both(tau)

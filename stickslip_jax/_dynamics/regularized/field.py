@@ -3,8 +3,9 @@ the relative velocity, and implicit steps with one contact or several.
 """
 
 import abc
+import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial, reduce
 from typing import Any, NamedTuple
 
@@ -13,93 +14,19 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array
 
 from ..._excitation.motion import Signal
 from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Scalar
 from ..._numerics.derivatives import root_of, with_slope, without_derivatives
-from ..._numerics.elementary import angle_of
 from ..._numerics.matrices import eliminated, largest_of, linear_solve, times
-from ..._systems.contacts_model import ContactsModel
+from ..._systems.contacts_model import ContactsModel, Limits, acceleration, settled, solved
 from ..._systems.friction import FrictionLaw
 from ..._systems.memory_models import InnerStates
-from ..._systems.switched_model import NOISE_ULPS, OneContactModel, State
+from ..._systems.switched_model import NOISE_ULPS, OneContactModel, Question, State
 from ..._systems.system import System, one_contact_model
-from ..common.method import Regularized
+from ..common.method import Regularized, Switch
 from ..common.path import Bracket
 from .sticks import AtContact, Criterion, Cubic, SeenStep
-
-# Smooth switches that replace the sign of the relative velocity in regularised dynamics.
-
-
-SMOOTH: dict[str, Callable[[FloatArray], Array]] = {
-    "tanh": jnp.tanh,
-    "linear": lambda s: jnp.clip(s, -1, 1),
-    "arctan": lambda s: (2 / math.pi) * jnp.where(s < 0, -1, 1) * angle_of(jnp.abs(s), jnp.ones_like(s)),
-    "rational": lambda s: s / jnp.sqrt(1 + s * s),
-}
-"""The switch of each name in `SHAPES`."""
-
-
-class Switch(eqx.Module):
-    """Smooth switch ``phi(v_rel / width)`` in place of ``sgn(v_rel)``; `width` in m/s, `shape` one of `SMOOTH`."""
-
-    width: Scalar
-    shape: str = eqx.field(static=True)
-
-    def __call__(self, ratio: FloatArray) -> FloatArray:
-        """``phi(ratio)``, the smooth sign; `ratio`: relative velocity over width."""
-        return SMOOTH[self.shape](ratio)
-
-    def coefficient(self, friction: FrictionLaw, velocity: FloatArray) -> FloatArray:
-        """The signed friction coefficient at the relative `velocity` (m/s), ``kinetic(|v_rel|) phi(v_rel / width)``.
-
-        Where ``static`` exceeds ``kinetic``, friction holds up to one width: it rises from 0 to exactly ``static``
-        there, the largest value, and falls off to ``kinetic`` within a few widths more. The long tails of the smooth
-        shapes are left out: on them a mass would creep faster than at one width, and not stick.
-        """
-        static = friction.stick_limit(velocity) if friction.static_exceeds_kinetic else None
-        return self.friction(velocity, friction.slip_coefficient(velocity), static)
-
-    def friction(
-        self, velocity: FloatArray, kinetic: Scalar | FloatArray, static: Scalar | FloatArray | None
-    ) -> FloatArray:
-        """The signed friction, a coefficient or a force, from that of a slip at this relative `velocity` (m/s).
-
-        `static`: the largest one, where it exceeds the `kinetic` one, else None. See `coefficient`.
-        """
-        ratio = velocity / self.width
-        if static is None:
-            return kinetic * self(ratio)
-        part, beyond = jnp.clip(ratio, -1, 1), jnp.maximum(jnp.abs(ratio) - 1, 0)
-        # Concave on the rise, so that a step can find the balance of forces from below (`balance`).
-        if self.shape == "linear":
-            # A corner: from a smooth summit a mass would part as slowly as ``width^(2/3)``.
-            held, left = static * part, jnp.exp(-beyond)
-        else:
-            held, left = static * part * (3 - part * part) / 2, jnp.exp(-beyond * beyond)
-        slides = kinetic * part
-        return jnp.where(jnp.abs(ratio) < 1, held, slides + (held - slides) * left)
-
-    def creep(self, speed: Scalar | FloatArray) -> Scalar | FloatArray:
-        """The approximate relative velocity (m/s) of a mass at its release from a stick.
-
-        Before its release the mass creeps: friction balances the growing force at ``phi = force / largest``. The
-        release is where the creep can no longer follow this balance: where the gap ``1 - phi`` equals the time, in
-        units of ``speed / deceleration``, in which the excess force brings the mass to the speed of creep. This gives
-        the powers of the width below (`speed`: the system's velocity scale, m/s; deceleration: that by friction). The
-        factors are fitted: with them exits are neither early nor late on average in the Poisson-switching system of
-        Lima and Sampaio, at widths of 1/50, 1/500 and 1/5000 of `speed`.
-        """
-        parts = jnp.maximum(speed / self.width, 1)
-        widths = {
-            "linear": jnp.ones_like(parts),
-            "tanh": 0.45 + jnp.log(parts) / 4,
-            "rational": 0.82 * parts**0.2,
-            "arctan": 0.78 * parts ** (1 / 3),
-        }
-        return self.width * widths[self.shape]
-
 
 # The relative velocity at which the forces of a stage of an implicit step balance, in one contact.
 #
@@ -293,6 +220,7 @@ def _newton_matrix(slope: FloatArray, stiffness: FloatArray) -> FloatArray:
 
 
 _TIME_ULPS = 4  # the round-off of the time, in units in the last place
+_AT_LIMIT = 256  # of the share of static friction that a stick needs, likewise
 
 
 class AnyField(eqx.Module):
@@ -410,7 +338,8 @@ _ROUND_OFF = 64  # units in the last place
 class _Stage(NamedTuple):
     """A stage of a step: its state and rates, how friction `held` in it, and its rates without friction.
 
-    `held`: with one contact None or the sign of the relative velocity, 0 in a stick; with several the friction forces.
+    `held`: where static friction exceeds kinetic friction the sign of the relative velocity, 0 in a stick; else None
+    with one contact, the friction forces with several.
     `expected`: the state at which it is linear. `linear`: what is known there, see `terms`.
     """
 
@@ -439,21 +368,22 @@ class SteppedField(AnyField):
     @property
     def may_be_short(self) -> bool:
         """Whether fixed steps may have to be shortened."""
-        return not self.model.time_scales_are_known
+        return self.static_exceeds_kinetic or not self.model.time_scales_are_known
 
+    @abc.abstractmethod
     def band(self, forcing: Any, t: FloatArray, y: State) -> FloatArray | None:
         """The relative speed (m/s) below which static friction can hold the mass: the width, and what is round-off.
 
-        None where static friction does not exceed kinetic friction; with several contacts fixed steps take no other.
+        None where static friction does not exceed kinetic friction.
         """
-        return None
 
-    def need(self, forcing: Any, tau: FloatArray, y: State) -> FloatArray:
-        """Friction that keeps the relative velocity constant, over the largest friction; infinite without friction.
+    @abc.abstractmethod
+    def need(self, forcing: Any, tau: FloatArray, y: State, asked: BoolArray) -> FloatArray:
+        """Friction that keeps the relative velocity of the contacts `asked` constant, over the largest friction;
+        infinite without friction.
 
         It is asked only where there is a `band`.
         """
-        return jnp.zeros_like(tau)
 
     @abc.abstractmethod
     def free(self, forcing: Any, tau: FloatArray, y: State) -> State:
@@ -533,7 +463,7 @@ class Field(SteppedField):
         speed = self.model.relative_velocity(forcing, tau, y)
         return self.model.rates_under(forcing, tau, y, self.switch.coefficient(self.model.friction_at(y), speed))
 
-    def need(self, forcing: Any, tau: FloatArray, y: State) -> FloatArray:
+    def need(self, forcing: Any, tau: FloatArray, y: State, asked: BoolArray) -> FloatArray:
         free, held = self._accelerations(forcing, tau, y)
         return jnp.where(held > 0, jnp.abs(free) / jnp.where(held > 0, held, 1), jnp.inf)
 
@@ -543,10 +473,6 @@ class Field(SteppedField):
         # By the acceleration that the motion of the base states, which decides in exact dynamics too.
         velocity = self.model.relative_velocity(forcing, tau, y)
         return velocity, self.model.relative_acceleration(forcing, tau, y, rates)
-
-    @property
-    def may_be_short(self) -> bool:
-        return self.static_exceeds_kinetic or super().may_be_short
 
     def band(self, forcing: Any, t: FloatArray, y: State) -> FloatArray | None:
         if not self.static_exceeds_kinetic:
@@ -602,7 +528,11 @@ class Field(SteppedField):
 
 
 class FrictionAt(ForceLaw):
-    """The regularised friction forces at one instant and state."""
+    """The regularised friction forces at one instant and state.
+
+    `slides`: if it is known, the sign of each contact that slides, 0 where static friction holds it: there it rises up
+    to the largest, and no further. `beyond`: by what a slide exceeds kinetic friction, if that is taken as constant.
+    """
 
     model: ContactsModel
     switch: Switch
@@ -610,13 +540,20 @@ class FrictionAt(ForceLaw):
     forcing: Any
     tau: FloatScalar
     y: State
+    slides: FloatArray | None = None
+    beyond: FloatArray | None = None
 
     def __call__(self, velocity: FloatArray) -> FloatArray:
         limits = self.model.limits(self.forcing, self.tau, self.y, velocity)
         # A contact without a positive normal force is open.
         kinetic = jnp.maximum(jnp.where(velocity < 0, limits.backward, limits.forward), 0)
         static = jnp.maximum(limits.static(velocity), 0) if self.static_exceeds_kinetic else None
-        return self.switch.friction(velocity, kinetic, static)
+        friction = self.switch.friction(velocity, kinetic, static)
+        if self.slides is None:
+            return friction
+        part = jnp.clip(velocity / self.switch.width, -1, 1)
+        slipping = friction if self.beyond is None else kinetic * part + self.beyond
+        return jnp.where(self.slides == 0, self.switch.friction(part * self.switch.width, kinetic, static), slipping)
 
     @property
     def width(self) -> FloatArray:
@@ -625,6 +562,50 @@ class FrictionAt(ForceLaw):
     @property
     def is_straight(self) -> bool:
         return self.switch.shape == "linear"
+
+
+# Where static friction exceeds kinetic friction the forces of a stage may balance in several ways. As with one contact,
+# what slid slides as long as it can, and what static friction held is held as long as it can. With these modes given,
+# and what exceeds kinetic friction beyond the width taken as constant, the friction law rises with the velocity: there
+# is one balance (above). From there a contact breaks whose friction would have to be larger, or stops that comes within
+# the width, and what exceeds kinetic friction is known better: begun at none, it grows towards the fastest balance.
+# Where none changes any more, Newton's method finds the balance of the law itself.
+
+
+_PASSES, _PER_CONTACT, _POLISH = 12, 2, 3
+_KNOWN = 1e-3  # of the largest force: where Newton's method takes over
+
+
+def balanced_in_modes(
+    law: FrictionAt, speed: FloatArray, stiffness: FloatArray, slides: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The forces as of `balanced_forces`, and the sign of each contact that slides there, 0 where it is held; `slides`:
+    that before.
+    """
+    given = law, speed, stiffness
+    law, speed, stiffness, slides = without_derivatives((*given, slides))
+
+    def again(state: tuple[Any, ...]) -> tuple[Any, ...]:
+        slides, beyond, force, passes, _ = state
+        within = dataclasses.replace(law, slides=slides, beyond=beyond)
+        force = balanced_forces(within, speed, stiffness, force)
+        sigma = speed - times(stiffness, force)
+        breaks = (slides == 0) & (jnp.abs(sigma) > law.width * (1 + 1e-9))
+        stops = (slides != 0) & (slides * sigma < law.width)
+        following = jnp.where(breaks, jnp.sign(sigma), jnp.where(stops, 0, slides))
+        more = jnp.where((following == 0) | breaks, 0, law(sigma) - within(sigma) + beyond)
+        far = jnp.any(jnp.abs(more - beyond) > _KNOWN * largest_of(jnp.abs(force)))
+        return following, more, force, passes + 1, far | jnp.any(breaks | stops)
+
+    first = slides, jnp.zeros_like(speed), jnp.zeros_like(speed), jnp.int32(0), jnp.ones((), bool)
+    most = _PASSES + _PER_CONTACT * len(speed)
+    slides, _, force, *_ = lax.while_loop(lambda state: state[4] & (state[3] < most), again, first)
+    in_modes = dataclasses.replace(law, slides=slides)
+    for _ in range(_POLISH):
+        value, slope = with_slope(in_modes, speed - times(stiffness, force))
+        force = force + linear_solve(_newton_matrix(slope, stiffness), value - force)
+    (force,) = _force_root(dataclasses.replace(given[0], slides=slides), *given[1:], force)
+    return force, slides
 
 
 class ContactsField(SteppedField):
@@ -645,8 +626,31 @@ class ContactsField(SteppedField):
     def free(self, forcing: Any, tau: FloatArray, y: State) -> State:
         return self.model.instant(forcing, tau, y).rates
 
+    def band(self, forcing: Any, t: FloatArray, y: State) -> FloatArray | None:
+        if not self.static_exceeds_kinetic:
+            return None
+        now = self.model.instant(forcing, jnp.zeros_like(t), y)
+        held = self.model.limits(forcing, jnp.zeros_like(t), y, now.velocity).largest
+        held = jnp.abs(acceleration(now.gain, jnp.zeros_like(held), held))
+        scale = NOISE_ULPS * self.model.velocity_scale(forcing, y) + _TIME_ULPS * t * held
+        return self.switch.width + lax.stop_gradient(jnp.finfo(t.dtype).eps * scale)
+
+    def need(self, forcing: Any, tau: FloatArray, y: State, asked: BoolArray) -> FloatArray:
+        # One after the other, as in exact dynamics. What is at its limit but for round-off no longer holds the others.
+        now = self.model.instant(forcing, tau, y)
+        limits = Limits(*(jnp.maximum(one, 0) for one in self.model.limits(forcing, tau, y, now.velocity)))
+        question = Question(jnp.where(asked, 0, jnp.sign(now.velocity)), asked, jnp.zeros_like(asked), asked)
+        slack = jnp.full_like(now.velocity, -_AT_LIMIT * jnp.finfo(tau.dtype).eps)
+        found = settled(*without_derivatives((now.gain, now.drift, limits)), question, slack)
+        holds = asked & (found.sign == 0)
+        force = solved(now.gain, now.drift, limits.slip(found.sign), holds)
+        return jnp.where(holds, jnp.abs(limits.share(force)), jnp.maximum(jnp.abs(found.share), 1))
+
     def held(self, forcing: Any, tau: FloatArray, y: State, band: FloatArray | None) -> FloatArray:
-        return self._law(forcing, tau, y)(self.model.instant(forcing, tau, y).velocity)
+        velocity = self.model.instant(forcing, tau, y).velocity
+        if band is None:
+            return self._law(forcing, tau, y)(velocity)
+        return jnp.where(jnp.abs(velocity) > band, jnp.sign(velocity), 0)
 
     def stage(
         self, forcing: Any, tau: FloatArray, base: State, expected: State, weight: FloatArray, held: FloatArray | None
@@ -664,12 +668,16 @@ class ContactsField(SteppedField):
         reached, velocity = moved(expected, 1.0, without), partial(model.relative_velocity, forcing, tau)
         speed, along = jax.linearize(velocity, reached)
         stiffness = -jax.vmap(along, in_axes=-1, out_axes=-1)(per_unit)
-        force = balanced_forces(self._law(forcing, tau, expected), speed, stiffness, held)
+        law = self._law(forcing, tau, expected)
+        if self.static_exceeds_kinetic:
+            force, held = balanced_in_modes(law, speed, stiffness, held)
+        else:
+            force = held = balanced_forces(law, speed, stiffness, held)
         change = moved(without, 1.0, tuple(_of_all(part, force) for part in per_unit))
         _, turned = jax.jvp(free, (expected,), (change,))
         alone = moved(rates, 1.0, turned)
         end_rates = moved(alone, 1.0, tuple(_of_all(part, force) for part in columns))
-        return _Stage(moved(expected, 1.0, change), end_rates, force, alone, expected, columns)
+        return _Stage(moved(expected, 1.0, change), end_rates, held, alone, expected, columns)
 
     def terms(self, forcing: Any, tau: FloatArray, weight: FloatArray, stage: _Stage) -> tuple[State, State]:
         now = self.model.instant(forcing, tau, stage.expected)
@@ -709,16 +717,16 @@ class InnerField(AnyField):
         return () if self.in_logarithms else (0.0,)
 
     def solved(self, forcing: Any, y: State) -> State:
-        return self.model.with_logarithm(forcing, y) if self.in_logarithms else super().solved(forcing, y)
+        return super().solved(forcing, self.model.with_logarithm(forcing, y) if self.in_logarithms else y)
 
     def plain(self, forcing: Any, tau: FloatArray, numbers: State) -> State:
-        if self.in_logarithms:
-            return self.model.without_logarithm(forcing, tau, numbers)
-        return super().plain(forcing, tau, numbers)
+        y = super().plain(forcing, tau, numbers)
+        return self.model.without_logarithm(forcing, tau, y) if self.in_logarithms else y
 
     def solved_rates(self, forcing: Any, tau: FloatArray, numbers: State) -> State:
         if self.in_logarithms:
-            return self.model.rates_with_logarithm(forcing, tau, numbers)
+            y = super().plain(forcing, tau, numbers)
+            return self.model.numbers(self.model.rates_with_logarithm(forcing, tau, y))
         return super().solved_rates(forcing, tau, numbers)
 
     def elastic_slip(self, velocity: FloatArray, y: State) -> FloatArray:

@@ -196,8 +196,10 @@ def _advance_fixed(
             change = jnp.clip(_SAFETY / jnp.sqrt(jnp.maximum(error, _LEAST_ERROR)), 1 / _GROWTH, _GROWTH)
         again, length = inaccurate, lax.stop_gradient(h * change)
         if band is not None:
-            needs = field.need(forcing, 0 * h, lane.y), field.need(forcing, h, y)
+            in_band = (jnp.abs(seen.relative.begin) <= band) | (jnp.abs(seen.relative.end) <= band)
+            needs = field.need(forcing, 0 * h, lane.y, in_band), field.need(forcing, h, y, in_band)
             passes, until = shortened(seen, band, *needs)
+            passes, until = any_of(passes), -largest_of(-jnp.where(passes, until, jnp.inf))
             again, length = inaccurate | passes, jnp.where(inaccurate, length, until)
         accepted = live & ~again
         stays = lane._replace(steps=lane.steps + 1, limit=length)

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from stickslip_jax._dynamics.common.method import SHAPES
-from stickslip_jax._dynamics.regularized.field import ForceLaw, Switch, balanced_forces
+from stickslip_jax._dynamics.common.method import SHAPES, Switch
+from stickslip_jax._dynamics.regularized.field import ForceLaw, balanced_forces
 
 SETUPS = 400
 

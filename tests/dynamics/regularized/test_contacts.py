@@ -315,11 +315,152 @@ def test_static_above_kinetic_friction_in_adaptive_steps():
         np.testing.assert_allclose(ours, theirs, atol=8e-3)
 
 
+# Static friction above kinetic friction, in fixed steps: two coupled blocks, one of which rubs on the other.
+
+PAIR = np.array([0.3, 0.25, 1.5, 1.3, 0.8, 0.2])  # kinetic coefficients, static over kinetic, coupling, belt in m/s
+PAIR_START = (-0.5, 0.7, 0.2, -0.3)
+
+
+def pair(numbers):
+    mu, ratio, coupling = numbers[:2], numbers[2:4], numbers[4]
+    stiffness = jnp.eye(2) + coupling * jnp.array([[1.0, -1.0], [-1.0, 1.0]])
+    contacts = (
+        ss.Contact.of_mass(0, 2, 1.0, ss.Coulomb(mu[0], mu[0] * ratio[0])),
+        ss.Contact.between(1, 0, 2, 1.3, ss.Coulomb(mu[1], mu[1] * ratio[1])),
+    )
+    return ss.LinearStructure([1.0, 0.7], stiffness, contacts=contacts)
+
+
+def motion_of_pair(method, t1=15.0):
+    @jax.jit
+    def follow(numbers, y0, *width_and_step):
+        own = (
+            ss.Regularized(width_and_step[0], "linear", step=width_and_step[1], **method) if width_and_step else method
+        )
+        one = ss.simulate(pair(numbers), ss.Constant(numbers[5]), t1=t1, y0=tuple(y0), method=own)
+        return one.status, one.totals.sticks, one.totals.stick_time, jnp.stack(one.final_state)
+
+    return follow
+
+
+@pytest.mark.slow
+def test_static_friction_in_fixed_steps_converges_to_the_exact_motion():
+    """In random set-ups the same sticks in each contact, and errors of the end that fall with the width, of order 1."""
+    exact = motion_of_pair(ss.Exact(max_steps=4000, step=0.05))
+    fixed = motion_of_pair({"max_steps": 40_000})
+    rng, widths = np.random.default_rng(1), np.array([1e-3, 1e-4, 1e-5])
+    errors, same, total = [], 0, 0
+    for _ in range(30):
+        numbers = jnp.asarray(
+            [*rng.uniform(0.1, 0.4, 2), *rng.uniform(1.05, 2.0, 2), *rng.uniform([0.2, 0.05], [2, 0.4])]
+        )
+        y0 = jnp.asarray(rng.uniform(-1, 1, 4))
+        status, sticks, times, end = exact(numbers, y0)
+        found = [fixed(numbers, y0, width, 4e-3) for width in widths]
+        assert int(status) == ss.Status.FINISHED
+        assert all(int(one[0]) == ss.Status.FINISHED for one in found)
+        errors.append([np.max(np.abs(one[3] - end)) for one in found])
+        same, total = same + np.sum(np.asarray(found[-1][1]) == np.asarray(sticks)), total + 2
+        np.testing.assert_allclose(found[-1][2], times, rtol=0, atol=0.02)
+    assert same == total
+    assert np.max(errors, axis=0)[-1] < 2e-3
+    slopes = np.polyfit(np.log(widths), np.log(errors).T, 1)[0]
+    assert np.median(slopes) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("shape", ["linear", pytest.param("tanh", marks=pytest.mark.slow)])
+def test_static_friction_of_a_list_of_one_contact(shape):
+    """On a belt, in fixed steps that do not resolve the width: release and arrival of the closed form."""
+    contact = ss.Contact(np.ones(1), 4.0, ss.Coulomb(0.25, 0.375))
+    block = ss.LinearStructure([0.5], [1.0], contacts=(contact,))
+    method = ss.Regularized(1e-6, shape, step=4e-3, max_steps=8000)
+    one = ss.simulate(block, ss.Constant(0.3), t1=8.0, y0=(0.0, 0.3), method=method)
+    release, turn = 1.5 / 0.3, 2 * np.arctan2(0.5 * 2**0.5, 0.3)  # sticks up to 1.5 m, slips about 1 m
+    starts, ends = shown(one, 0)
+    np.testing.assert_allclose(starts, [0.0, release + (2 * np.pi - turn) / 2**0.5], rtol=0, atol=1e-3)
+    assert ends[0] == pytest.approx(release, abs=1e-4)
+    assert float(one.final_state[0]) == pytest.approx(0.5 + 0.3 * (8 - starts[1]), abs=1e-3)
+
+
+def radau_of_pair(numbers, width, t1):
+    mu, ratio, coupling, belt = numbers[:2], numbers[2:4], numbers[4], numbers[5]
+    stiffness = np.eye(2) + coupling * np.array([[1, -1], [-1, 1]])
+    directions, normal = np.array([[1.0, 0], [-1, 1]]), np.array([1.0, 1.3])
+
+    def field(t, y):
+        s = (directions @ y[2:] - [belt, 0]) / width
+        beyond = np.maximum(np.abs(s) - 1, 0)
+        part = np.clip(s, -1, 1)
+        friction = normal * mu * part * (1 + (ratio - 1) * np.exp(-beyond))
+        return np.r_[y[2:], (-stiffness @ y[:2] - directions.T @ friction) / [1.0, 0.7]]
+
+    return solve_ivp(field, (0, t1), PAIR_START, "Radau", rtol=1e-10, atol=1e-12, max_step=0.02).y[:, -1]
+
+
+@pytest.mark.slow
+def test_static_friction_in_fixed_steps_that_resolve_the_width():
+    """The end is that of the smooth field, by Radau; its derivatives those of differences of that, in both modes."""
+    width, t1 = 5e-2, 6.0
+    follow = motion_of_pair({"max_steps": 8000}, t1)
+
+    def end(numbers):
+        return follow(numbers, jnp.asarray(PAIR_START), width, 1e-3)[3]
+
+    np.testing.assert_allclose(end(jnp.asarray(PAIR)), radau_of_pair(PAIR, width, t1), rtol=0, atol=2e-5)
+    change, columns = 1e-4, []
+    for e in np.eye(6):
+        there, back = (radau_of_pair(PAIR + side * change * e, width, t1) for side in (1, -1))
+        columns.append((there - back) / (2 * change))
+    expected = np.stack(columns, axis=1)
+    for mode in (jax.jacfwd, jax.jacrev):
+        found = jax.jit(mode(end))(jnp.asarray(PAIR))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-2 * np.max(np.abs(expected)))
+
+
+@pytest.mark.slow
+def test_static_friction_of_samples_in_fixed_steps():
+    """Each sample is its single run."""
+    friction = ss.Coulomb(ss.Uniform(0.2, 0.3), 0.4)
+    contacts = (ss.Contact.of_mass(0, 2, 1.0, friction), ss.Contact.between(1, 0, 2, 1.3, ss.Coulomb(0.3, 0.5)))
+    uncertain = ss.LinearStructure([1.0, 1.0], [[2.2, -1.2], [-1.2, 2.2]], contacts=contacts)
+    law, how = ss.PoissonSwitching(speed=0.3, rate=1.0), {"t1": 10.0, "method": ss.Regularized(1e-4, step=0.01)}
+    many = ss.simulate_contacts(uncertain, law, samples=6, key=jax.random.key(0), keep="sticks", **how)
+    assert many.status_counts[ss.Status.FINISHED] == 6
+    for sample in (0, 4):
+        system, base, y0 = many.realization(sample)
+        one = ss.simulate(system, base, y0=y0, **how)
+        assert int(one.totals.sticks.sum()) > 0
+        for i in range(2):
+            mask = np.asarray(many.of_contact(i).sticks.mask[sample])
+            single = one.of_contact(i)
+            assert int(single.sticks.count) == mask.sum()
+            here = np.asarray(single.sticks.start)[: mask.sum()]
+            np.testing.assert_allclose(np.asarray(many.of_contact(i).sticks.start[sample])[mask], here, atol=1e-9)
+
+
+class Held(Stack):
+    """A stack whose static friction exceeds the kinetic one, with a contact that opens."""
+
+    static_ratio = 1.4
+
+
+@pytest.mark.slow
+def test_static_friction_in_fixed_steps_of_ones_own():
+    how = {"t1": T1, "y0": START}
+    exact = ss.simulate(Held(), FLOOR, **how)
+    errors = []
+    for width in (1e-4, 1e-5):
+        one = ss.simulate(Held(), FLOOR, method=ss.Regularized(width, "linear", step=2e-3, max_steps=16384), **how)
+        assert int(one.status) == ss.Status.FINISHED
+        np.testing.assert_array_equal(one.totals.sticks, exact.totals.sticks)
+        errors.append(np.max(np.abs(np.array(one.final_state) - np.array(exact.final_state))))
+    assert errors[1] < 1e-3
+
+
 @pytest.mark.usefixtures("annotations_unchecked")
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda run: run(ss.Regularized(1e-3, step=0.01), ss.Coulomb(0.3, 0.4)), "Argument method must be Exact"),
         (lambda run: run(ss.Regularized(1e-3, threshold=np.ones(2))), "or one for each of the 3 contacts"),
         (lambda run: run(ss.Regularized(1e-3, minimum_duration=np.ones((3, 1)))), "Argument minimum_duration must"),
         (lambda run: run(ss.Regularized(1e-3, threshold=-np.ones(3))), "Argument threshold must be positive"),

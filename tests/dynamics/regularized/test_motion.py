@@ -29,7 +29,8 @@ from support.regularized import (
 )
 
 import stickslip_jax as ss
-from stickslip_jax._dynamics.regularized.field import Switch, balance
+from stickslip_jax._dynamics.common.method import Switch
+from stickslip_jax._dynamics.regularized.field import balance
 
 # Each shape and each law once; `test_coefficient` looks at all of them together.
 PAIRS = [("tanh", "coulomb"), ("linear", "static"), ("arctan", "weakening"), ("rational", "stribeck")]
