@@ -1,13 +1,14 @@
 """Signed distances to the boundaries at which sticks appear and vanish, and the kernels that weigh them."""
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
 from .._compiler.native import sharing
 from .._dynamics.common.path import StepsShared, following_segments
@@ -20,7 +21,8 @@ from .._foundation.types import BoolArray, DType, Ending, FloatArray, IntArray
 from .._numerics.derivatives import without_derivatives
 from .._numerics.elementary import angle_of
 from .._numerics.steps import steepest_fall
-from .._systems.switched_model import OneContactModel, Segments, State
+from .._systems.contacts_model import ContactsModel
+from .._systems.switched_model import Forcing, OneContactModel, Segments, State
 
 # Signed distances to the boundaries at which sticks, or slips between two sticks, appear and vanish.
 #
@@ -59,6 +61,13 @@ class BoundaryDistances(NamedTuple):
     horizon: SignedDistance
     crossing: SignedDistance | None = None
     crossing_held: SignedDistance | None = None
+
+    @classmethod
+    def only(cls, time: FloatArray, exists: BoolArray, is_slip: bool, **known: SignedDistance) -> "BoundaryDistances":
+        """Those `known` by name; no other is active."""
+        nothing = SignedDistance(jnp.zeros_like(time), jnp.zeros_like(exists))
+        others = dict.fromkeys(("grazing", "switch", "horizon", "crossing"), nothing)
+        return cls(lax.stop_gradient(time), exists, jnp.full_like(exists, is_slip), **(others | known))
 
     @property
     def two_sided(self) -> tuple[SignedDistance, ...]:
@@ -323,10 +332,11 @@ class BoundarySums(NamedTuple):
 
 
 _ROUND_OFF = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a minimum closer to 0 is exactly 0 but for round-off
-_FAR = 0.5  # of the guard's scale: beyond the width of any kernel
+FAR = 0.5  # of the guard's scale: beyond the width of any kernel
 # Search along a flow: increments in time steps, then a number of refinements between the last two instants.
 _INCREMENTS, _REFINEMENTS = np.linspace(0.5, 1.5, 12), 5
-_JUST_AFTER, _SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
+_JUST_AFTER, SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
+LANDED = 1e-6  # of the guard's scale: a mode that ends there has ended by itself
 
 _Tree = TypeVar("_Tree")
 _Start: TypeAlias = tuple[FloatArray, State, FloatArray]
@@ -336,7 +346,8 @@ _Start: TypeAlias = tuple[FloatArray, State, FloatArray]
 class EngineStep(NamedTuple):
     """A step of the engine: time, state, sign and segment states at its start; time, state and sign at its end.
 
-    `crossed`: when the slip began, if it began as the mass crossed the base velocity, s; else negative.
+    `crossed`: when the slip began, if it began as the mass crossed the base velocity, s; else negative. `since`, of
+    several contacts: when the mode began, if it did so by itself; else negative.
     """
 
     t: FloatArray
@@ -347,6 +358,65 @@ class EngineStep(NamedTuple):
     y_end: State
     sign_end: FloatArray
     crossed: FloatArray
+    since: FloatArray | None = None
+
+    def of_contact(self, own: BoolArray) -> "EngineStep":
+        """That of the contact which is its `own` among several."""
+        return self._replace(
+            **{name: _own(own, getattr(self, name)) for name in ("sign", "sign_end", "crossed", "since")}
+        )
+
+
+def _own(own: BoolArray, of_contacts: Array) -> Array:
+    """The number of one contact among several."""
+    return jnp.sum(jnp.where(own, of_contacts, 0))
+
+
+class AtContact(eqx.Module):
+    """One contact among several, as `OneContactModel` has one: the others stay in their `modes`.
+
+    A mode is a number, of the contact, or an array, of all.
+    """
+
+    model: ContactsModel
+    own: BoolArray
+    modes: FloatArray
+    steps_may_be_long: ClassVar[bool] = False
+
+    def of_all(self, sign: FloatArray) -> FloatArray:
+        """The modes of all contacts."""
+        return sign if sign.ndim else jnp.where(self.own, sign, self.modes)
+
+    def forcing(self, t: FloatArray, segments: Segments) -> Forcing:
+        return self.model.forcing(t, segments)
+
+    def flow(self, forcing: Forcing, y: State, h: FloatArray, sign: FloatArray) -> State:
+        return self.model.flow(forcing, y, h, self.of_all(sign))
+
+    def guard(self, forcing: Forcing, tau: FloatArray, y: State, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
+        guard, rate = self.model.guard(forcing, tau, y, self.of_all(sign))
+        return _own(self.own, guard), _own(self.own, rate)
+
+    def guard_scale(self, forcing: Forcing, y: State, sign: FloatArray) -> FloatArray:
+        return _own(self.own, self.model.guard_scale(forcing, y, self.of_all(sign)))
+
+    def step_limit(self, age: FloatArray, step: FloatArray, y: State, sign: FloatArray) -> FloatArray:
+        return self.model.step_limit(age, step, y, self.of_all(sign))
+
+    def on_base(self, forcing: Forcing, y: State) -> State:
+        return self.model.at_base_velocity(forcing, y, self.own | (self.modes == 0))
+
+    def can_stick(self, forcing: Forcing, y: State) -> BoolArray:
+        none = jnp.zeros((), y[0].dtype)
+        return self.guard(forcing, none, y, none)[0] >= 0
+
+    def release_sign(self, forcing: Forcing, y: State) -> FloatArray:
+        none = jnp.zeros((), y[0].dtype)
+        needed = self.model.in_mode(forcing, none, y, self.of_all(none))[0].force
+        return jnp.where(_own(self.own, needed) > 0, 1, -1).astype(needed.dtype)
+
+
+_Model: TypeAlias = OneContactModel[Any] | AtContact
 
 
 class _Outcome(NamedTuple):
@@ -383,31 +453,42 @@ def crossed_after(shared: StepsShared, step: EngineStep) -> FloatArray:
     """`EngineStep.crossed` for the step after `step`."""
     laws_and_states = zip(shared.segment_laws.all, step.segment_states, strict=True)
     ends = [segment_state.segment.end for law, segment_state in laws_and_states if law.jumps]
-    crosses = (step.sign != 0) & (step.sign_end == -step.sign) & (step.end < _stop(shared.t1, step))
+    crosses = (step.sign != 0) & (step.sign_end == -step.sign) & (step.end < stop_of(shared.t1, step))
     # Once the base velocity has jumped, the slip does not count as begun at the base velocity any more.
     jumped = jnp.any(jnp.stack([jnp.zeros((), bool), *(step.end >= end for end in ends)]))
     goes_on = (step.sign_end == step.sign) & ~jumped
     return jnp.where(crosses, step.end, jnp.where(goes_on, step.crossed, -1))
 
 
+def since_after(shared: StepsShared, step: EngineStep) -> FloatArray:
+    """`EngineStep.since` for the step after `step`."""
+    assert step.since is not None
+    by_itself = step.end < stop_of(shared.t1, step)
+    return jnp.where(step.sign_end == step.sign, step.since, jnp.where(by_itself, step.end, -1))
+
+
 @sharing
-def is_candidate(model: OneContactModel, shared: StepsShared, step: EngineStep) -> BoolArray:
-    """Whether the step may be close to a boundary; no other step is."""
-    outcome = _outcome_of(*without_derivatives((model, shared, step)))
+def is_candidate(model: _Model, shared: StepsShared, step: EngineStep, later: _Model) -> BoolArray:
+    """Whether the step may be close to a boundary; no other step is. `later`: as of `distances_of_step`."""
+    outcome = _outcome_of(*without_derivatives((model, shared, step, later)))
     return outcome.has_event | outcome.crosses | outcome.dips | outcome.falls
 
 
 @sharing
-def distances_of_step(model: OneContactModel, shared: StepsShared, step: EngineStep) -> BoundaryDistances:
-    """The signed distances of a step for which `is_candidate` is true."""
+def distances_of_step(model: _Model, shared: StepsShared, step: EngineStep, later: _Model) -> BoundaryDistances:
+    """The signed distances of a step for which `is_candidate` is true.
+
+    `later`: the model after the step, where other contacts may be in other modes; of one contact the same.
+    """
     # What has no derivatives decides and searches; the rest is evaluated once, at the instants found.
-    known = without_derivatives((model, shared, step))
-    (still, (still_laws, _, still_length), fixed), outcome, sticking = known, _outcome_of(*known), step.sign == 0
+    known = without_derivatives((model, shared, step, later))
+    still, (still_laws, _, still_length), fixed, still_later = known
+    outcome, sticking = _outcome_of(*known), step.sign == 0
     t1, segments = shared.t1, shared.segment_laws.segments(step.segment_states)
     still_segments = still_laws.segments(fixed.segment_states)
     nothing, stop = jnp.zeros_like(step.end), outcome.stop
     # Two flows: that of the step, and that of a mass which crosses the base velocity at the step's end.
-    start = _stacked((step.t, step.y, step.sign), (step.end, step.y_end, -step.sign))
+    start = stacked((step.t, step.y, _of_all(model, step.sign)), (step.end, step.y_end, _of_all(later, -step.sign)))
     roots = _search(still, still_segments, without_derivatives(start), fixed, outcome, still_length)
 
     # Time, state and guard at these instants, with their derivatives. A solver must not be given steps longer than its
@@ -439,7 +520,7 @@ def distances_of_step(model: OneContactModel, shared: StepsShared, step: EngineS
     scale = model.guard_scale(model.forcing(fixed.t, lax.stop_gradient(segments)), fixed.y, fixed.sign)
     # A minimum that is 0 but for round-off stays so, as after a release; one of half the scale is out of reach.
     size = jnp.abs(lowest)
-    is_close = (size > _ROUND_OFF[size.dtype.itemsize] * scale) & (size < _FAR * scale)
+    is_close = (size > _ROUND_OFF[size.dtype.itemsize] * scale) & (size < FAR * scale)
     is_minimum = (outcome.dips | outcome.has_event) & here.found & (here.rate > 0)
     age = jnp.where(is_ratio & here.found, then.t - step.crossed, 1)
     # Beyond the stop the motion is another one.
@@ -460,14 +541,14 @@ def distances_of_step(model: OneContactModel, shared: StepsShared, step: EngineS
         following, jumped = following_segments(still_laws, fixed.segment_states, stop, jnp.ones((), bool))
         now = jnp.where(outcome.has_event, fixed.end, stop)
         inputs = still.forcing(now, still_laws.segments(following))
-        y = still.on_base(inputs, fixed.y_end)
-        _, rate = still.guard(inputs, nothing, y, nothing)
+        y = still_later.on_base(inputs, fixed.y_end)
+        _, rate = still_later.guard(inputs, nothing, y, nothing)
         # A release is undone where the force needed falls back; an arrival, where the base velocity jumps or friction
         # can hold the mass no more.
-        is_undone = jnp.where(sticking, ~jumped & (rate > 0), jumped | ~still.can_stick(inputs, y))
+        is_undone = jnp.where(sticking, ~jumped & (rate > 0), jumped | ~still_later.can_stick(inputs, y))
     # Ends of segments depend on the parameters; `stop` has no derivatives.
     at_horizon = stop >= t1
-    before_stop = SignedDistance(_stop(t1, step) - switch, (outcome.has_event | is_late) & is_undone & ~at_horizon)
+    before_stop = SignedDistance(stop_of(t1, step) - switch, (outcome.has_event | is_late) & is_undone & ~at_horizon)
     # No stick begins after t1; a slip after t1 splits none.
     horizon = SignedDistance(t1 - switch, (outcome.has_event | (is_late & at_horizon)) & ~sticking)
 
@@ -476,10 +557,10 @@ def distances_of_step(model: OneContactModel, shared: StepsShared, step: EngineS
     # crosses, and may soon come back to stick: the distance of an arrival that is held is the grazing distance of the
     # slip that it would begin. Arrivals that are not held have that distance in their own slips.
     inputs = model.forcing(step.end, segments)
-    guard, rate = model.guard(inputs, nothing, step.y_end, nothing)
+    guard, rate = later.guard(inputs, nothing, step.y_end, nothing)
     # At this edge a released mass goes on in the other direction: it crosses the base velocity.
-    other = model.release_sign(lax.stop_gradient(inputs), fixed.y_end) == -fixed.sign
-    is_near = (outcome.has_event | outcome.crosses) & ~sticking & other & (jnp.abs(guard) < _FAR)
+    other = later.release_sign(lax.stop_gradient(inputs), fixed.y_end) == -fixed.sign
+    is_near = (outcome.has_event | outcome.crosses) & ~sticking & other & (jnp.abs(guard) < FAR)
     returns, down = rate > 0, -then_across.value / jnp.where(across.found, across.tau, 1)
     is_known = ~returns | (outcome.has_event & across.found)
 
@@ -495,9 +576,13 @@ def distances_of_step(model: OneContactModel, shared: StepsShared, step: EngineS
     )
 
 
-def _outcome_of(model: OneContactModel, shared: StepsShared, step: EngineStep) -> _Outcome:
+def _of_all(model: _Model, sign: FloatArray) -> FloatArray:
+    return model.of_all(sign) if isinstance(model, AtContact) else sign
+
+
+def _outcome_of(model: _Model, shared: StepsShared, step: EngineStep, later: _Model) -> _Outcome:
     segment_laws, t1, step_length = shared
-    sticking, tau, stop = step.sign == 0, step.end - step.t, _stop(t1, step)
+    sticking, tau, stop = step.sign == 0, step.end - step.t, stop_of(t1, step)
     segments = segment_laws.segments(step.segment_states)
     inputs = model.forcing(step.t, segments)
 
@@ -505,7 +590,7 @@ def _outcome_of(model: OneContactModel, shared: StepsShared, step: EngineStep) -
         s, d = model.guard(inputs, tau, y, step.sign)
         return s, d, *_measure(s, d, tau + _lag(step), _after_crossing(step))
 
-    s, d, q, dq = jax.vmap(measured)(*_stacked((jnp.zeros_like(tau), step.y), (tau, step.y_end)))
+    s, d, q, dq = jax.vmap(measured)(*stacked((jnp.zeros_like(tau), step.y), (tau, step.y_end)))
     # A minimum lies where the measure falls and then rises. From values and slopes at both ends of the step alone, a
     # cubic tells where it falls most steeply, if it does at all; a ratio has no value at the crossing itself.
     fall = steepest_fall(q[0], dq[0] * tau, q[1], dq[1] * tau)
@@ -513,17 +598,19 @@ def _outcome_of(model: OneContactModel, shared: StepsShared, step: EngineStep) -
     taken = (step.t < t1) & (tau > 0)  # else the step was only tried
     inside = taken & (step.end < stop)
     has_event = inside & ((step.sign_end == 0) != sticking)
+    if isinstance(model, AtContact):  # else another contact's event ended the mode (`counting.py`)
+        has_event = has_event & (jnp.abs(s[1]) < LANDED * model.guard_scale(inputs, step.y_end, step.sign))
     crosses = inside & ~sticking & (step.sign_end == -step.sign)
     # Far from the edge of the stick band a crossing stays one whatever the parameter's change.
-    held, _ = model.guard(model.forcing(step.end, segments), 0 * tau, step.y_end, 0 * tau)
-    crosses = crosses & (jnp.abs(held) < _FAR)
+    held, _ = later.guard(later.forcing(step.end, segments), 0 * tau, step.y_end, 0 * tau)
+    crosses = crosses & (jnp.abs(held) < FAR)
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
     # Would the mode have switched soon, had the segment gone on? Along the tangent of the guard, within a few steps.
-    falls = taken & (step.end >= stop) & (s[1] > 0) & (s[1] < -_SOON * step_length * d[1])
+    falls = taken & (step.end >= stop) & (s[1] > 0) & (s[1] < -SOON * step_length * d[1])
     return _Outcome(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
 
 
-def _stop(t1: FloatArray, step: EngineStep) -> FloatArray:
+def stop_of(t1: FloatArray, step: EngineStep) -> FloatArray:
     return jnp.min(jnp.stack([t1, *(segment_state.segment.end for segment_state in step.segment_states)]), axis=0)
 
 
@@ -549,7 +636,7 @@ def _measure(s: FloatArray, d: FloatArray, age: FloatArray, is_ratio: BoolArray)
 
 
 def _search(
-    model: OneContactModel, segments: Segments, start: _Start, step: EngineStep, outcome: _Outcome,
+    model: _Model, segments: Segments, start: _Start, step: EngineStep, outcome: _Outcome,
     step_length: FloatArray,
 ) -> _Root:  # fmt: skip
     """The instants (2,) at which the distances are evaluated, one on each flow: roots of a residual.
@@ -570,7 +657,7 @@ def _search(
         # the crossing the ratio is not defined.
         first = jnp.where(is_across, _JUST_AFTER * step_length, jnp.where(outcome.dips, outcome.fall, 1) * outcome.tau)
         longest = jnp.where(
-            sign == 0, step_length, model.step_limit(jnp.full_like(step_length, jnp.inf), step_length, y0, sign)
+            step.sign == 0, step_length, model.step_limit(jnp.full_like(step_length, jnp.inf), step_length, y0, sign)
         )
 
         @sharing
@@ -627,7 +714,7 @@ def _replaced(end: _RootBracket, new: _RootBracket, by_new: BoolArray) -> _RootB
     return _either(by_new, new, end._replace(weight=end.weight / 2))
 
 
-def _stacked(*trees: _Tree) -> _Tree:
+def stacked(*trees: _Tree) -> _Tree:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 

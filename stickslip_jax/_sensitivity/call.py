@@ -131,7 +131,9 @@ def sensitivity(
             `mean_slip_count`, `mean_slip_duration` (or their names); a `StickStatistic`: `RealizationMeanDuration()`,
             `StickStart(i)`, `StickDuration(i)`, `StickFunctional(f)`; or an `Output` of your own, for its mean. Or a
             list of them, all from the same samples, those of one kind from one loop.
-        system: A `MassSpring`, a `MotorCart` or a `SwitchedSystem` of your own; its numbers may be distributions.
+        system: A `MassSpring`, a `MotorCart`, a `SwitchedSystem` of your own; or one with several contacts that says
+            which is counted, ``system.of_contact(0)``, or all at once, ``system.of_all_contacts()``. Its numbers may
+            be distributions.
         law: The excitation, any that `simulate_ensemble` takes; it or `y0` must be random.
         wrt: The name of a number in system, law or `y0`, such as "mu", "mu_static", "normal_force", "mass",
             "stiffness", "damping", "speed", "rate", "interval", "y0[0]", or several; "law.speed" where a name is

@@ -10,24 +10,34 @@ from jax import lax
 from jaxtyping import Array, PyTree
 
 from .._dynamics.common.lanes import Engine, Motion, Shared
-from .._dynamics.common.path import SegmentLaws, StepsShared
+from .._dynamics.common.path import SegmentLaws, StepsShared, of_track
 from .._dynamics.interval.arcs import Scales, start_motion, status_of
 from .._dynamics.interval.engine import IntervalEngine, is_over
 from .._dynamics.sticks import StickRecord, start_totals
 from .._dynamics.switched.engine import Lane, SwitchedEngine, advance
 from .._excitation.motion import Signal
 from .._foundation.types import AnyArray, BoolArray, FloatArray, IntArray, Scalar
+from .._numerics.derivatives import without_derivatives
+from .._systems.contacts_model import ContactsModel
 from .._systems.system import one_contact_model
 from .boundaries import (
+    FAR,
+    LANDED,
+    SOON,
+    AtContact,
     BoundaryDistances,
     BoundarySums,
     EngineStep,
     FirstSegment,
     IntervalLane,
+    SignedDistance,
     cross_with_distances,
     crossed_after,
     distances_of_step,
     is_candidate,
+    since_after,
+    stacked,
+    stop_of,
     zero_with_derivative,
 )
 
@@ -157,8 +167,8 @@ class IntervalCounting(CountingEngine[Scales, _IntervalMotion]):
         return following, Trace(stick, distances, distances.any_active & (distances.time <= shared.t1))
 
     def distances(self, samples: CountedSample, candidates: BoundaryDistances) -> BoundaryDistances:
-        """The signed distances of candidates (slots, lanes)."""
-        return candidates
+        """The signed distances (slots, lanes, 1) of candidates (slots, lanes)."""
+        return jax.tree.map(lambda leaf: leaf[..., None], candidates)
 
     def ended(self, motion: _IntervalMotion, before: _IntervalMotion) -> BoolArray:
         return is_over(motion.lane.motion, before.lane.motion, self.engine.t1)
@@ -177,15 +187,118 @@ class IntervalCounting(CountingEngine[Scales, _IntervalMotion]):
         return Counted(status, time, totals.sticks, sums)
 
 
+# With several contacts, whose sticks are counted of one of them, or of all at once.
+#
+# The other contacts are a part of the motion. Their events leave the state continuous. Where friction in one has no
+# effect on the relative velocity of another (`SwitchedModel.coupled`), the guard of each, and its rate, are continuous
+# in the events of the others too: an arc that is followed beyond such an event with the other modes as they were
+# differs from the true one by a higher order only. So the boundaries of a contact are those of a system with one.
+#
+# Where friction is coupled, an event of another contact makes the rate of a slip's guard jump, and the guard of a
+# stick. It may end a stick that has only just begun, or hold what has only just been released: like the end of a
+# segment, at a time that depends on the parameters (`_distances_around_others`). And right after it a stick may be so
+# near its limit that it is released for no time, where the friction it needs then falls.
+#
+# All contacts stick at once from the last arrival to the first release. Such a time has no length where a contact
+# arrives as another is released (`_distance_of_race`); else it appears and vanishes with a stick or slip of one
+# contact, while all others stick.
+
+
+def distances_of_contacts(
+    model: ContactsModel, shared: StepsShared, step: EngineStep, counted: int
+) -> BoundaryDistances:
+    """The signed distances (kinds,) of a step for which `may_be_close` is true, to the boundaries of what is `counted`:
+    the sticks of a contact, or the times (-1) in which all stick.
+    """
+    numbers = jnp.arange(len(step.sign))
+    if counted >= 0:
+        given = _at_contact(model, shared, step, numbers == counted)
+        found = stacked(distances_of_step(*given))
+        return _joined(found, _distances_around_others(*given, step)) if model.coupled else found
+
+    def of(contact: IntArray) -> BoundaryDistances:
+        own = numbers == contact
+        found = distances_of_step(*_at_contact(model, shared, step, own))
+        return found.after(0 * step.t, jnp.all((step.sign == 0) | own))
+
+    return _joined(jax.vmap(of)(numbers), stacked(_distance_of_race(shared, step)))
+
+
+def may_be_close(model: ContactsModel, shared: StepsShared, step: EngineStep, counted: int) -> BoolArray:
+    """Whether the step may be close to a boundary of what is `counted`; no other step is."""
+    numbers = jnp.arange(len(step.sign))
+    contacts = numbers if counted < 0 else numbers[counted : counted + 1]
+    each = jax.vmap(lambda contact: is_candidate(*_at_contact(model, shared, step, numbers == contact)))(contacts)
+    is_close = jnp.any(each)
+    return is_close | jnp.any(step.sign_end != step.sign) if counted < 0 or model.coupled else is_close
+
+
+def _at_contact(
+    model: ContactsModel, shared: StepsShared, step: EngineStep, own: BoolArray
+) -> tuple[AtContact, StepsShared, EngineStep, AtContact]:
+    return AtContact(model, own, step.sign), shared, step.of_contact(own), AtContact(model, own, step.sign_end)
+
+
+def _distances_around_others(
+    model: AtContact, shared: StepsShared, step: EngineStep, then: AtContact, of_all: EngineStep
+) -> BoundaryDistances:
+    """The signed distances (3,) to the boundaries at which a stick, or a slip, of a contact has no length because of an
+    event of another one: it would end soon after that, or began shortly before, and does not last beyond it.
+    """
+    assert step.since is not None
+    inputs = model.forcing(step.end, shared.segment_laws.segments(step.segment_states))
+    none, sticking = jnp.zeros_like(step.end), step.sign == 0
+    s, d = model.guard(inputs, none, step.y_end, step.sign)
+    guard, rate = then.guard(inputs, none, then.on_base(inputs, step.y_end), none)
+    still, known, y = without_derivatives((model, inputs, step.y_end))
+    holds, could_stick = guard > 0, still.can_stick(known, still.on_base(known, y))
+    by_itself = jnp.abs(s) < LANDED * still.guard_scale(known, y, step.sign)
+    others = jnp.any((of_all.sign_end != of_all.sign) & ~model.own) & ~by_itself & (step.end < stop_of(shared.t1, step))
+    is_late, is_brief = others & (d < 0) & (s > 0) & (s < -SOON * shared.step * d), others & (step.since > 0)
+    late, age = s / jnp.where(d < 0, lax.stop_gradient(d), -1), step.end - step.since
+    stick = jnp.where(sticking, is_brief & (step.sign_end != 0), is_late & could_stick & ~holds)
+    slip = jnp.where(sticking, is_late, is_brief & (step.crossed < 0)) & holds
+    edge = others & sticking & (rate > 0) & (jnp.abs(guard) < FAR)
+    ends, begun = (jnp.where(sticking, *pair) for pair in ((step.since, step.end), (step.end, step.since)))
+    of_stick, of_slip = (SignedDistance(jnp.where(sticking, *pair), is_active)
+                         for pair, is_active in (((age, late), stick), ((late, age), slip)))  # fmt: skip
+    return stacked(
+        BoundaryDistances.only(ends, sticking, is_slip=False, switch=of_stick),
+        BoundaryDistances.only(begun, ~sticking, is_slip=True, switch=of_slip),
+        BoundaryDistances.only(step.end, step.sign_end != 0, is_slip=True, grazing=SignedDistance(-guard, edge)),
+    )
+
+
+def _distance_of_race(shared: StepsShared, step: EngineStep) -> BoundaryDistances:
+    """How long before the first release the last contact has arrived; negative where it arrives after it.
+
+    One that was released keeps that time in `EngineStep.since`, one that crossed the base velocity since then does not.
+    """
+    assert step.since is not None
+    sticks, stuck, since = step.sign == 0, step.sign_end == 0, step.since
+    arrived = jnp.max(jnp.where(stuck, since, -1))  # a contact that goes on sticking
+    ends = jnp.all(sticks) & ~jnp.all(stuck) & (arrived > jnp.max(jnp.where(stuck, -1, since)))
+    released = jnp.max(jnp.where(~sticks & ~stuck & (step.crossed < 0), since, -1))
+    begins = jnp.any(stuck & ~sticks) & (jnp.sum(~stuck) == 1) & (released > 0)
+    is_active = (step.end < stop_of(shared.t1, step)) & ((ends & (arrived > 0)) | begins)
+    distance = SignedDistance(jnp.where(ends, step.end - arrived, released - step.end), is_active)
+    return BoundaryDistances.only(jnp.where(ends, arrived, step.end), ends, is_slip=False, switch=distance)
+
+
+def _joined(one: BoundaryDistances, other: BoundaryDistances) -> BoundaryDistances:
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), one, other)
+
+
 # For any motion that is simulated in time steps. Most steps are close to no boundary. The others are collected for a
 # block, and their signed distances are found together.
 
 
 class _StepMotion(NamedTuple):
-    """A lane of the switched engine, its `EngineStep.crossed`, and its sums so far."""
+    """A lane of the switched engine, its `EngineStep.crossed` and `EngineStep.since`, and its sums so far."""
 
     lane: Lane
     crossed: FloatArray
+    since: FloatArray | None
     sums: BoundarySums
 
 
@@ -200,22 +313,27 @@ class StepCounting(CountingEngine[StepsShared, _StepMotion]):
         laws = SegmentLaws.of(self.engine.system, self.engine.excitation).all
         ends = [state.segment.end for law, state in zip(laws, lane.segment_states, strict=True) if law.is_random]
         until = self.first.deterministic_until(jnp.min(jnp.stack(ends))) if ends else jnp.zeros((), dtype)
-        begun = _StepMotion(lane, -jnp.ones((), dtype), BoundarySums.none(len(self.bandwidths), dtype))
+        never = -jnp.ones_like(lane.sign)
+        since = None if self._counted is None else never
+        begun = _StepMotion(lane, never, since, BoundarySums.none(len(self.bandwidths), dtype))
         return CountedSample(smooth, until), begun
 
     def step(
         self, shared: StepsShared, sample: CountedSample, motion: _StepMotion, drawn: None
     ) -> tuple[_StepMotion, Trace]:
-        model = one_contact_model(self.engine.system, sample.own, self.engine.solver)
+        model, counted = self._model(sample.own), self._counted
         moved, stick, _ = advance(model, *shared, motion.lane)
+        stick = of_track(stick, self.engine.system)
         if not self.with_distances:
             return motion._replace(lane=moved), Trace(stick, None, None)
         before = motion.lane
         beginning, end = (before.t, before.y, before.sign, before.segment_states), (moved.t, moved.y, moved.sign)
-        taken = EngineStep(*beginning, *end, motion.crossed)
-        following = crossed_after(shared, taken)
-        candidate = Trace(stick, taken, is_candidate(model, shared, taken))
-        return motion._replace(lane=moved, crossed=following), candidate
+        taken = EngineStep(*beginning, *end, motion.crossed, motion.since)
+        following = motion._replace(lane=moved, crossed=crossed_after(shared, taken))
+        if counted is None:
+            return following, Trace(stick, taken, is_candidate(model, shared, taken, model))
+        is_close = may_be_close(model, shared, taken, counted)
+        return following._replace(since=since_after(shared, taken)), Trace(stick, taken, is_close)
 
     def after_block(self, samples: CountedSample, motions: _StepMotion, records: Trace) -> _StepMotion:
         if records.is_candidate is None or len(self.bandwidths) == 0:
@@ -240,7 +358,8 @@ class StepCounting(CountingEngine[StepsShared, _StepMotion]):
             lane, exists = at % lanes, wanted <= found[-1]
             smooth, deterministic_until = jax.tree.map(lambda leaf: leaf[lane], samples)
             distances = self._distances_of(jax.tree.map(lambda leaf: leaf[at], taken), smooth)
-            more = BoundarySums.over(distances.after(deterministic_until, exists), bandwidths)
+            more = BoundarySums.over(distances.after(deterministic_until[:, None], exists[:, None]), bandwidths)
+            more = jax.tree.map(lambda kinds: jnp.sum(kinds, axis=-1), more)
             return done + lanes, jax.tree.map(lambda so_far, new: _put(so_far, lane, new), sums, more)
 
         begun = jnp.zeros_like(found[-1]), sums
@@ -248,17 +367,31 @@ class StepCounting(CountingEngine[StepsShared, _StepMotion]):
         return motions._replace(sums=sums)
 
     def distances(self, samples: CountedSample, candidates: EngineStep) -> BoundaryDistances:
-        """The signed distances of candidates (slots, lanes)."""
+        """The signed distances (slots, lanes, kinds) of candidates (slots, lanes)."""
         return jax.vmap(self._distances_of, in_axes=(0, None))(candidates, samples.own)
 
     def _distances_of(self, candidates: EngineStep, smooth: Signal | None) -> BoundaryDistances:
-        """The signed distances of candidates (candidates,), each under its own smooth excitation."""
-        engine, shared = self.engine, self.shared(candidates.t.dtype)
+        """The signed distances (candidates, kinds) of candidates, each under its own smooth excitation."""
+        shared, counted = self.shared(candidates.t.dtype), self._counted
 
         def of(candidate, smooth):
-            return distances_of_step(one_contact_model(engine.system, smooth, engine.solver), shared, candidate)
+            model = self._model(smooth)
+            if counted is not None:
+                return distances_of_contacts(model, shared, candidate, counted)
+            return stacked(distances_of_step(model, shared, candidate, model))
 
         return jax.vmap(of)(candidates, smooth)
+
+    @property
+    def _counted(self) -> int | None:
+        """Of several contacts the track whose sticks are counted."""
+        return self.engine.system.tracks.counted
+
+    def _model(self, smooth: Signal | None) -> Any:
+        system, solver = self.engine.system, self.engine.solver
+        if self._counted is not None:
+            return system.switched_model(smooth, solver)
+        return one_contact_model(system, smooth, solver)
 
     def ended(self, motion: _StepMotion, before: _StepMotion) -> BoolArray:
         return self.engine.ended(motion.lane, before.lane)

@@ -246,13 +246,12 @@ def counted(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray, *
     together = len(leaves) if problem.by_intervals else min(len(leaves), _TOGETHER)
     passes = -(-len(leaves) // together)
     chosen = np.minimum(np.arange(passes * together, dtype=np.int32), len(leaves) - 1).reshape(passes, together)
+    # Of several contacts LLVM (jaxlib 0.10) takes many minutes for the machine code of a native loop.
+    count = count_chunk[is_built_in(engine) and problem.system.tracks.contacts is None]
 
     def rows(first: int, number: int) -> list[Rows]:
         job = problem.job(engine, first, LANES * ROWS, -(-number // LANES))
-        found = [
-            count_chunk[is_built_in(engine)](job, part, leaves=leaves, lanes=LANES, rows=ROWS, dtype=problem.dtype)
-            for part in chosen
-        ]
+        found = [count(job, part, leaves=leaves, lanes=LANES, rows=ROWS, dtype=problem.dtype) for part in chosen]
         totals, _, status = found[0]  # the same in all
         slopes = jax.tree.map(lambda *each: np.concatenate(each)[: len(leaves)], *(one[1] for one in found))
         d_time, (d_events, d_window) = jax.tree.map(lambda leaf: flat(leaf, number), slopes)

@@ -26,7 +26,8 @@ from .._foundation import checks
 from .._foundation.processes import cores
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
-from .._systems.system import System, require_system
+from .._numerics.matrices import MANY, WRITTEN_OUT
+from .._systems.system import System, Tracks, WithContacts, require_system
 from .._uncertainty.inputs import Input, Inputs, StochasticModel
 from .._uncertainty.numbers import NumberPath, Parameter, leaves_of_numbers, number_at, parameters_of
 from .boundaries import FirstSegment, relative_excess
@@ -36,6 +37,7 @@ from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, RandomEngi
 
 
 LANES, ROWS = 256, 32  # of tasks that find totals
+_IN_MATRICES = ("on_base", "series_stiffness")
 
 
 class Pilot(NamedTuple):
@@ -209,7 +211,7 @@ class SensitivityProblem(NamedTuple):
     @property
     def can_be_corrected(self) -> bool:
         """Whether the corrected method knows what differs from sample to sample."""
-        if self.system.tracks.contacts is not None or self.is_output or any(one.counts_slips for one in self.totals):
+        if self.is_output or any(one.counts_slips for one in self.totals) or not self.are_contacts_followed:
             return False
         if self.by_intervals and self.is_counted and not self.ignores_stick_count:
             assert isinstance(self.law, PiecewiseConstantLaw)
@@ -222,6 +224,20 @@ class SensitivityProblem(NamedTuple):
         are_followed = only_in_start or self.by_intervals or self.ignores_stick_count
         in_lanes = all(source is None or source.in_lanes for source in engine.sources)
         return are_followed and in_lanes and not inputs.has_sampled_law
+
+    @property
+    def are_contacts_followed(self) -> bool:
+        """Whether there is one contact, or a list of contacts whose boundaries are known."""
+        system = self.system
+        if system.tracks.contacts is None:
+            return True
+        if not isinstance(system, WithContacts) or isinstance(self.method, Regularized):
+            return False
+        is_large = len(system.coordinates) > MANY or system.tracks.contacts > WRITTEN_OUT
+        if is_large or any(one.path[-1] in _IN_MATRICES for one in self.parameters):
+            return False  # the engine holds what follows from these numbers
+        model = system.switched_model(None, None)
+        return not (model.varying or model.has_sliders or (system.tracks.counted == -1 and model.coupled))
 
     def job(self, engine: Engine, first: int, samples: int, used_rows: int = 1) -> Job:
         """A job of `used_rows` rows from sample `first` on; it holds the own leaves of `samples` samples."""
@@ -315,6 +331,8 @@ def problem_of(
     size = None if chunk is None else checks.whole_number("chunk", chunk)
     check_method(method)
     number = checks.whole_number("samples", samples, minimum=2, maximum=2**31)
+    if isinstance(system, WithContacts) and system.tracks == Tracks(contacts=1):
+        system = system.of_contact(0)
     inputs = Inputs.of(StochasticModel(system, law_of(law), y0), number, key)
     dtype = jnp.result_type(float)
     inputs.check(dtype)
@@ -395,8 +413,9 @@ def require_correctable(problem: SensitivityProblem) -> None:
             "Argument estimator must be 'finite-difference' (the default here) where numbers of the system or law "
             "differ from sample to sample and the motion has no closed form from jump to jump of the base, where the "
             "law is an object of your own with a method sample(key, t1), where the parameter belongs to a Beta "
-            "distribution or to the distribution of a switching rate, for systems with a list of contacts, and for "
-            "outputs and statistics of slips."
+            "distribution or to the distribution of a switching rate, for outputs and statistics of slips, and of "
+            "several contacts where there are more than 8, normal forces vary, springs are in front of them, the "
+            "parameter is their on_base, or all at once are counted and friction in one has an effect on another."
         )
 
 

@@ -375,12 +375,14 @@ def record_sequences(job: Job, *, lanes: int, buffer: BufferSizes, dtype: DType)
     (now, _), trace = lax.scan(block, begun, None, length=buffer.blocks)
     single = single_engine(engine)
     samples = engine.constants(now.sample) if isinstance(engine, RandomEngine) else now.sample
-    sticks, candidates, is_candidate = jax.tree.map(lambda leaf: leaf.reshape(-1, lanes), trace)
+    sticks, candidates, is_candidate = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), trace)
     kept, is_stick, sticks_found = _gathered(sticks.ending >= 0, sticks, buffer.slots)
     distances, candidates_found = None, jnp.zeros_like(sticks_found)
     if buffer.candidates > 0:
         candidates, is_filled, candidates_found = _gathered(is_candidate, candidates, buffer.candidates)
-        distances = single.distances(samples, candidates).after(samples.deterministic_until[None], is_filled)
+        distances = single.distances(samples, candidates)
+        distances = distances.after(samples.deterministic_until[None, :, None], is_filled[..., None])
+        distances = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 2, 1).reshape(-1, lanes), distances)
     start, duration = (jnp.where(is_stick, column, 0).T for column in (kept.start, kept.end - kept.start))
     first_ending = jnp.where(is_stick[0], kept.ending[0], -1).astype(jnp.int32)
     status = jnp.asarray(jax.vmap(engine.results)(now.sample, now.motion).status, jnp.int32)
@@ -397,7 +399,11 @@ def _gathered(exists: BoolArray, columns: _Tree, slots: int) -> tuple[_Tree, Boo
     at = jax.vmap(lambda found: jnp.searchsorted(found, wanted), in_axes=1, out_axes=1)(found)
     filled = wanted[:, None] <= found[-1][None]
     at = jnp.where(filled, at, 0)
-    kept = jax.tree.map(lambda column: jnp.take_along_axis(column, at, axis=0), columns)
+
+    def taken(column):
+        return jnp.take_along_axis(column, at.reshape(*at.shape, *(1,) * (column.ndim - 2)), axis=0)
+
+    kept = jax.tree.map(taken, columns)
     return kept, filled, found[-1].astype(jnp.int32)
 
 

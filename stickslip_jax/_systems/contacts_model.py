@@ -284,9 +284,44 @@ class ContactsModel(SwitchedModel[Forcing]):
         """Which contacts are `Sliders`, (contacts,)."""
         return np.zeros(self.contacts or 0, bool)
 
+    def softness(self, y: State) -> FloatArray:
+        """What an elongation is of a spring's force, (contacts,), 0 where there is none; asked only where some are."""
+        raise NotImplementedError("of models that have sliders")
+
+    def elongations(self, y: State) -> FloatArray:
+        """Of the springs in front of contacts, 0 of the other contacts, (contacts,)."""
+        raise NotImplementedError("of models that have sliders")
+
+    def following(self, forcing: Forcing, tau: FloatScalar, y: State, way: FloatArray) -> FloatArray:
+        """The rates of the elongations in slips `way`, in which the springs' forces are the limits, m/s."""
+        raise NotImplementedError("of models that have sliders")
+
+    @property
+    def has_sliders(self) -> bool:
+        return bool(np.any(self.elastic))
+
     def sliders(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray | None = None) -> "Sliders":
         """Those of the `elastic` contacts; in the modes `sign`, or right after `tau` if these are not known."""
-        raise NotImplementedError("of models that have some")
+        softness, velocity = self.softness(y), self.relative_velocity(forcing, tau, y)
+        force = jnp.where(softness > 0, self.elongations(y) / jnp.where(softness > 0, softness, 1), 0)
+        limits = self.limits(forcing, tau, y, velocity)
+        way = self._own(sign) if sign is not None else jnp.sign(jnp.where(force == 0, velocity, force))
+        reach = limits.slip(way)
+        noise = NOISE_ULPS * jnp.finfo(force.dtype).eps * jnp.abs(reach)
+        if self.varying:
+            noise = noise + self._touch(forcing, y)
+        is_at_limit = way * (force - reach) >= -noise
+        return Sliders(force, limits, way, velocity - self.following(forcing, tau, y, way), is_at_limit)
+
+    def _elongating(self, stretching: FloatArray, following: FloatArray, sign: FloatArray) -> FloatArray:
+        """The rates of the elongations, of those in sticks and in slips."""
+        return jnp.where(self._is_open(sign), 0, jnp.where(self._own(sign) == 0, stretching, following))
+
+    def _at_limits(self, forcing: Forcing, y: State, sign: FloatArray) -> FloatArray:
+        """The elongations at the beginnings of the modes `sign`: in slips those of the limits."""
+        own, none = self._own(sign), jnp.zeros((), y[0].dtype)
+        reach = self._limits(forcing, none, y, jnp.zeros_like(own), sign).slip(own) * self.softness(y)
+        return jnp.where((own != 0) | self._is_open(sign), reach, self.elongations(y))
 
     @property
     @abc.abstractmethod

@@ -23,9 +23,9 @@ from .contacts import (
     size_of,
     values_at,
 )
-from .contacts_model import ContactsModel, Gain, InMode, Instant, Limits, Sliders, acceleration, holding, solved
+from .contacts_model import ContactsModel, Gain, InMode, Instant, Limits, acceleration, holding, solved
 from .friction import AtAge, FrictionLaw
-from .switched_model import NOISE_ULPS, Along, Forcing, Form, HasEnergies, Powers, Terms, later, of_form
+from .switched_model import Along, Forcing, Form, HasEnergies, Powers, Terms, later, of_form
 
 # What a model of a structure needs of linear algebra, and its rates.
 
@@ -125,31 +125,17 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         return jnp.append(place if not self.has_sliders else place - y[2], y[0][0])
 
     @property
-    def has_sliders(self) -> bool:
-        return bool(np.any(self.elastic))
-
-    @property
     def elastic(self) -> np.ndarray:
         return self.structure.elastic
 
-    def sliders(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray | None = None) -> Sliders:
-        softness, velocity = self._softness(y), self.relative_velocity(forcing, tau, y)
-        force = jnp.where(softness > 0, y[2] / jnp.where(softness > 0, softness, 1), 0)
-        limits = self.limits(forcing, tau, y, velocity)
-        way = self._own(sign) if sign is not None else jnp.sign(jnp.where(force == 0, velocity, force))
-        reach = limits.slip(way)
-        noise = NOISE_ULPS * jnp.finfo(force.dtype).eps * jnp.abs(reach)
-        if self.varying:
-            noise = noise + self._touch(forcing, y)
-        is_at_limit = way * (force - reach) >= -noise
-        return Sliders(force, limits, way, velocity - self._following(forcing, tau, y, way), is_at_limit)
+    def elongations(self, y: State) -> FloatArray:
+        return y[2]
 
-    def _following(self, forcing: Forcing, tau: FloatScalar, y: State, way: FloatArray) -> FloatArray:
-        """The rates of the elongations in slips `way`, in which the springs' forces are the limits, m/s."""
+    def following(self, forcing: Forcing, tau: FloatScalar, y: State, way: FloatArray) -> FloatArray:
         rates = self.normal_rates_at(forcing, tau, y)
-        return self.limits_under(rates, jnp.zeros_like(rates)).slip(way) * self._softness(y)
+        return self.limits_under(rates, jnp.zeros_like(rates)).slip(way) * self.softness(y)
 
-    def _softness(self, y: State) -> FloatArray:
+    def softness(self, y: State) -> FloatArray:
         softness = self._in_precision_of(y).softness
         assert softness is not None
         return softness
@@ -158,16 +144,10 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         rates = super().rates(forcing, tau, y, sign)
         if not self.has_sliders:
             return rates
-        own = self._own(sign)
-        elongating = jnp.where(own == 0, rates[2], self._following(forcing, tau, y, own))
-        return *rates[:2], jnp.where(self._is_open(sign), 0, elongating)
+        return *rates[:2], self._elongating(rates[2], self.following(forcing, tau, y, self._own(sign)), sign)
 
     def entered(self, forcing: Forcing, y: State, before: FloatArray, sign: FloatArray) -> State:
-        if not self.has_sliders:
-            return y
-        own, none = self._own(sign), jnp.zeros((), y[0].dtype)
-        reach = self._limits(forcing, none, y, jnp.zeros_like(own), sign).slip(own) * self._softness(y)
-        return *y[:2], jnp.where((own != 0) | self._is_open(sign), reach, y[2])
+        return (*y[:2], self._at_limits(forcing, y, sign)) if self.has_sliders else y
 
     def instant(self, forcing: Forcing, tau: FloatScalar, y: State) -> Instant:
         base, of = forcing.base_at(self.smooth, tau), self._in_precision_of(y)
@@ -248,7 +228,7 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         of, (x, v) = self.structure, y[:2]
         elastic = jnp.dot(x, _product(of.stiffness, x))
         if self.has_sliders:
-            softness = self._softness(y)
+            softness = self.softness(y)
             elastic = elastic + jnp.sum(jnp.where(softness > 0, y[2] ** 2 / jnp.where(softness > 0, softness, 1), 0))
         return {"kinetic": jnp.dot(v, _product(of.mass, v)) / 2, "elastic": elastic / 2}
 
@@ -375,13 +355,13 @@ class ArcsModel(StructureModel):
             sources.append(reduce(add, found) if found else None)
         return sources
 
-    def _elongating(
+    def _elongating_series(
         self, forcing: Forcing, y: State, sign: FloatArray, terms: int
     ) -> list[tuple[FloatArray, FloatArray | None]]:
         """The coefficients in the power series of the rates of elongations (contacts,): in sticks those of the base's
         part of the relative velocities, in slips those of the limits.
         """
-        t, reach = forcing.t, self.slip_coefficients(sign) * self._softness(y)
+        t, reach = forcing.t, self.slip_coefficients(sign) * self.softness(y)
         normal = power_series_of(self.structure.normal_forces, t, forcing.normal, terms + 1)
         base: tuple[FloatArray | None, ...] = (None,) * terms
         if self.smooth is not None:
@@ -439,7 +419,7 @@ def _series(
     held = _Held(of, holding(of.gain, sticks))
     sources = model._sources(held, forcing, y, sign, terms)
     x, v, power = [y[0]], [y[1]], jnp.ones_like(h)
-    stretching = [] if of.by_springs is None else model._elongating(forcing, y, sign, terms)
+    stretching = [] if of.by_springs is None else model._elongating_series(forcing, y, sign, terms)
     e, follows = list(y[2:]), (model._own(sign) == 0) & ~model._is_open(sign)
     slip = model.slip_coefficients(sign)
     for k, source in enumerate(sources):

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Array
 
-from .._compiler.programs import kept_jit
 from .._excitation.excitation import Excitation
 from .._excitation.motion import Signal
 from .._excitation.recorded import ForceSteps
@@ -50,7 +49,20 @@ from .system import (
     ages_of,
     shortest_period,
 )
-from .users_models import GeneralContactsModel, GeneralModel, UsersBase, depends_on_time, differs_between, records_in
+from .users_models import (
+    GeneralContactsModel,
+    GeneralModel,
+    UsersBase,
+    compiled_numbers,
+    compiled_velocities,
+    depends_on_time,
+    differs_between,
+    numbers_of,
+    records_in,
+    shares,
+    springs_of,
+    velocities_of,
+)
 
 _MOST_CONTACTS = 64
 
@@ -112,6 +124,8 @@ class SwitchedSystem(WithContacts):
 
     Numbers of the state that jump where a stick or a slip begins (counters, wear, a slip distance) are given by
     `at_stick` and `at_slip`.
+
+    Springs in front of contacts, such as those of friction dampers, are given by `series_stiffness`.
 
     Laws with an inner state, such as `LuGre`, are named by `inner_laws`; static friction that grows while a stick lasts
     by `static_ratio_after`.
@@ -191,6 +205,19 @@ class SwitchedSystem(WithContacts):
         Not overridden: contacts never open, and `friction` of `rates` is a share of the kinetic force.
         """
         raise NotImplementedError("only what a subclass gives is asked for")
+
+    @property
+    def series_stiffness(self) -> Number | FloatArray | tuple[Number | None, ...] | None:
+        """Springs in front of the contacts, as in friction dampers: sliders without mass at their ends stick and slip.
+
+        One number for all `contacts`, or one for each, None without a spring: by how much `friction` grows with each
+        metre (or rad) that the spring is longer. With rates that multiply `friction` by ``mu N`` that is ``k / (mu N)``
+        of a spring of k N/m; with `normal_forces`, ``k / mu``. `friction` is then the force of the spring, at most the
+        limit; that must not depend on velocities. The elongations, positive where a positive relative velocity made
+        them, are part of the state, after the numbers that `state_names` lists; `rates` and the other methods do not
+        see them. Dynamics is exact: ``Exact()``.
+        """
+        return None
 
     @property
     def static_ratio(self) -> Scalar | FloatArray:
@@ -282,7 +309,9 @@ class SwitchedSystem(WithContacts):
         ages = ()
         if type(self).static_ratio_after is not SwitchedSystem.static_ratio_after:
             ages = (AGE,) if self.contacts is None else ages_of(self.contacts)
-        return Memory(ages, self.inner_laws)
+        elongations = (Coordinate(f"elongation {i}", "m", f"e_{{{i}}}")
+                       for i, spring in enumerate(springs_of(self)) if spring is not None)  # fmt: skip
+        return Memory(ages, self.inner_laws, elongations=tuple(elongations))
 
     @property
     def tracks(self) -> Tracks:
@@ -339,7 +368,7 @@ class SwitchedSystem(WithContacts):
 
     def sizes(self, excitation: Excitation) -> Sizes:
         speed, time, memory = self.speed_scale, self.shortest_time, self.memory
-        state = (1.0,) * (len(self.state_names) + len(memory.ages))
+        state = (1.0,) * (len(self.state_names) + len(memory.elongations) + len(memory.ages))
         deceleration = None if speed is None or time is None else speed / time
         return Sizes(speed, deceleration, (*state, *memory.state_scales))
 
@@ -375,8 +404,8 @@ _BY_DIRECTION = (
 )
 _NEARER, _JUMP = 0.1, 0.9  # a rate that changes by as much over a tenth of a small step jumps
 _GIVEN_BY_FIELDS = (
-    "contacts", "coordinates", "inner_laws", "natural_frequency", "shortest_time", "speed_scale", "state_names",
-    "static_ratio", "stick_position", "stops_are_unstable",
+    "contacts", "coordinates", "inner_laws", "natural_frequency", "series_stiffness", "shortest_time", "speed_scale",
+    "state_names", "static_ratio", "stick_position", "stops_are_unstable",
 )  # fmt: skip
 """Properties that a class of a user's own may give by a field as well."""
 AFFINE = 1e-3  # of the largest rate: far above round-off in float32, far below any law that is not affine
@@ -412,6 +441,13 @@ def check_fields(system: Any) -> None:
     if system.memory.ages:
         _check_ages(system)
     _check_inner_laws(system)
+    _check_springs(system)
+    remembered = system.memory.coordinates
+    if remembered and system.coordinates[len(names) :] != remembered:
+        raise ValueError(
+            f"Argument coordinates of a {kind} must end with the inner states of its laws, the ages of its sticks and "
+            "the elongations of its springs: add *self.memory.coordinates."
+        )
     for name in ("shortest_time", "speed_scale"):
         with checks.traceable(f"The property {name} of {kind}"):
             value = getattr(system, name)
@@ -436,21 +472,27 @@ def _check_inner_laws(system: Any) -> None:
             f"Argument inner_laws of a {kind} must come without static_ratio and static_ratio_after, those of exact "
             "sticks, but both were given; keep one of them."
         )
-    if laws and system.coordinates[len(system.state_names) :] != system.memory.coordinates:
-        raise ValueError(
-            f"Argument coordinates of a {kind} must end with the inner states of its laws: add "
-            "*self.memory.coordinates."
-        )
+
+
+def _check_springs(system: Any) -> None:
+    """Check the `series_stiffness` of a system."""
+    kind, springs, memory = type(system).__name__, springs_of(system), system.memory
+    if all(spring is None for spring in springs):
+        return
+    if system.contacts is None or memory.ages or memory.laws:
+        demand = "come with a number of contacts, contacts = 1 or more, and without inner_laws and static_ratio_after"
+        raise checks.refused(f"series_stiffness of a {kind}", demand, system.series_stiffness)
+    if len(springs) != system.contacts:
+        demand = f"be one number, or {system.contacts}, one for each contact (None without a spring)"
+        raise checks.refused(f"series_stiffness of a {kind}", demand, system.series_stiffness)
+    for spring in springs:
+        if spring is not None:
+            checks.positive("series_stiffness", spring)
 
 
 def _check_ages(system: Any) -> None:
     """Check `static_ratio_after` and the coordinates of a system whose friction grows with the ages of sticks."""
     kind, shape = type(system).__name__, () if system.contacts is None else (system.contacts,)
-    if system.coordinates[len(system.state_names) :] != system.memory.ages:
-        raise ValueError(
-            f"Argument coordinates of a {kind} must end with the ages of its sticks, because it has a "
-            "static_ratio_after: add *self.memory.coordinates."
-        )
     with checks.traceable(f"The method static_ratio_after of {kind}"):
         jax.make_jaxpr(system.static_ratio_after)(jnp.zeros(shape))
     now, later = (system.static_ratio_after(jnp.full(shape, age)) for age in (0.0, 1.0))
@@ -478,18 +520,19 @@ def check_motion(system: Any, y0: tuple[Number, ...]) -> None:
     if any(checks.is_traced(leaf) for leaf in jax.tree.leaves((system, y))):
         return
     # Of another system like one that was tried, only the numbers are looked at, by compiled functions.
-    velocities, gradients = (_velocities if is_new else _compiled_velocities)(system, y, base)
+    velocities, gradients = (velocities_of if is_new else compiled_velocities)(system, y, base)
     if checks.is_traced(velocities) or checks.is_traced(gradients):  # its class encloses a number that JAX traces
         return
     velocities, gradients = np.asarray(velocities, float), np.asarray(gradients, float)
     near = Near.of(y) if system.contacts is None else Near.of(y, velocities, gradients)
-    rates, near_rates, near_forces = (_numbers if is_new else _compiled_numbers)(system, y, base, near.columns)
+    rates, near_rates, near_forces = (numbers_of if is_new else compiled_numbers)(system, y, base, near.columns)
     if any(map(checks.is_traced, (rates, near_rates, near_forces))):
         return
     near.check(kind, np.asarray(near_rates))
     if system.has_normal_forces:
         near.check(kind, np.asarray(near_forces), "normal_forces", _BY_DIRECTION)
-    _check_affine(kind, np.asarray(rates, float), gradients, system.contacts)
+    rigid = np.array([spring is None for spring in springs_of(system)])
+    _check_affine(kind, np.asarray(rates, float), gradients, system.contacts, rigid)
     if tried is not None:
         _TRIED[tried] = None
         if len(_TRIED) > _MOST_TRIED:  # the oldest is forgotten
@@ -524,11 +567,11 @@ def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
         for state in after:
             check_rates(kind, state, len(y), name)
             _check_same_velocity(system, y, base, tuple(state), name)
-    shares = _shares(system.contacts)
+    given = shares(system.contacts)
     try:
         with checks.traceable(f"The method rates of {kind}"):
-            rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in shares]
-            jax.make_jaxpr(type(system).rates)(_as_traced(system), zero, y, base, jnp.asarray(shares[0]))
+            rates = [system.rates(zero, y, base, jnp.asarray(share)) for share in given]
+            jax.make_jaxpr(type(system).rates)(_as_traced(system), zero, y, base, jnp.asarray(given[0]))
     except (IndexError, TypeError) as error:
         takes_two = False
         with contextlib.suppress(Exception):  # of a user's code
@@ -545,16 +588,6 @@ def _check_methods(system: Any, y: tuple[Array, ...], base: UsersBase) -> None:
             f"Argument rates of a {kind} must accept a state of {len(y)} numbers, but: {error}."
         ) from error
     check_rates(kind, rates[0], len(y))
-
-
-def _shares(contacts: int | None) -> np.ndarray:
-    """Shares of the friction forces at which rates show whether they are affine: none, half of all, and each alone,
-    forward and backward; (shares,), or (shares, contacts) of several.
-    """
-    if contacts is None:
-        return np.array([0.0, 0.5, 1.0, -1.0])
-    units = np.eye(contacts)
-    return np.stack([0 * units[0], 0.5 * np.ones(contacts), *units, *-units])
 
 
 def _check_number(kind: str, name: str, values: Any, contacts: int | None) -> None:
@@ -618,40 +651,6 @@ def _uses(function: Callable[[Any], Any], argument: Any) -> bool:
     jaxpr = jax.make_jaxpr(function)(argument).jaxpr
     used = [*jaxpr.outvars, *(atom for equation in jaxpr.eqns for atom in equation.invars)]
     return any(atom is given for atom in used for given in jaxpr.invars)
-
-
-def _velocities(system: Any, y: tuple[Array, ...], base: UsersBase) -> tuple[Array, Array]:
-    """The relative velocities of the contacts (contacts,), and their derivatives by the state (contacts, states)."""
-
-    def of(state: Array) -> Array:
-        found = system.relative_velocity(jnp.zeros(()), tuple(state), base)
-        return jnp.stack([jnp.asarray(velocity, float) for velocity in (found if system.contacts else (found,))])
-
-    state = jnp.stack(y)
-    return of(state), jax.jacfwd(of)(state)
-
-
-def _numbers(
-    system: Any, y: tuple[Array, ...], base: UsersBase, columns: tuple[AnyArray, ...]
-) -> tuple[Array, Array, Array]:
-    """The rates (shares, states) at the `_shares` of friction; rates under all of it, and normal forces, in the states
-    whose numbers are the `columns` of a `Near`, (places, numbers).
-    """
-    zero, shares = jnp.zeros(()), _shares(system.contacts)
-
-    def rates(friction: Array, *state: AnyArray) -> Array:
-        return jnp.stack([jnp.asarray(rate, float) for rate in system.rates(zero, state, base, friction)])
-
-    def forces(*state: AnyArray) -> Array:
-        given = system.normal_forces(zero, state, base) if system.has_normal_forces else ()
-        return jnp.stack([zero, *(jnp.asarray(force, float) for force in given)])[1:]
-
-    found = jnp.stack([rates(jnp.asarray(share), *y) for share in shares])
-    near = jax.vmap(partial(rates, jnp.ones(shares.shape[1:])))(*columns)
-    return found, near, jax.vmap(forces)(*columns)
-
-
-_compiled_velocities, _compiled_numbers = kept_jit(_velocities), kept_jit(_numbers)
 
 
 def check_ground(system: Any) -> None:
@@ -741,9 +740,9 @@ class Near:
         )
 
 
-def _check_affine(kind: str, rates: np.ndarray, gradients: np.ndarray, contacts: int | None) -> None:
-    """Check that `rates` (shares, states) at the `_shares` of friction are affine in them, that friction opposes the
-    sliding, and that the contacts have one motion. `gradients`: of relative velocities by the state.
+def _check_affine(kind: str, rates: np.ndarray, gradients: np.ndarray, contacts: int | None, rigid: np.ndarray) -> None:
+    """Check that `rates` (shares, states) at the `shares` of friction are affine in them, that friction opposes the
+    sliding, and that the `rigid` contacts have one motion. `gradients`: of relative velocities by the state.
     """
     if not np.all(np.isfinite(rates)):
         return  # the status of the simulation reports it
@@ -756,7 +755,7 @@ def _check_affine(kind: str, rates: np.ndarray, gradients: np.ndarray, contacts:
         form = "a + b friction" if contacts is None else "a + b_0 friction[0] + b_1 friction[1] + ..."
         values = ", ".join(
             f"{rate:.6g} at {' '.join(f'{one:g}' for one in np.atleast_1d(share))}"
-            for share, rate in zip(_shares(contacts), rates[:, wrong[0]], strict=True)
+            for share, rate in zip(shares(contacts), rates[:, wrong[0]], strict=True)
         )
         raise ValueError(
             f"Argument rates of a {kind} must be affine in friction, {form}, but rate number {wrong[0]} is {values}; "
@@ -772,8 +771,8 @@ def _check_affine(kind: str, rates: np.ndarray, gradients: np.ndarray, contacts:
                 f"{name} = 1 changes the rate of relative velocity{of} by {own:.6g}; turn its sign round, or leave out "
                 "a contact that moves nothing."
             )
-    eigenvalues = np.linalg.eigvalsh(-(by_friction + by_friction.T) / 2)
-    if contacts is not None and is_singular(eigenvalues):
+    eigenvalues = np.linalg.eigvalsh(-(by_friction + by_friction.T)[rigid][:, rigid] / 2)
+    if contacts is not None and len(eigenvalues) and is_singular(eigenvalues):
         raise ValueError(
             f"Argument rates of a {kind} must have one motion only, but the effects of the friction forces on the "
             "relative velocities are no positive definite matrix (smallest eigenvalue "

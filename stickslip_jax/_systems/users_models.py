@@ -16,10 +16,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
+from jaxtyping import Array
 
+from .._compiler.programs import kept_jit
 from .._excitation.motion import Signal
 from .._excitation.recorded import ForceSteps, Recorded
-from .._foundation.types import BoolArray, BoolScalar, ExplicitSolver, FloatArray, FloatScalar, Scalar, State
+from .._foundation.types import (
+    AnyArray,
+    BoolArray,
+    BoolScalar,
+    ExplicitSolver,
+    FloatArray,
+    FloatScalar,
+    Scalar,
+    State,
+)
 from .._numerics.derivatives import without_derivatives
 from .._numerics.matrices import is_positive_definite, linear_solve, sum_of
 from .._numerics.steps import gross_changes, relative_error, runge_kutta_step
@@ -92,6 +103,14 @@ class _SeenAt:
         return getattr(self._record, name)
 
 
+def springs_of(system: Any) -> tuple[Any, ...]:
+    """The `series_stiffness` of each contact of a `SwitchedSystem`; None of one without a spring."""
+    given, contacts = system.series_stiffness, system.contacts or 1
+    if isinstance(given, (tuple, list)):
+        return tuple(given)
+    return (given,) * contacts if given is None or np.ndim(given) == 0 else tuple(given[i] for i in range(len(given)))
+
+
 # Whether what a user's methods return depends on time by itself.
 
 
@@ -140,6 +159,53 @@ def _depends_on_time(structure: Any, leaves: tuple[jax.ShapeDtypeStruct, ...]) -
     except ValueError:
         return True
     return False
+
+
+# What a user's methods return, for checks of them.
+
+
+def shares(contacts: int | None) -> np.ndarray:
+    """Shares of the friction forces at which rates show whether they are affine: none, half of all, and each alone,
+    forward and backward; (shares,), or (shares, contacts) of several.
+    """
+    if contacts is None:
+        return np.array([0.0, 0.5, 1.0, -1.0])
+    units = np.eye(contacts)
+    return np.stack([0 * units[0], 0.5 * np.ones(contacts), *units, *-units])
+
+
+def velocities_of(system: Any, y: tuple[Array, ...], base: UsersBase) -> tuple[Array, Array]:
+    """The relative velocities of the contacts (contacts,), and their derivatives by the state (contacts, states)."""
+
+    def of(state: Array) -> Array:
+        found = system.relative_velocity(jnp.zeros(()), tuple(state), base)
+        return jnp.stack([jnp.asarray(velocity, float) for velocity in (found if system.contacts else (found,))])
+
+    state = jnp.stack(y)
+    return of(state), jax.jacfwd(of)(state)
+
+
+def numbers_of(
+    system: Any, y: tuple[Array, ...], base: UsersBase, columns: tuple[AnyArray, ...]
+) -> tuple[Array, Array, Array]:
+    """The rates (shares, states) at the `shares` of friction; rates under all of it, and normal forces, in the states
+    whose numbers are the `columns` of a `Near`, (places, numbers).
+    """
+    zero, given = jnp.zeros(()), shares(system.contacts)
+
+    def rates(friction: Array, *state: AnyArray) -> Array:
+        return jnp.stack([jnp.asarray(rate, float) for rate in system.rates(zero, state, base, friction)])
+
+    def forces(*state: AnyArray) -> Array:
+        given = system.normal_forces(zero, state, base) if system.has_normal_forces else ()
+        return jnp.stack([zero, *(jnp.asarray(force, float) for force in given)])[1:]
+
+    found = jnp.stack([rates(jnp.asarray(share), *y) for share in given])
+    near = jax.vmap(partial(rates, jnp.ones(given.shape[1:])))(*columns)
+    return found, near, jax.vmap(forces)(*columns)
+
+
+compiled_velocities, compiled_numbers = kept_jit(velocities_of), kept_jit(numbers_of)
 
 
 # A user's system under its excitation.
@@ -424,6 +490,54 @@ class GeneralContactsModel(_OfUser, ContactsModel):
     def _contact_modes(self, sign: FloatArray) -> FloatArray:
         return jnp.where(self._is_open(sign), 2, self._own(sign))
 
+    # With springs in front of contacts the state ends with their elongations, which the user's methods do not see.
+
+    @property
+    def elastic(self) -> np.ndarray:
+        return np.array([spring is not None for spring in springs_of(self.system)])
+
+    def softness(self, y: State) -> FloatArray:
+        return jnp.stack([jnp.asarray(0 if one is None else 1 / one, y[0].dtype) for one in springs_of(self.system)])
+
+    def elongations(self, y: State) -> FloatArray:
+        places = np.where(self.elastic, np.cumsum(self.elastic) - 1, -1)
+        return jnp.append(jnp.stack(y[len(self.system.state_names) :]), 0)[places]
+
+    def following(
+        self, forcing: Forcing, tau: FloatScalar, y: State, way: FloatArray, rates: State | None = None
+    ) -> FloatArray:
+        """As of every model; `rates`: of the state, by default those without the friction of rigid contacts."""
+        if not self.system.has_normal_forces:
+            return jnp.zeros_like(way)
+        t, base, base_rates = self.base_at(forcing, tau)
+        moving = jnp.ones_like(t), base_rates, self.instant(forcing, tau, y).rates if rates is None else rates
+        return way * jax.jvp(partial(self._normal, forcing), (t, base, y), moving)[1] * self.softness(y)
+
+    def _with_elongations(self, y: State, of_springs: FloatArray) -> State:
+        return *self._of_user(y), *(of_springs[i] for i in np.flatnonzero(self.elastic))
+
+    def _of_user(self, y: State) -> State:
+        return y[: len(self.system.state_names)]
+
+    def _rates(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State, friction: FloatArray) -> State:
+        if not self.has_sliders:
+            return super()._rates(forcing, t, base, y, friction)
+        softness = self.softness(y)
+        force = self.elongations(y) / jnp.where(softness > 0, softness, 1)
+        rates = super()._rates(forcing, t, base, self._of_user(y), jnp.where(self.elastic, force, friction))
+        return self._with_elongations(rates, self._velocity(forcing, t, base, y))
+
+    def _velocity(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State) -> FloatArray:
+        return super()._velocity(forcing, t, base, self._of_user(y))
+
+    def _begun(self, forcing: Forcing, y: State, sticks: BoolArray, slips: BoolArray | None = None) -> State:
+        own = self._of_user(y)
+        return *super()._begun(forcing, own, sticks, slips), *y[len(own) :]
+
+    def entered(self, forcing: Forcing, y: State, before: FloatArray, sign: FloatArray) -> State:
+        y = super().entered(forcing, y, before, sign)
+        return self._with_elongations(y, self._at_limits(forcing, y, sign)) if self.has_sliders else y
+
     def decided(self, forcing: Forcing, y: State, question: Question) -> Decision:
         # What comes to rest is held by what it is as a stick.
         y = self._begun(forcing, y, self._own(question.asked) & (self._contact_modes(question.sign) != 0))
@@ -456,15 +570,22 @@ class GeneralContactsModel(_OfUser, ContactsModel):
         """
         t, base, _ = self.base_at(forcing, tau)
         (velocity, gradients), own = self._gradient(forcing, t, base, y), self._own(sign)
-        beyond = (own * velocity < 0) & ~self._is_open(sign)
+        beyond = self._rigid(own * velocity < 0) & ~self._is_open(sign)
         rows = jnp.stack(gradients, axis=-1)  # (contacts, states)
         both = beyond[:, None] & beyond[None, :]
         matrix = jnp.where(both, rows @ rows.T, jnp.eye(len(own), dtype=t.dtype))
         shift = rows.T @ jnp.where(beyond, linear_solve(matrix, jnp.where(beyond, velocity, 0)), 0)
         end, image = (tuple(value - k * shift[i] for i, value in enumerate(y)) for k in (1, 2))
-        here, there = (super(GeneralContactsModel, self).rates(forcing, tau, state, sign) for state in (end, image))
+        here, there = (self._rates_in(forcing, tau, state, sign) for state in (end, image))
         passed = jnp.any(beyond)
         return tuple(jnp.where(passed, 2 * a - b, b) for a, b in zip(here, there, strict=True))
+
+    def _rates_in(self, forcing: Forcing, tau: FloatScalar, y: State, sign: FloatArray) -> State:
+        rates = super().rates(forcing, tau, y, sign)
+        if not self.has_sliders:
+            return rates
+        following = self.following(forcing, tau, y, self._own(sign), rates)
+        return self._with_elongations(rates, self._elongating(self.elongations(rates), following, sign))
 
     def limits(self, forcing: Forcing, tau: FloatScalar, y: State, velocity: FloatArray) -> Limits:
         normal = self.normal_forces_at(forcing, tau, y)
@@ -500,10 +621,11 @@ class GeneralContactsModel(_OfUser, ContactsModel):
         y = super().at_base_velocity(forcing, y, resting)
         gain = self.instant(forcing, jnp.zeros_like(y[0]), y).gain
         assert not isinstance(gain, Uncoupled)
+        gain = jnp.where(self.elastic[:, None] | self.elastic, np.eye(self.contacts), gain)  # of the rigid ones
         return jnp.where(is_positive_definite((gain + gain.T) / 2), y[0], jnp.nan), *y[1:]
 
     def _normal(self, forcing: Forcing, t: FloatScalar, base: UsersBase, y: State) -> FloatArray:
-        return _stacked(self._seen_at(forcing, t).normal_forces(t, y, base), t)
+        return _stacked(self._seen_at(forcing, t).normal_forces(t, self._of_user(y), base), t)
 
 
 def _stacked(values: Any, t: FloatScalar) -> FloatArray:

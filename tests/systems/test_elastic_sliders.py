@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
 import scipy.optimize
 from support.elastic_reference import ByModes, SetUp
 
@@ -68,7 +69,12 @@ def compare(kind, seed, t1=15.0):
     of, y0 = random_set_up(kind, seed)
     structure, base = as_structure(of)
     method = ss.Exact(max_steps=4096)  # one program for all of a kind
-    one, expected = ss.simulate(structure, base, t1=t1, y0=tuple(y0), method=method), ByModes(of, y0).run(t1)
+    one = ss.simulate(structure, base, t1=t1, y0=tuple(y0), method=method)
+    return compared(of, one, ByModes(of, y0).run(t1))
+
+
+def compared(of, one, expected):
+    """Every stick and the final state; the number of sticks."""
     assert one.status == 0
     elastic, d = of.springs > 0, len(of.mass)
     found = np.asarray(one.final_state)
@@ -80,7 +86,7 @@ def compare(kind, seed, t1=15.0):
         mine = one.of_contact(i).sticks
         theirs = [(begin, end) for j, begin, end in sticks if j == i]
         mine = np.stack([mine.start, mine.end], axis=1)[np.asarray(mine.mask)]
-        assert len(mine) == len(theirs), (kind, seed, i, mine, theirs)
+        assert len(mine) == len(theirs), (i, mine, theirs)
         np.testing.assert_allclose(mine, np.array(theirs).reshape(-1, 2), rtol=0, atol=1e-9)
     return len(sticks)
 
@@ -362,6 +368,209 @@ def test_griffins_blade_against_harmonic_balance():
     errors = [balanced(harmonics) for harmonics in (1, 3, 7)]
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
     assert errors[2] < 1e-3 * np.max(np.abs(exact))
+
+
+# Systems of a user's own.
+
+
+class Own(ss.SwitchedSystem):
+    """A `SetUp` as a user would write it."""
+
+    mass: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    directions: np.ndarray
+    kinetic: np.ndarray
+    static: np.ndarray
+    springs: np.ndarray
+    masses: int = eqx.field(static=True)
+    rubbing: int = eqx.field(static=True)
+    elastic: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, of):
+        given = of.mass, of.stiffness, of.damping, of.directions, of.kinetic, of.static / of.kinetic
+        sizes = len(of.mass), len(of.springs), int(np.sum(of.springs > 0))
+        if cls is Own:
+            assert np.all(of.normal[1] == 0)
+            kinetic = of.kinetic * of.normal[0]
+            return cls(*given[:4], kinetic, given[5], of.springs / kinetic, *sizes)
+        return cls(*given, of.springs / of.kinetic, *sizes, of.normal, of.pressing, of.w)
+
+    @property
+    def state_names(self):
+        return *(f"x{i} in m" for i in range(self.masses)), *(f"v{i} in m/s" for i in range(self.masses))
+
+    @property
+    def contacts(self):
+        return self.rubbing
+
+    @property
+    def series_stiffness(self):
+        return *self.springs[: self.elastic], *(None,) * (self.contacts - self.elastic)
+
+    @property
+    def static_ratio(self):
+        return self.static
+
+    @property
+    def shortest_time(self):
+        return 1.5
+
+    def rates(self, t, y, base, friction):
+        x, v = jnp.stack(y[: self.masses]), jnp.stack(y[self.masses :])
+        pull = -self.stiffness @ x - self.damping @ v - (self.kinetic * friction) @ self.directions
+        return *v, *(pull / self.mass)
+
+    def relative_velocity(self, t, y, base):
+        return self.directions @ jnp.stack(y[self.masses :]) - base.velocity
+
+
+class Pressed(Own):
+    normal: np.ndarray
+    pressing: np.ndarray
+    w: float
+
+    def normal_forces(self, t, y, base):
+        return self.normal[0] + self.normal[1] * jnp.sin(self.w * t) + self.pressing @ jnp.stack(y[: self.masses])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_own_systems(kind):
+    """Every event and the state, elongations too, of systems of a user's own, against exact linear modes."""
+    of, y0 = random_set_up(kind, 1)
+    _, base = as_structure(of)
+    system = (Pressed if KINDS[kind][4] else Own).of(of)
+    one = ss.simulate(system, base, t1=15.0, y0=tuple(y0), method=ss.Exact(max_steps=8192))
+    assert compared(of, one, ByModes(of, y0).run(15.0)) > 3
+
+
+class Duffing(ss.SwitchedSystem):
+    """A mass on a spring that stiffens, held by a Jenkins element."""
+
+    spring: float  # over the friction force
+    cubic: float = 0.5
+    limit: float = 0.3  # N
+    static_ratio: float = 1.0
+    contacts = 1
+    state_names = "position in m", "velocity in m/s"
+    shortest_time = 2.0
+
+    @property
+    def series_stiffness(self):
+        return self.spring
+
+    def rates(self, t, y, base, friction):
+        x, v = y
+        return v, -x - self.cubic * x**3 - 0.05 * v + 0.6 * jnp.cos(1.2 * t) - self.limit * friction[0]
+
+    def relative_velocity(self, t, y, base):
+        return (y[1],)
+
+
+def duffing_by_scipy(spring, cubic, ratio, t1):
+    """Sticks (begin, end) of the slider, and the final state with the elongation, by SciPy from event to event."""
+    limit, t, y, way, sticks = 0.3, 0.0, np.array([0.5, 0.0, 0.0]), 0, []
+    begun = 0.0
+
+    def rates(t, y):
+        x, v, e = y
+        force = -x - cubic * x**3 - 0.05 * v + 0.6 * np.cos(1.2 * t) - spring * e
+        return [v, force, v if way == 0 else 0.0]
+
+    while t < t1:
+        if way == 0:
+            events = [lambda t, y: spring * y[2] - ratio * limit, lambda t, y: -spring * y[2] - ratio * limit]
+            for event in events:
+                event.direction = 1
+        else:
+            events = [lambda t, y, way=way: way * y[1]]
+            events[0].direction = -1
+        for event in events:
+            event.terminal = True
+        run = scipy.integrate.solve_ivp(rates, (t, t1), y, "DOP853", events=events, rtol=1e-13, atol=1e-14)
+        t, y = run.t[-1], run.y[:, -1]
+        if run.status == 0:
+            break
+        if way == 0:
+            sticks.append((begun, t))
+            way = 1 if len(run.t_events[0]) else -1
+            y[2] = way * limit / spring
+        else:
+            way, begun = 0, t
+    if way == 0:
+        sticks.append((begun, t1))
+    return np.array(sticks), y
+
+
+@pytest.mark.parametrize("ratio", [1.0, pytest.param(1.3, marks=pytest.mark.slow)])
+def test_duffing_on_a_jenkins_element(ratio):
+    """And derivatives of state and stick times by the spring and the cubic stiffness. Breakaway where `ratio` > 1."""
+    spring, t1 = 1.5, 20.0
+
+    def of(numbers):
+        system = Duffing(numbers[0] / 0.3, numbers[1], static_ratio=ratio)
+        one = ss.simulate(system, 0.0, t1=t1, y0=(0.5, 0.0), method=ss.Exact(max_steps=1024))
+        return jnp.stack(one.final_state), one.sticks.start[:32], one.sticks.end[:32]
+
+    at = np.array([spring, 0.5])
+    found, slopes = jax.jit(lambda at: (of(at), jax.jacfwd(of)(at)))(at)
+    sticks, final = duffing_by_scipy(spring, 0.5, ratio, t1)
+    number = len(sticks)
+    assert 6 < number < 32
+    np.testing.assert_allclose(found[0], final, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(np.stack(found[1:])[:, :number].T, sticks, rtol=0, atol=1e-9)
+    assert np.all(np.isnan(found[1][number:]))
+    for i, h in enumerate((1e-4, 1e-4)):
+        ends = [duffing_by_scipy(*(at + sign * h * np.eye(2)[i]), ratio, t1) for sign in (1, -1)]
+        of_sticks, of_state = ((plus - minus) / (2 * h) for plus, minus in zip(*ends, strict=True))
+        np.testing.assert_allclose(slopes[0][:, i], of_state, rtol=2e-5, atol=2e-5)
+        np.testing.assert_allclose(np.stack(slopes[1:])[:, :number, i].T, of_sticks, rtol=2e-5, atol=2e-5)
+
+
+@pytest.mark.slow
+def test_ensembles_of_own_systems():
+    """Springs that differ from sample to sample."""
+    run = {"t1": 20.0, "samples": 24, "key": jax.random.key(1), "y0": (0.5, 0.0)}
+    system = Duffing(ss.Uniform(3.0, 6.0))
+    many = ss.simulate_ensemble(system, 0.0, keep="sticks", **run)
+    for sample in (0, 17):
+        own, base, y0 = many.realization(sample)
+        one = ss.simulate(own, base, t1=20.0, y0=y0)
+        count = int(many.flat_sticks.count[sample])
+        assert count == int(one.sticks.count) > 5
+        for name in ("start", "end"):
+            found, expected = getattr(many.sticks, name)[sample, :count], getattr(one.sticks, name)[:count]
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.usefixtures("annotations_unchecked")
+def test_refusals_of_own_systems():
+    class Alone(Duffing):
+        contacts = None
+
+        def relative_velocity(self, t, y, base):
+            return y[1]
+
+    class Growing(Duffing):
+        def static_ratio_after(self, age):
+            return 1.0 + 0.1 * age
+
+    for system in (Alone(2.0), Growing(2.0)):
+        with pytest.raises(ValueError, match=r"series_stiffness of a \w+ must come with a number of contacts"):
+            ss.simulate(system, 0.0, t1=1.0)
+
+    class Two(Duffing):
+        @property
+        def series_stiffness(self):
+            return self.spring, 1.0
+
+    for system in (Duffing(-1.0), Duffing(0.0), Two(1.0)):
+        with pytest.raises(ValueError, match="Argument series_stiffness"):
+            ss.simulate(system, 0.0, t1=1.0)
+    with pytest.raises(ValueError, match=r"be Exact\(...\) for contacts with a series_stiffness"):
+        ss.simulate(Duffing(2.0), 0.0, t1=1.0, method=ss.Regularized(1e-3))
 
 
 @pytest.mark.usefixtures("annotations_unchecked")
