@@ -55,6 +55,7 @@ from ._excitation.reading import (
     read_recorded_csv as read_recorded_csv,
 )
 from ._excitation.recorded import Recorded as Recorded
+from ._excitation.suites import RecordSuite as RecordSuite
 from ._excitation.segments import SegmentLaw as SegmentLaw, VelocitySegments as VelocitySegments
 from ._excitation.piecewise_constant import SemiMarkovSwitching as SemiMarkovSwitching
 from ._excitation.motion import Harmonic as Harmonic, Signal as Signal, SumOfHarmonics as SumOfHarmonics
