@@ -364,9 +364,7 @@ def neighbours(array: jax.Array, at: jax.Array) -> jax.Array:
 
 
 @neighbours.def_vmap
-def _neighbours_of_each(
-    size: int, batched: Sequence[bool], array: jax.Array, at: jax.Array
-) -> tuple[jax.Array, bool]:
+def _neighbours_of_each(size: int, batched: Sequence[bool], array: jax.Array, at: jax.Array) -> tuple[jax.Array, bool]:
     def one(array: jax.Array, at: jax.Array) -> jax.Array:
         return lax.dynamic_slice(array, (at,), (2,))
 

@@ -162,20 +162,27 @@ class RecordSuite(GroundMotion):
         return float(np.max(self.records.durations))
 
     def at_scales(self, scales: Any, repeats: int = 1) -> "RecordSuite":
-        """Every record at every scale: sample i has record ``i % n`` of n, at scale ``i // n``.
+        """Every entry at every one of these scales: sample i has entry ``i % n`` of n, at scale ``i // n``.
 
         Args:
-            scales: Numbers; or a distribution, from which every sample draws.
+            scales: Numbers, by which the scale of each entry is multiplied; or a distribution, from which every sample
+                draws, where that is 1.
             repeats: How often, for samples that differ in other numbers too.
 
         Raises:
-            ValueError: For anything else.
+            ValueError: For anything else, and a suite that draws records or scales itself.
         """
-        number, repeats = len(self.names), checks.whole_number("repeats", repeats)
+        number, repeats = len(self), checks.whole_number("repeats", repeats)
+        for name, value in (("record", self.record), ("scale", self.scale)):
+            if is_distribution(value):
+                raise checks.refused(name, "be known for each entry, to have it at several scales", value)
+        record, own = (np.broadcast_to(np.asarray(value, float), number) for value in (self.record, self.scale))
         if is_distribution(scales):
-            return RecordSuite(self.records, scales, np.tile(np.arange(number, dtype=float), repeats))
+            if np.any(own != 1):
+                raise checks.refused("scales", "be numbers for a suite that has scales of its own", scales)
+            return RecordSuite(self.records, scales, np.tile(record, repeats))
         every = np.tile(np.atleast_1d(checks.numbers("scales", scales)), repeats)
-        return RecordSuite(self.records, np.repeat(every, number), np.tile(np.arange(number, dtype=float), len(every)))
+        return RecordSuite(self.records, (every[:, None] * own).reshape(-1), np.tile(record, len(every)))
 
     def __len__(self) -> int:
         """The number of samples, one for each entry; of a suite whose records are drawn, that of the records."""

@@ -1,0 +1,462 @@
+"""What earthquake engineers ask of a suite of records: incremental dynamic analysis, spectra, fragility."""
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Array
+
+from .._dynamics.common.method import EXACT, Exact, Regularized
+from .._dynamics.simulate import Outputs
+from .._excitation.reading import STANDARD_GRAVITY
+from .._excitation.recorded import GroundAcceleration
+from .._excitation.suites import RecordSuite
+from .._foundation import checks
+from .._foundation.extras import labeled_dataset, require, require_labels, variable
+from .._foundation.types import InitialState
+from .._statistics.estimate import DEFAULT_LEVEL
+from .._systems.friction import Coulomb
+from .._systems.mass_spring import MassSpring
+from .._systems.system import System
+from .ensemble import simulate_ensemble
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+Records = RecordSuite | GroundAcceleration | list[GroundAcceleration] | str
+"""A suite, or what makes one."""
+
+FRACTIONS = np.array([0.16, 0.5, 0.84])
+"""Of the records, below whose values the lines of incremental dynamic analysis lie: the median, and about one standard
+deviation of a normal distribution to either side."""
+
+
+def _suite_of(records: Any) -> RecordSuite:
+    suite = records if isinstance(records, RecordSuite) else RecordSuite(records)
+    suite[0]  # refuses one that draws records or scales
+    return suite
+
+
+def _labels(suite: RecordSuite) -> tuple[str, Any, dict[str, object]]:
+    """The names of the entries' records, as a coordinate."""
+    names = [suite.names[int(one)] for one in np.broadcast_to(np.asarray(suite.record), len(suite))]
+    return variable("record", names, "record")
+
+
+def incremental_dynamic_analysis(
+    system: System,
+    records: Records,
+    *,
+    scales: npt.ArrayLike,
+    outputs: Outputs,
+    t1: float | None = None,
+    y0: InitialState | None = None,
+    key: Array | None = None,
+    method: Exact | Regularized = EXACT,
+    period: float | None = None,
+    damping: float = 0.05,
+    threads: int | None = None,
+    progress: bool | None = None,
+) -> "xarray.Dataset":
+    """Every record at every scale: incremental dynamic analysis (Vamvatsikos and Cornell 2002), in one ensemble.
+
+    Args:
+        system: Any that `simulate_ensemble` takes under a ground acceleration.
+        records: A `RecordSuite`, a list of `GroundAcceleration`, or the name of a folder of AT2 and CSV files.
+        scales: By which the scale of each record is multiplied, (scales,).
+        outputs: As `simulate_ensemble` takes them: ``{"peak": lambda one: one.peak("position")}``.
+        t1: Duration, s; by default that of the longest record. After its end a record is quiet.
+        y0: Initial state.
+        key: Where system or start are random; a sample draws the same at any scale only from arrays.
+        method: `Exact`, with a time step where one is needed, or `Regularized`.
+        period: Of an oscillator, s, whose spectral acceleration is then in the table too, as a measure of intensity.
+        damping: Its damping, as a share of the critical one.
+        threads: Worker threads (default: all cores).
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+
+    Returns:
+        An ``xarray.Dataset`` with the dimensions `scale` and `record`: each output (NaN where a sample did not finish),
+        as ``peak``, and as ``peak_fractiles`` what 16 %, 50 % and 84 % of the records stay below at each scale; `pga`,
+        the largest ground acceleration, m/s^2; and `spectral_acceleration`, m/s^2. ``table.to_dataframe()`` makes a
+        table of pandas of it, ``table.peak.plot.line(x="scale")`` a figure.
+
+    Raises:
+        ValueError: For arguments outside these bounds.
+        ImportError: Without the extra ``study``.
+    """
+    require_labels()
+    suite = _suite_of(records)
+    scales = np.atleast_1d(checks.numbers("scales", scales, ndim=1)).astype(float)
+    every = suite.at_scales(scales)
+    many = simulate_ensemble(
+        system, every, suite.duration if t1 is None else t1, y0, samples=len(every), key=key, method=method,
+        keep="totals", threads=threads, progress=progress, outputs=outputs,
+    )  # fmt: skip
+    shape, both = (len(scales), len(suite)), ("scale", "record")
+    factors = np.broadcast_to(np.asarray(suite.scale), len(suite))
+    which = np.broadcast_to(np.asarray(suite.record), len(suite)).astype(int)
+    pga = scales[:, None] * np.abs(factors) * suite.records.peaks[which]
+    found = {"pga": variable(both, np.abs(pga), "largest ground acceleration", "m/s^2")}
+    if period is not None:
+        spectrum = response_spectrum(suite, [period], damping=damping, threads=threads, progress=progress)
+        name = f"spectral acceleration at {period:g} s, {damping:.3g} of critical damping"
+        of_one = spectrum.pseudo_acceleration.values[:, 0]
+        found["spectral_acceleration"] = variable(both, np.abs(scales)[:, None] * of_one, name, "m/s^2")
+    for name, column in many.output_values.items():
+        values, unit = column.reshape(shape), many.output_units[name]
+        found[name] = variable(both, values, name, unit)
+        # Of the records that finished; a scale at which none did has no fractile.
+        is_known = np.any(np.isfinite(values), axis=1)
+        fractiles = np.full((len(FRACTIONS), len(scales)), np.nan)
+        fractiles[:, is_known] = np.nanquantile(values[is_known], FRACTIONS, axis=1)
+        found[f"{name}_fractiles"] = variable(("fraction", "scale"), fractiles, f"fractiles of {name}", unit)
+    coordinates = {
+        "scale": variable("scale", scales, "scale of the records"),
+        "record": _labels(suite),
+        "fraction": variable("fraction", FRACTIONS, "share of the records"),
+    }
+    return labeled_dataset(found, coordinates, {"system": repr(system)})
+
+
+# Spectra: oscillators and sliders of many periods under every record, in one ensemble.
+
+
+def response_spectrum(
+    records: Records,
+    periods: npt.ArrayLike,
+    damping: float = 0.05,
+    *,
+    threads: int | None = None,
+    progress: bool | None = None,
+) -> "xarray.Dataset":
+    """The response spectra of records: the largest displacement of linear oscillators relative to the ground.
+
+    Exact for a ground acceleration that is linear between the points of a record; the largest values are located
+    between them too, and after the end of the record.
+
+    Args:
+        records: A `RecordSuite`, a list of `GroundAcceleration` or one, or the name of a folder.
+        periods: Of the oscillators without damping, s, (periods,).
+        damping: As a share of the critical one, below 1.
+        threads: Worker threads (default: all cores).
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+
+    Returns:
+        An ``xarray.Dataset`` with the dimensions `record` and `period`: `displacement`, m; `pseudo_velocity`, m/s; and
+        `pseudo_acceleration`, m/s^2, which is what is called spectral acceleration.
+
+    Raises:
+        ValueError: For arguments outside these bounds.
+        ImportError: Without the extra ``study``.
+    """
+    if not float(np.max(checks.numbers("periods", periods, ndim=1), initial=0.0)) < math.inf:
+        raise checks.refused("periods", "be finite", periods, "sliding_spectrum takes flat sliders")
+    # Without friction, for as long as the slowest oscillator takes to swing out once more.
+    both = ("record", "period")
+    suite, omega, _, many = _spectrum(records, periods, [0.0], damping, 1.0, None, threads, progress)
+    largest = many["largest"][..., 0]
+    return labeled_dataset(
+        {
+            "displacement": variable(both, largest, "largest displacement", "m"),
+            "pseudo_velocity": variable(both, omega * largest, "pseudo-velocity", "m/s"),
+            "pseudo_acceleration": variable(both, omega**2 * largest, "pseudo-acceleration", "m/s^2"),
+        },
+        {"record": _labels(suite), "period": variable("period", 2 * math.pi / omega, "period", "s")},
+        {"damping": float(damping)},
+    )
+
+
+def sliding_spectrum(
+    records: Records,
+    periods: npt.ArrayLike,
+    mu: npt.ArrayLike,
+    *,
+    damping: float = 0.0,
+    gravity: float = STANDARD_GRAVITY,
+    t1: float | None = None,
+    threads: int | None = None,
+    progress: bool | None = None,
+) -> "xarray.Dataset":
+    """The sliding spectra of records: displacements of a mass on a friction bearing with a spring.
+
+    The mass lies on the ground with constant Coulomb friction and is held by a spring. Both are as exact as
+    `simulate`.
+
+    Args:
+        records: A `RecordSuite`, a list of `GroundAcceleration` or one, or the name of a folder.
+        periods: Of the mass on its spring without friction, s, (periods,); infinity for a flat slider.
+        mu: Friction coefficients, (coefficients,), which are also the yield accelerations of a flat slider, in units of
+            gravity.
+        damping: Of the spring, as a share of the critical damping, below 1.
+        gravity: m/s^2.
+        t1: Duration, s; by default that of the longest record and the longest finite period.
+        threads: Worker threads (default: all cores).
+        progress: True shows a progress bar, False none; by default on a terminal and in a notebook.
+
+    Returns:
+        An ``xarray.Dataset`` with the dimensions `record`, `period` and `mu`: `largest_displacement`, and
+        `residual_displacement`, that at t1 with its sign, m.
+
+    Raises:
+        ValueError: For arguments outside these bounds.
+        ImportError: Without the extra ``study``.
+    """
+    suite, omega, mu, many = _spectrum(records, periods, mu, damping, gravity, t1, threads, progress)
+    dimensions = ("record", "period", "mu")
+    with np.errstate(divide="ignore"):
+        periods = 2 * math.pi / omega
+    return labeled_dataset(
+        {
+            "largest_displacement": variable(dimensions, many["largest"], "largest displacement", "m"),
+            "residual_displacement": variable(dimensions, many["residual"], "residual displacement", "m"),
+        },
+        {
+            "record": _labels(suite),
+            "period": variable("period", periods, "period", "s"),
+            "mu": variable("mu", mu, "friction coefficient"),
+        },
+        {"damping": float(damping), "gravity": float(gravity)},
+    )
+
+
+def _spectrum(
+    records: Any, periods: Any, mu: Any, damping: float, gravity: float, t1: float | None,
+    threads: int | None, progress: bool | None,
+) -> tuple[RecordSuite, np.ndarray, np.ndarray, dict[str, np.ndarray]]:  # fmt: skip
+    """The entries of a suite, angular frequencies (rad/s), friction coefficients, and the largest and the last
+    displacement (m) for each combination, arrays (entries, periods, coefficients).
+    """
+    require_labels()
+    suite, periods, mu = _suite_of(records), *(np.atleast_1d(np.asarray(one, float)) for one in (periods, mu))
+    for name, values in (("periods", periods), ("mu", mu)):
+        if values.ndim != 1 or not values.size or not (np.all(values >= 0) and np.all(periods > 0)):
+            wanted = "positive numbers" if name == "periods" else "zero or positive numbers"
+            raise checks.refused(name, f"be {wanted}, one or several", values)
+    checks.bounded("damping", damping, at_least=0, below=1)
+    checks.positive("gravity", gravity, "m/s^2")
+    omega = 2 * math.pi / periods
+    shape = (len(suite), len(periods), len(mu))
+    entry, each, coefficient = (
+        np.broadcast_to(values, shape).reshape(-1)
+        for values in (np.arange(len(suite))[:, None, None], omega[:, None], mu)
+    )
+    slider = MassSpring(
+        mass=1.0, stiffness=each**2, normal_force=float(gravity), friction=Coulomb(coefficient),
+        damping=2 * damping * each if damping > 0 else None,
+    )  # fmt: skip
+    record, scale = (np.broadcast_to(one, len(suite))[entry] for one in (suite.record, suite.scale))
+    longest = float(np.max(periods[np.isfinite(periods)], initial=0.0))
+    many = simulate_ensemble(
+        slider, RecordSuite(suite.records, scale, record), suite.duration + longest if t1 is None else t1,
+        samples=len(entry), keep="totals", threads=threads, progress=progress,
+        outputs={"largest": lambda one: one.peak("position"), "residual": lambda one: one.final_state[0]},
+    )  # fmt: skip
+    return suite, omega, mu, {name: column.reshape(shape) for name, column in many.output_values.items()}
+
+
+# Fragility: the probability of an exceedance as a function of intensity.
+
+
+@dataclasses.dataclass(frozen=True)
+class Fragility:
+    """A lognormal fragility function that `fragility` fitted: ``P(x) = Phi(ln(x / median) / dispersion)``.
+
+    - `median`: the intensity at which the probability is one half, often called theta. `dispersion`: the standard
+      deviation of the logarithm of the intensity, beta.
+    - `covariance`: of the errors of ``ln(median)`` and of `dispersion`, (2, 2).
+    - `trials`, `exceedances`: how many were observed. `records`: how many groups of them are independent.
+    - `lowest`, `highest`: the intensities between which they lie.
+    """
+
+    median: float
+    dispersion: float
+    covariance: np.ndarray
+    trials: int
+    exceedances: int
+    records: int
+    lowest: float
+    highest: float
+
+    @property
+    def median_error(self) -> float:
+        """The standard error of `median`."""
+        return self.median * math.sqrt(self.covariance[0, 0])
+
+    @property
+    def dispersion_error(self) -> float:
+        """The standard error of `dispersion`."""
+        return math.sqrt(self.covariance[1, 1])
+
+    def probability(self, intensity: npt.ArrayLike) -> np.ndarray:
+        """The probability of an exceedance at these intensities (any shape)."""
+        from scipy.special import ndtr  # noqa: PLC0415 - takes long to load
+
+        return ndtr(self._score(intensity))
+
+    def interval(self, intensity: npt.ArrayLike, level: float = DEFAULT_LEVEL) -> tuple[np.ndarray, np.ndarray]:
+        """The limits of a confidence interval of the probability at each of these intensities.
+
+        Args:
+            intensity: In the unit of the fit, any shape.
+            level: With which probability the interval holds the true one.
+
+        Raises:
+            ValueError: For a level that is not between 0 and 1.
+        """
+        from scipy.special import ndtr, ndtri  # noqa: PLC0415 - takes long to load
+
+        checks.bounded("level", level, above=0, below=1)
+        score = self._score(intensity)
+        # The derivatives of the score by ln(median) and by the dispersion are -1 / dispersion and -score / dispersion.
+        (variance, joint), (_, other) = self.covariance
+        error = np.sqrt(np.maximum(variance + 2 * joint * score + other * score**2, 0)) / self.dispersion
+        away = ndtri((1 + level) / 2) * error
+        return ndtr(score - away), ndtr(score + away)
+
+    def quantile(self, probability: npt.ArrayLike) -> np.ndarray:
+        """The intensities at which an exceedance has these probabilities."""
+        from scipy.special import ndtri  # noqa: PLC0415 - takes long to load
+
+        return self.median * np.exp(self.dispersion * ndtri(np.asarray(probability, float)))
+
+    def to_pandas(self, intensity: npt.ArrayLike | None = None, level: float = DEFAULT_LEVEL) -> "pandas.DataFrame":
+        """A table of the curve: `intensity` (by default 50 between the observed ones), `probability`, and its limits
+        `low` and `high`.
+        """
+        require("Tables need", "tables", "pandas")
+        import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
+
+        at = np.geomspace(self.lowest, self.highest, 50) if intensity is None else np.ravel(intensity)
+        low, high = self.interval(at, level)
+        return pd.DataFrame({"intensity": at, "probability": self.probability(at), "low": low, "high": high})
+
+    def _score(self, intensity: npt.ArrayLike) -> np.ndarray:
+        with np.errstate(divide="ignore"):
+            return np.log(np.asarray(intensity, float) / self.median) / self.dispersion
+
+    def __repr__(self) -> str:
+        return (
+            f"fragility of {self.exceedances:,} exceedances in {self.trials:,}: median {self.median:.4g} +- "
+            f"{self.median_error:.2g}, dispersion {self.dispersion:.3g} +- {self.dispersion_error:.2g}"
+        )
+
+
+_MOST_STEPS, _CLOSE = 100, 1e-12
+
+
+def fragility(
+    intensity: npt.ArrayLike, exceeds: npt.ArrayLike, *, trials: npt.ArrayLike | None = None,
+    records: npt.ArrayLike | None = None,
+) -> Fragility:  # fmt: skip
+    """Fit a lognormal fragility function by maximum likelihood.
+
+    Of stripes, ``fragility(levels, counts, trials=40)``, as Baker (2015, "Efficient analytical fragility function
+    fitting using dynamic structural analysis", Earthquake Spectra 31) does; of a cloud of single analyses,
+    ``fragility(intensities, drift > limit)``, by the same likelihood (probit regression on the logarithm).
+
+    Args:
+        intensity: Such as a spectral acceleration, in any unit, positive; of a shape that fits `exceeds`.
+        exceeds: Whether each analysis exceeds the limit, any shape; with `trials`, how many of them do.
+        trials: How many analyses there are at each intensity.
+        records: Which record each analysis is of (numbers or names), of a shape that fits `exceeds`. Analyses of the
+            same record at several scales depend on each other; standard errors are then those of whole records (the
+            "sandwich" estimator). By default all analyses are independent.
+
+    Raises:
+        ValueError: For arguments that do not fit; for observations without a single best curve: all or none exceed, or
+            a level of intensity parts those that do from those that do not; and for a probability that does not grow.
+    """
+    counts = np.asarray(checks.numbers("exceeds", np.asarray(exceeds, float)), float)
+    number = np.ones(1) if trials is None else checks.numbers("trials", trials).astype(float)
+    given = {"intensity": checks.numbers("intensity", np.asarray(intensity, float)), "trials": number}
+    for name, values in given.items():
+        try:
+            given[name] = np.broadcast_to(values, counts.shape).reshape(-1)
+        except ValueError:
+            shapes = f"{np.shape(values)} beside {counts.shape}"
+            raise ValueError(f"Argument {name} must have a shape that fits exceeds, but {shapes} was given.") from None
+    x, n, k = given["intensity"], given["trials"], counts.reshape(-1)
+    if not (np.all(x > 0) and np.all(np.isfinite(x))):
+        raise checks.refused("intensity", "hold finite positive numbers", intensity)
+    if not (np.all(n >= 1) and np.all(n == np.round(n))):
+        raise checks.refused("trials", "hold whole numbers of at least 1", trials)
+    if not (np.all(k >= 0) and np.all(k <= n) and np.all(k == np.round(k))):
+        wanted = "hold truth values" if trials is None else "hold whole numbers from 0 to the trials"
+        raise checks.refused("exceeds", wanted, exceeds, "leave out analyses that did not finish, or count them")
+    _check_overlap(x, n, k)
+    # The logarithm is centred and scaled, so that the numbers of the fit are of the order of one.
+    logarithm = np.log(x)
+    middle, width = float(np.average(logarithm, weights=n)), float(np.std(logarithm))
+    design = np.stack([np.ones_like(x), (logarithm - middle) / width], axis=1)
+    at, first, second = _fitted(design, n, k)
+    if not at[1] > 0:
+        raise ValueError(
+            f"Argument exceeds must become more probable as the intensity grows, but the fitted slope is {at[1]:.3g}; "
+            "another measure of intensity, or more records, may tell more."
+        )
+    covariance = np.linalg.inv((design * second[:, None]).T @ design)
+    groups = int(np.sum(n))
+    if records is not None:
+        _, which = np.unique(np.broadcast_to(np.asarray(records), counts.shape).reshape(-1), return_inverse=True)
+        groups = int(which.max()) + 1
+        if groups < 3:
+            raise checks.refused("records", "name at least 3 records, for an error between them", records)
+        sums = np.stack([np.bincount(which, weights=first * column) for column in design.T], axis=1)
+        covariance = covariance @ (sums.T @ sums) @ covariance * groups / (groups - 1)
+    # ln(median) = middle - width a / b and dispersion = width / b.
+    a, b = at
+    jacobian = width * np.array([[-1 / b, a / b**2], [0, -1 / b**2]])
+    return Fragility(
+        math.exp(middle - width * a / b), width / b, jacobian @ covariance @ jacobian.T, int(np.sum(n)), int(np.sum(k)),
+        groups, float(x.min()), float(x.max()),
+    )  # fmt: skip
+
+
+def _fitted(design: np.ndarray, n: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The numbers b of ``Phi(design @ b)`` that make the k of n exceedances most probable; and there, of the likelihood
+    of each observation, the derivative by its score, and minus the second one.
+
+    The likelihood is concave: Newton's method, with steps that are halved where they go too far.
+    """
+    from scipy.special import log_ndtr  # noqa: PLC0415 - takes long to load
+
+    def likelihood(at: np.ndarray) -> float:
+        return float(np.sum(k * log_ndtr(design @ at) + (n - k) * log_ndtr(-design @ at)))
+
+    def slopes(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        score = design @ at
+        density = -(score**2) / 2 - math.log(2 * math.pi) / 2
+        above, below = np.exp(density - log_ndtr(score)), np.exp(density - log_ndtr(-score))
+        return k * above - (n - k) * below, k * above * (score + above) + (n - k) * below * (below - score)
+
+    at = np.array([0.0, 1.0])
+    for _ in range(_MOST_STEPS):
+        first, second = slopes(at)
+        step = np.linalg.solve((design * second[:, None]).T @ design, design.T @ first)
+        while likelihood(at + step) < likelihood(at) and np.max(np.abs(step)) > _CLOSE:
+            step = step / 2
+        at = at + step
+        if np.max(np.abs(step)) <= _CLOSE * np.max(np.abs(at)):
+            break
+    return at, *slopes(at)
+
+
+def _check_overlap(x: np.ndarray, n: np.ndarray, k: np.ndarray) -> None:
+    """Raises ValueError where the likelihood has no maximum: the steeper the curve the likelier."""
+    if not 0 < np.sum(k) < np.sum(n):
+        which = "all" if np.sum(k) else "none"
+        raise ValueError(
+            f"Argument exceeds must hold analyses that exceed the limit and others that do not, but {which} of "
+            f"{int(np.sum(n))} do; take other scales of the records, or another limit."
+        )
+    stays, passes = x[k < n], x[k > 0]
+    for below, above, order in ((stays, passes, "below"), (passes, stays, "above")):
+        if below.max() <= above.min():
+            raise ValueError(
+                f"Argument exceeds must overlap, but all analyses that stay within the limit lie {order} "
+                f"{above.min():.4g}, and all others on the other side of it, so that no dispersion can be fitted; take "
+                "scales between them, or more records."
+            )
