@@ -35,32 +35,19 @@ deviation of a normal distribution to either side."""
 
 
 def _suite_of(records: Any) -> RecordSuite:
-    suite = records if isinstance(records, RecordSuite) else RecordSuite(records)
-    suite[0]  # refuses one that draws records or scales
-    return suite
+    return records if isinstance(records, RecordSuite) else RecordSuite(records)
 
 
-def _labels(suite: RecordSuite) -> tuple[str, Any, dict[str, object]]:
+def _names(suite: RecordSuite) -> tuple[Any, Any, dict[str, object]]:
     """The names of the entries' records, as a coordinate."""
-    names = [suite.names[int(one)] for one in np.broadcast_to(np.asarray(suite.record), len(suite))]
-    return variable("record", names, "record")
+    return variable("record", [suite.names[one] for one in np.asarray(suite.entries[0])], "record")
 
 
 def incremental_dynamic_analysis(
-    system: System,
-    records: Records,
-    *,
-    scales: npt.ArrayLike,
-    outputs: Outputs,
-    t1: float | None = None,
-    y0: InitialState | None = None,
-    key: Array | None = None,
-    method: Exact | Regularized = EXACT,
-    period: float | None = None,
-    damping: float = 0.05,
-    threads: int | None = None,
-    progress: bool | None = None,
-) -> "xarray.Dataset":
+    system: System, records: Records, *, scales: npt.ArrayLike, outputs: Outputs, t1: float | None = None,
+    y0: InitialState | None = None, key: Array | None = None, method: Exact | Regularized = EXACT,
+    period: float | None = None, damping: float = 0.05, threads: int | None = None, progress: bool | None = None,
+) -> "xarray.Dataset":  # fmt: skip
     """Every record at every scale: incremental dynamic analysis (Vamvatsikos and Cornell 2002), in one ensemble.
 
     Args:
@@ -79,7 +66,7 @@ def incremental_dynamic_analysis(
 
     Returns:
         An ``xarray.Dataset`` with the dimensions `scale` and `record`: each output (NaN where a sample did not finish),
-        as ``peak``, and as ``peak_fractiles`` what 16 %, 50 % and 84 % of the records stay below at each scale; `pga`,
+        as ``peak``, and as ``peak_quantile`` what 16 %, 50 % and 84 % of the records stay below at each scale; `pga`,
         the largest ground acceleration, m/s^2; and `spectral_acceleration`, m/s^2. ``table.to_dataframe()`` makes a
         table of pandas of it, ``table.peak.plot.line(x="scale")`` a figure.
 
@@ -88,50 +75,33 @@ def incremental_dynamic_analysis(
         ImportError: Without the extra ``study``.
     """
     require_labels()
-    suite = _suite_of(records)
-    scales = np.atleast_1d(checks.numbers("scales", scales, ndim=1)).astype(float)
+    suite, scales = _suite_of(records), np.atleast_1d(checks.numbers("scales", scales, ndim=1)).astype(float)
     every = suite.at_scales(scales)
     many = simulate_ensemble(
         system, every, suite.duration if t1 is None else t1, y0, samples=len(every), key=key, method=method,
         keep="totals", threads=threads, progress=progress, outputs=outputs,
     )  # fmt: skip
-    shape, both = (len(scales), len(suite)), ("scale", "record")
-    factors = np.broadcast_to(np.asarray(suite.scale), len(suite))
-    which = np.broadcast_to(np.asarray(suite.record), len(suite)).astype(int)
-    pga = scales[:, None] * np.abs(factors) * suite.records.peaks[which]
-    found = {"pga": variable(both, np.abs(pga), "largest ground acceleration", "m/s^2")}
+    both, (which, factors) = ("scale", "record"), map(np.asarray, suite.entries)
+    pga = np.abs(scales[:, None] * factors) * suite.records.peaks[which]
+    found = {"pga": variable(both, pga, "largest ground acceleration", "m/s^2")}
     if period is not None:
-        spectrum = response_spectrum(suite, [period], damping=damping, threads=threads, progress=progress)
-        name = f"spectral acceleration at {period:g} s, {damping:.3g} of critical damping"
-        of_one = spectrum.pseudo_acceleration.values[:, 0]
-        found["spectral_acceleration"] = variable(both, np.abs(scales)[:, None] * of_one, name, "m/s^2")
+        of_one = response_spectrum(suite, [period], damping, threads=threads, progress=progress)
+        values = np.abs(scales)[:, None] * of_one.pseudo_acceleration.values[:, 0]
+        found["spectral_acceleration"] = variable(both, values, f"spectral acceleration at {period:g} s", "m/s^2")
     for name, column in many.output_values.items():
-        values, unit = column.reshape(shape), many.output_units[name]
-        found[name] = variable(both, values, name, unit)
-        # Of the records that finished; a scale at which none did has no fractile.
-        is_known = np.any(np.isfinite(values), axis=1)
-        fractiles = np.full((len(FRACTIONS), len(scales)), np.nan)
-        fractiles[:, is_known] = np.nanquantile(values[is_known], FRACTIONS, axis=1)
-        found[f"{name}_fractiles"] = variable(("fraction", "scale"), fractiles, f"fractiles of {name}", unit)
-    coordinates = {
-        "scale": variable("scale", scales, "scale of the records"),
-        "record": _labels(suite),
-        "fraction": variable("fraction", FRACTIONS, "share of the records"),
-    }
-    return labeled_dataset(found, coordinates, {"system": repr(system)})
+        found[name] = variable(both, column.reshape(len(scales), -1), name, many.output_units[name])
+    coordinates = {"scale": variable("scale", scales, "scale of the records"), "record": _names(suite)}
+    table = labeled_dataset(found, coordinates, {"system": repr(system)})
+    return table.assign({f"{name}_quantile": table[name].quantile(FRACTIONS, "record") for name in many.output_values})
 
 
 # Spectra: oscillators and sliders of many periods under every record, in one ensemble.
 
 
 def response_spectrum(
-    records: Records,
-    periods: npt.ArrayLike,
-    damping: float = 0.05,
-    *,
-    threads: int | None = None,
+    records: Records, periods: npt.ArrayLike, damping: float = 0.05, *, threads: int | None = None,
     progress: bool | None = None,
-) -> "xarray.Dataset":
+) -> "xarray.Dataset":  # fmt: skip
     """The response spectra of records: the largest displacement of linear oscillators relative to the ground.
 
     Exact for a ground acceleration that is linear between the points of a record; the largest values are located
@@ -152,34 +122,24 @@ def response_spectrum(
         ValueError: For arguments outside these bounds.
         ImportError: Without the extra ``study``.
     """
-    if not float(np.max(checks.numbers("periods", periods, ndim=1), initial=0.0)) < math.inf:
+    found = sliding_spectrum(records, periods, [0.0], damping=damping, threads=threads, progress=progress)
+    largest, period = found.largest_displacement.values[..., 0], found.period.values
+    omega = 2 * math.pi / period
+    if not np.all(omega > 0):
         raise checks.refused("periods", "be finite", periods, "sliding_spectrum takes flat sliders")
-    # Without friction, for as long as the slowest oscillator takes to swing out once more.
-    both = ("record", "period")
-    suite, omega, _, many = _spectrum(records, periods, [0.0], damping, 1.0, None, threads, progress)
-    largest = many["largest"][..., 0]
-    return labeled_dataset(
-        {
-            "displacement": variable(both, largest, "largest displacement", "m"),
-            "pseudo_velocity": variable(both, omega * largest, "pseudo-velocity", "m/s"),
-            "pseudo_acceleration": variable(both, omega**2 * largest, "pseudo-acceleration", "m/s^2"),
-        },
-        {"record": _labels(suite), "period": variable("period", 2 * math.pi / omega, "period", "s")},
-        {"damping": float(damping)},
-    )
+    units = {"displacement": "m", "pseudo_velocity": "m/s", "pseudo_acceleration": "m/s^2"}
+    quantities = {
+        name: variable(("record", "period"), omega**power * largest, name.replace("_", "-"), unit)
+        for power, (name, unit) in enumerate(units.items())
+    }
+    return labeled_dataset(quantities, {"record": found.record, "period": found.period}, {"damping": float(damping)})
 
 
 def sliding_spectrum(
-    records: Records,
-    periods: npt.ArrayLike,
-    mu: npt.ArrayLike,
-    *,
-    damping: float = 0.0,
-    gravity: float = STANDARD_GRAVITY,
-    t1: float | None = None,
-    threads: int | None = None,
+    records: Records, periods: npt.ArrayLike, mu: npt.ArrayLike, *, damping: float = 0.0,
+    gravity: float = STANDARD_GRAVITY, t1: float | None = None, threads: int | None = None,
     progress: bool | None = None,
-) -> "xarray.Dataset":
+) -> "xarray.Dataset":  # fmt: skip
     """The sliding spectra of records: displacements of a mass on a friction bearing with a spring.
 
     The mass lies on the ground with constant Coulomb friction and is held by a spring. Both are as exact as
@@ -204,57 +164,40 @@ def sliding_spectrum(
         ValueError: For arguments outside these bounds.
         ImportError: Without the extra ``study``.
     """
-    suite, omega, mu, many = _spectrum(records, periods, mu, damping, gravity, t1, threads, progress)
-    dimensions = ("record", "period", "mu")
-    with np.errstate(divide="ignore"):
-        periods = 2 * math.pi / omega
-    return labeled_dataset(
-        {
-            "largest_displacement": variable(dimensions, many["largest"], "largest displacement", "m"),
-            "residual_displacement": variable(dimensions, many["residual"], "residual displacement", "m"),
-        },
-        {
-            "record": _labels(suite),
-            "period": variable("period", periods, "period", "s"),
-            "mu": variable("mu", mu, "friction coefficient"),
-        },
-        {"damping": float(damping), "gravity": float(gravity)},
-    )
-
-
-def _spectrum(
-    records: Any, periods: Any, mu: Any, damping: float, gravity: float, t1: float | None,
-    threads: int | None, progress: bool | None,
-) -> tuple[RecordSuite, np.ndarray, np.ndarray, dict[str, np.ndarray]]:  # fmt: skip
-    """The entries of a suite, angular frequencies (rad/s), friction coefficients, and the largest and the last
-    displacement (m) for each combination, arrays (entries, periods, coefficients).
-    """
     require_labels()
-    suite, periods, mu = _suite_of(records), *(np.atleast_1d(np.asarray(one, float)) for one in (periods, mu))
-    for name, values in (("periods", periods), ("mu", mu)):
-        if values.ndim != 1 or not values.size or not (np.all(values >= 0) and np.all(periods > 0)):
-            wanted = "positive numbers" if name == "periods" else "zero or positive numbers"
-            raise checks.refused(name, f"be {wanted}, one or several", values)
+    suite, axes = _suite_of(records), {}
     checks.bounded("damping", damping, at_least=0, below=1)
     checks.positive("gravity", gravity, "m/s^2")
-    omega = 2 * math.pi / periods
-    shape = (len(suite), len(periods), len(mu))
-    entry, each, coefficient = (
+    for name, given, wanted in (("periods", periods, "positive numbers"), ("mu", mu, "zero or positive numbers")):
+        axes[name] = np.atleast_1d(np.asarray(given, float))
+        if axes[name].ndim != 1 or not np.all(axes[name] >= (0 if name == "mu" else np.finfo(float).tiny)):
+            raise checks.refused(name, f"be {wanted}", given)
+    shape = (len(suite), *map(len, axes.values()))
+    entry, omega, each = (
         np.broadcast_to(values, shape).reshape(-1)
-        for values in (np.arange(len(suite))[:, None, None], omega[:, None], mu)
+        for values in (np.arange(shape[0])[:, None, None], 2 * math.pi / axes["periods"][:, None], axes["mu"])
     )
     slider = MassSpring(
-        mass=1.0, stiffness=each**2, normal_force=float(gravity), friction=Coulomb(coefficient),
-        damping=2 * damping * each if damping > 0 else None,
+        mass=1.0, stiffness=omega**2, normal_force=float(gravity), friction=Coulomb(each),
+        damping=2 * damping * omega if damping > 0 else None,
     )  # fmt: skip
-    record, scale = (np.broadcast_to(one, len(suite))[entry] for one in (suite.record, suite.scale))
-    longest = float(np.max(periods[np.isfinite(periods)], initial=0.0))
+    record, own = (np.asarray(values)[entry] for values in suite.entries)
+    slowest = np.max(axes["periods"], initial=0.0, where=np.isfinite(axes["periods"]))
     many = simulate_ensemble(
-        slider, RecordSuite(suite.records, scale, record), suite.duration + longest if t1 is None else t1,
+        slider, RecordSuite(suite.records, own, record.astype(float)), suite.duration + slowest if t1 is None else t1,
         samples=len(entry), keep="totals", threads=threads, progress=progress,
         outputs={"largest": lambda one: one.peak("position"), "residual": lambda one: one.final_state[0]},
     )  # fmt: skip
-    return suite, omega, mu, {name: column.reshape(shape) for name, column in many.output_values.items()}
+    found = {
+        f"{name}_displacement": variable(("record", "period", "mu"), values.reshape(shape), f"{name} displacement", "m")
+        for name, values in many.output_values.items()
+    }
+    coordinates = {
+        "record": _names(suite),
+        "period": variable("period", axes["periods"], "period", "s"),
+        "mu": variable("mu", axes["mu"], "friction coefficient"),
+    }
+    return labeled_dataset(found, coordinates, {"damping": float(damping), "gravity": float(gravity)})
 
 
 # Fragility: the probability of an exceedance as a function of intensity.
@@ -369,23 +312,20 @@ def fragility(
         ValueError: For arguments that do not fit; for observations without a single best curve: all or none exceed, or
             a level of intensity parts those that do from those that do not; and for a probability that does not grow.
     """
-    counts = np.asarray(checks.numbers("exceeds", np.asarray(exceeds, float)), float)
-    number = np.ones(1) if trials is None else checks.numbers("trials", trials).astype(float)
-    given = {"intensity": checks.numbers("intensity", np.asarray(intensity, float)), "trials": number}
+    given = {"exceeds": exceeds, "intensity": intensity, "trials": 1 if trials is None else trials}
+    given = {name: checks.numbers(name, np.asarray(values, float)) for name, values in given.items()}
+    shape = given["exceeds"].shape
     for name, values in given.items():
-        try:
-            given[name] = np.broadcast_to(values, counts.shape).reshape(-1)
-        except ValueError:
-            shapes = f"{np.shape(values)} beside {counts.shape}"
-            raise ValueError(f"Argument {name} must have a shape that fits exceeds, but {shapes} was given.") from None
-    x, n, k = given["intensity"], given["trials"], counts.reshape(-1)
+        if np.broadcast_shapes(values.shape, shape) != shape:
+            raise checks.refused(name, f"have a shape that fits that of exceeds, {shape}", values)
+    k, x, n = (np.broadcast_to(values, shape).reshape(-1) for values in given.values())
     if not (np.all(x > 0) and np.all(np.isfinite(x))):
         raise checks.refused("intensity", "hold finite positive numbers", intensity)
     if not (np.all(n >= 1) and np.all(n == np.round(n))):
         raise checks.refused("trials", "hold whole numbers of at least 1", trials)
     if not (np.all(k >= 0) and np.all(k <= n) and np.all(k == np.round(k))):
         wanted = "hold truth values" if trials is None else "hold whole numbers from 0 to the trials"
-        raise checks.refused("exceeds", wanted, exceeds, "leave out analyses that did not finish, or count them")
+        raise checks.refused("exceeds", wanted, exceeds)
     _check_overlap(x, n, k)
     # The logarithm is centred and scaled, so that the numbers of the fit are of the order of one.
     logarithm = np.log(x)
@@ -400,7 +340,7 @@ def fragility(
     covariance = np.linalg.inv((design * second[:, None]).T @ design)
     groups = int(np.sum(n))
     if records is not None:
-        _, which = np.unique(np.broadcast_to(np.asarray(records), counts.shape).reshape(-1), return_inverse=True)
+        _, which = np.unique(np.broadcast_to(np.asarray(records), shape).reshape(-1), return_inverse=True)
         groups = int(which.max()) + 1
         if groups < 3:
             raise checks.refused("records", "name at least 3 records, for an error between them", records)

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
@@ -46,38 +47,34 @@ class StoredRecords(Checked):
     def of(cls, records: Any) -> "StoredRecords":
         """Those of a record, a list of records, or the files in a folder. Raises ValueError for anything else."""
         names: Sequence[str] | None = None
+        wanted = "be a list of GroundAccelerations, or the name of a folder with AT2 or CSV files"
         if isinstance(records, (str, os.PathLike)):
-            folder = checks.path("records", records)
-            files = sorted(path for path in folder.glob("*") if path.suffix.lower() in _READERS)
-            if not files:
-                wanted = "be a folder with AT2 or CSV files, or a list of GroundAccelerations"
-                raise checks.refused("records", wanted, str(records), "read_at2 and read_acceleration_csv read a file")
-            records, names = [_READERS[path.suffix.lower()](path) for path in files], [path.stem for path in files]
+            files = sorted(one for one in checks.path("records", records).glob("*") if one.suffix.lower() in _READERS)
+            names = [one.stem for one in files]
+            records = [_READERS[one.suffix.lower()](one) for one in files] or str(records)
         records = [records] if isinstance(records, GroundAcceleration) else records
         is_list = isinstance(records, (list, tuple)) and len(records) > 0
         if not is_list or not all(isinstance(one, GroundAcceleration) for one in records):
-            wanted = "be a list of GroundAccelerations, or the name of a folder with AT2 or CSV files"
             raise checks.refused("records", wanted, records)
         if checks.holds_traced(*records):
-            raise ValueError(
-                "Argument records must be records of known numbers, but JAX is tracing them; to differentiate by their "
-                "size, trace scale."
-            )
+            raise checks.refused("records", "hold known numbers, of which JAX may trace the scale", records)
         times = [np.asarray(one.times, float) for one in records]
         steps = [_step_of(each) for each in times]
         return cls(
             np.concatenate([np.asarray(one.accelerations, float) for one in records]),
             np.cumsum([0, *map(len, times)]).astype(np.int32),
-            np.array([0.0 if step is None else step for step in steps]),
+            np.array([step or 0.0 for step in steps]),
             np.concatenate(times) if None in steps else np.zeros(0),
-            tuple(map(str, range(len(records))) if names is None else names),
+            tuple(names or map(str, range(len(records)))),
         )
 
     @property
     def durations(self) -> Float[np.ndarray, " records"]:
         """Of each record, s."""
-        last = np.asarray(self.first)[1:] - 1
-        return np.asarray(self.times)[last] if len(self.times) else self.steps * np.diff(self.first - 1)
+        first = np.asarray(self.first)
+        return (
+            np.asarray(self.times)[first[1:] - 1] if len(self.times) else np.asarray(self.steps) * (np.diff(first) - 1)
+        )
 
     @property
     def peaks(self) -> Float[np.ndarray, " records"]:
@@ -131,11 +128,10 @@ class RecordSuite(GroundMotion):
         self.scale = _as_array("scale", scale)
 
     def check_parts(self) -> None:
-        sizes = {len(value) for value in self._arrays}
-        if len(sizes) > 1:
+        if len(sizes := {len(value) for value in self._arrays}) > 1:
             raise ValueError(
-                f"Arguments record and scale must have one number for each sample, but {len(self.record)} records and "
-                f"{len(self.scale)} scales were given; suite.at_scales has every record at every scale."
+                f"Arguments record and scale must have one number for each sample, but {sizes} were given; "
+                "suite.at_scales has every record at every scale."
             )
 
     def check_relations(self) -> None:
@@ -161,53 +157,48 @@ class RecordSuite(GroundMotion):
         """Of the longest record, s."""
         return float(np.max(self.records.durations))
 
-    def at_scales(self, scales: Any, repeats: int = 1) -> "RecordSuite":
+    @property
+    def entries(self) -> tuple[AnyArray, AnyArray]:
+        """The numbers of the records, and the scales, of the samples, (samples,).
+
+        Raises:
+            ValueError: For a suite that draws them.
+        """
+        for name, value in (("record", self.record), ("scale", self.scale)):
+            if is_distribution(value):
+                raise checks.refused(name, "be known for each sample here", value, "sample(key, t1) draws one")
+        record, scale = (jnp.broadcast_to(jnp.asarray(one), (len(self),)) for one in (self.record, self.scale))
+        return record.astype(jnp.int32), scale
+
+    def at_scales(self, scales: npt.ArrayLike) -> "RecordSuite":
         """Every entry at every one of these scales: sample i has entry ``i % n`` of n, at scale ``i // n``.
 
         Args:
-            scales: Numbers, by which the scale of each entry is multiplied; or a distribution, from which every sample
-                draws, where that is 1.
-            repeats: How often, for samples that differ in other numbers too.
+            scales: Numbers, by which the scale of each entry is multiplied; ``np.ones(50)`` repeats each 50 times.
 
         Raises:
             ValueError: For anything else, and a suite that draws records or scales itself.
         """
-        number, repeats = len(self), checks.whole_number("repeats", repeats)
-        for name, value in (("record", self.record), ("scale", self.scale)):
-            if is_distribution(value):
-                raise checks.refused(name, "be known for each entry, to have it at several scales", value)
-        record, own = (np.broadcast_to(np.asarray(value, float), number) for value in (self.record, self.scale))
-        if is_distribution(scales):
-            if np.any(own != 1):
-                raise checks.refused("scales", "be numbers for a suite that has scales of its own", scales)
-            return RecordSuite(self.records, scales, np.tile(record, repeats))
-        every = np.tile(np.atleast_1d(checks.numbers("scales", scales)), repeats)
-        return RecordSuite(self.records, (every[:, None] * own).reshape(-1), np.tile(record, len(every)))
+        (record, own), every = map(np.asarray, self.entries), checks.numbers("scales", scales, ndim=1)
+        return RecordSuite(self.records, (every[:, None] * own).reshape(-1), np.tile(record.astype(float), len(every)))
 
     def __len__(self) -> int:
-        """The number of samples, one for each entry; of a suite whose records are drawn, that of the records."""
-        return max(map(len, self._arrays), default=len(self.names) if is_distribution(self.record) else 1)
+        """The number of entries, which is that of samples; 1 where there is one motion, or one is drawn."""
+        return max(map(len, self._arrays), default=1)
 
     def __getitem__(self, number: int | Array) -> "RecordSuite":
         """The ground motion of sample `number`, for `simulate`; JAX may trace the number."""
-        if not checks.is_traced(number):
-            number = checks.whole_number("number", number, minimum=0)
-            if number >= len(self):
-                raise IndexError(f"Argument number must be below the {len(self)} samples, but {number} was given.")
-        for name, value in (("record", self.record), ("scale", self.scale)):
-            if is_distribution(value):
-                raise checks.refused(name, "be known, to take a sample by its number", value, "sample(key, t1) draws")
-        entry = [value[number] if np.ndim(value) else value for value in map(jnp.asarray, (self.record, self.scale))]
-        return RecordSuite(self.records, entry[1], entry[0])
+        if not checks.is_traced(number) and checks.whole_number("number", number, minimum=0) >= len(self):
+            raise IndexError(f"Argument number must be below the {len(self)} samples, but {number} was given.")
+        record, scale = self.entries
+        return RecordSuite(self.records, scale[number], record[number])
 
     def motion(self, number: int) -> GroundAcceleration:
         """The ground motion of sample `number` by its points, as long as its record."""
-        one, kept = self[number], self.records
-        which = int(one.record)
-        here = slice(int(kept.first[which]), int(kept.first[which + 1]))
-        points = np.arange(here.stop - here.start)
-        times = np.asarray(kept.times)[here] if len(kept.times) else points * float(kept.steps[which])
-        return GroundAcceleration(times, np.asarray(kept.accelerations)[here] * float(one.scale))
+        (record, scale), kept = (np.asarray(each)[number] for each in self.entries), self.records
+        here = slice(*kept.first[record : record + 2])
+        times = kept.times[here] if len(kept.times) else np.arange(here.stop - here.start) * kept.steps[record]
+        return GroundAcceleration(times, kept.accelerations[here] * scale)
 
     def sample(self, key: Array | None, t1: Scalar, *, capacity: int | None = None) -> "RecordSuite":
         """One of the ground motions, for `simulate`: an entry, and numbers of the distributions, drawn by `key`.
@@ -228,16 +219,15 @@ class RecordSuite(GroundMotion):
         if key is None:
             raise no_key(self)
         for_entry, *keys = jax.random.split(key, 3)
-        entry = jax.random.randint(for_entry, (), 0, len(self))
-
-        def drawn(name: str, value: Any, key: Array) -> Any:
+        entry, found = jax.random.randint(for_entry, (), 0, len(self)), []
+        for name, value, own in zip(("scale", "record"), (self.scale, self.record), keys, strict=True):
             if isinstance(value, RandomNumber):
-                return value.icdf(jax.random.uniform(key, dtype=jnp.result_type(float)))
-            if is_distribution(value):
+                found.append(value.icdf(jax.random.uniform(own, dtype=jnp.result_type(float))))
+            elif is_distribution(value):
                 raise checks.refused(name, "be a distribution of stickslip_jax", value)
-            return jnp.asarray(value)[entry] if np.ndim(value) else value
-
-        return RecordSuite(self.records, drawn("scale", self.scale, keys[0]), drawn("record", self.record, keys[1]))
+            else:
+                found.append(jnp.asarray(value)[entry] if np.ndim(value) else value)
+        return RecordSuite(self.records, *found)
 
     def segments(self, t1) -> int:
         return int(np.max(np.diff(self.records.first))) + 1
@@ -267,16 +257,12 @@ class RecordSuite(GroundMotion):
         shown = f"{number} record{'s' * (number > 1)} of {np.min(durations):g} to {np.max(durations):g} s"
         if any(map(checks.is_traced, (self.record, self.scale))):
             return f"RecordSuite({shown})"
-        # Files and folders of results know a suite too large for them by this sum.
-        parts = (kept.accelerations, kept.first, kept.steps, kept.times, *map(_bytes, (self.record, self.scale)))
-        found = hashlib.sha256(b"".join(np.asarray(part).tobytes() for part in parts)).hexdigest()[:12]
-        return f"RecordSuite({shown}, {len(self)} samples, check sum {found})"
+        found = hashlib.sha256()  # by which files and folders of results know a suite that is too large for them
+        for part in (kept.accelerations, kept.first, kept.steps, kept.times, self.record, self.scale):
+            found.update(repr(part).encode() if is_distribution(part) else np.asarray(part, float).tobytes())
+        return f"RecordSuite({shown}, {len(self)} samples, check sum {found.hexdigest()[:12]})"
 
 
 def _as_array(name: str, value: Any) -> Any:
     """Numbers in a list as an array; anything else as it is."""
     return checks.numbers(name, value, ndim=1).astype(float) if isinstance(value, (list, tuple, range)) else value
-
-
-def _bytes(value: Any) -> Any:
-    return np.frombuffer(repr(value).encode(), np.uint8) if is_distribution(value) else np.asarray(value, float)
