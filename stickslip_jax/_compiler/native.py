@@ -74,7 +74,7 @@ _ARITHMETIC = {
     unvmap_max
     """.split(),  # noqa: SIM905
 }
-_INSIDE = "cond custom_jvp_call jit pjit closed_call core_call remat2 checkpoint scan while".split()  # noqa: SIM905
+_INSIDE = "cond custom_jvp_call custom_vmap_call jit pjit closed_call core_call remat2 checkpoint scan while".split()  # noqa: SIM905
 _OF_OWN = ("call_with_own_derivative", "tangent_of_call")  # `_numerics/derivatives.py`
 _LARGEST = 64
 """Numbers in an array that is computed with. The usual kernels are faster with more, as where many trajectories advance

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 Records = RecordSuite | GroundAcceleration | list[GroundAcceleration] | str
 """A suite, or what makes one."""
 
+Numbers = np.ndarray | np.floating
+"""Of the shape that was asked for."""
+
 FRACTIONS = np.array([0.16, 0.5, 0.84])
 """Of the records, below whose values the lines of incremental dynamic analysis lie: the median, and about one standard
 deviation of a normal distribution to either side."""
@@ -98,6 +101,9 @@ def incremental_dynamic_analysis(
 # Spectra: oscillators and sliders of many periods under every record, in one ensemble.
 
 
+_SHORTEST = 1e-6  # s, of a period
+
+
 def response_spectrum(
     records: Records, periods: npt.ArrayLike, damping: float = 0.05, *, threads: int | None = None,
     progress: bool | None = None,
@@ -122,11 +128,11 @@ def response_spectrum(
         ValueError: For arguments outside these bounds.
         ImportError: Without the extra ``study``.
     """
+    if np.any(np.isinf(checks.numbers("periods", periods, ndim=1))):
+        raise checks.refused("periods", "be finite", periods, "sliding_spectrum takes flat sliders")
     found = sliding_spectrum(records, periods, [0.0], damping=damping, threads=threads, progress=progress)
     largest, period = found.largest_displacement.values[..., 0], found.period.values
     omega = 2 * math.pi / period
-    if not np.all(omega > 0):
-        raise checks.refused("periods", "be finite", periods, "sliding_spectrum takes flat sliders")
     units = {"displacement": "m", "pseudo_velocity": "m/s", "pseudo_acceleration": "m/s^2"}
     quantities = {
         name: variable(("record", "period"), omega**power * largest, name.replace("_", "-"), unit)
@@ -165,13 +171,17 @@ def sliding_spectrum(
         ImportError: Without the extra ``study``.
     """
     require_labels()
-    suite, axes = _suite_of(records), {}
+    suite = _suite_of(records)
     checks.bounded("damping", damping, at_least=0, below=1)
     checks.positive("gravity", gravity, "m/s^2")
-    for name, given, wanted in (("periods", periods, "positive numbers"), ("mu", mu, "zero or positive numbers")):
-        axes[name] = np.atleast_1d(np.asarray(given, float))
-        if axes[name].ndim != 1 or not np.all(axes[name] >= (0 if name == "mu" else np.finfo(float).tiny)):
-            raise checks.refused(name, f"be {wanted}", given)
+    axes = {name: checks.numbers(name, one, ndim=1).astype(float) for name, one in (("periods", periods), ("mu", mu))}
+    for name, values in axes.items():
+        if not len(values):
+            raise checks.refused(name, "hold at least one number", values)
+    usable = (axes["periods"] >= _SHORTEST) & ((axes["periods"] <= 1 / _SHORTEST) | (axes["periods"] == math.inf))
+    if not np.all(usable):
+        wanted = f"be between {_SHORTEST:g} and {1 / _SHORTEST:g} s, or infinite for a flat slider"
+        raise checks.refused("periods", wanted, float(axes["periods"][~usable][0]))
     shape = (len(suite), *map(len, axes.values()))
     entry, omega, each = (
         np.broadcast_to(values, shape).reshape(-1)
@@ -233,13 +243,13 @@ class Fragility:
         """The standard error of `dispersion`."""
         return math.sqrt(self.covariance[1, 1])
 
-    def probability(self, intensity: npt.ArrayLike) -> np.ndarray:
+    def probability(self, intensity: float | npt.ArrayLike) -> Numbers:
         """The probability of an exceedance at these intensities (any shape)."""
         from scipy.special import ndtr  # noqa: PLC0415 - takes long to load
 
         return ndtr(self._score(intensity))
 
-    def interval(self, intensity: npt.ArrayLike, level: float = DEFAULT_LEVEL) -> tuple[np.ndarray, np.ndarray]:
+    def interval(self, intensity: float | npt.ArrayLike, level: float = DEFAULT_LEVEL) -> tuple[Numbers, Numbers]:
         """The limits of a confidence interval of the probability at each of these intensities.
 
         Args:
@@ -259,7 +269,7 @@ class Fragility:
         away = ndtri((1 + level) / 2) * error
         return ndtr(score - away), ndtr(score + away)
 
-    def quantile(self, probability: npt.ArrayLike) -> np.ndarray:
+    def quantile(self, probability: float | npt.ArrayLike) -> Numbers:
         """The intensities at which an exceedance has these probabilities."""
         from scipy.special import ndtri  # noqa: PLC0415 - takes long to load
 
@@ -276,7 +286,7 @@ class Fragility:
         low, high = self.interval(at, level)
         return pd.DataFrame({"intensity": at, "probability": self.probability(at), "low": low, "high": high})
 
-    def _score(self, intensity: npt.ArrayLike) -> np.ndarray:
+    def _score(self, intensity: float | npt.ArrayLike) -> Numbers:
         with np.errstate(divide="ignore"):
             return np.log(np.asarray(intensity, float) / self.median) / self.dispersion
 
@@ -291,7 +301,7 @@ _MOST_STEPS, _CLOSE = 100, 1e-12
 
 
 def fragility(
-    intensity: npt.ArrayLike, exceeds: npt.ArrayLike, *, trials: npt.ArrayLike | None = None,
+    intensity: npt.ArrayLike, exceeds: npt.ArrayLike, *, trials: int | npt.ArrayLike | None = None,
     records: npt.ArrayLike | None = None,
 ) -> Fragility:  # fmt: skip
     """Fit a lognormal fragility function by maximum likelihood.
@@ -313,12 +323,17 @@ def fragility(
             a level of intensity parts those that do from those that do not; and for a probability that does not grow.
     """
     given = {"exceeds": exceeds, "intensity": intensity, "trials": 1 if trials is None else trials}
-    given = {name: checks.numbers(name, np.asarray(values, float)) for name, values in given.items()}
-    shape = given["exceeds"].shape
-    for name, values in given.items():
-        if np.broadcast_shapes(values.shape, shape) != shape:
-            raise checks.refused(name, f"have a shape that fits that of exceeds, {shape}", values)
-    k, x, n = (np.broadcast_to(values, shape).reshape(-1) for values in given.values())
+    columns = [checks.numbers(name, np.asarray(values, float)) for name, values in given.items()]
+    groups = np.asarray(0 if records is None else records)
+    shape = columns[0].shape
+    try:
+        k, x, n, which = (np.broadcast_to(values, shape).reshape(-1) for values in (*columns, groups))
+    except ValueError:
+        shapes = ", ".join(str(values.shape) for values in (*columns[1:], groups))
+        raise ValueError(
+            f"Arguments intensity, trials and records must have shapes that fit that of exceeds, {shape}, but {shapes} "
+            "were given."
+        ) from None
     if not (np.all(x > 0) and np.all(np.isfinite(x))):
         raise checks.refused("intensity", "hold finite positive numbers", intensity)
     if not (np.all(n >= 1) and np.all(n == np.round(n))):
@@ -338,20 +353,20 @@ def fragility(
             "another measure of intensity, or more records, may tell more."
         )
     covariance = np.linalg.inv((design * second[:, None]).T @ design)
-    groups = int(np.sum(n))
+    number = int(np.sum(n))
     if records is not None:
-        _, which = np.unique(np.broadcast_to(np.asarray(records), shape).reshape(-1), return_inverse=True)
-        groups = int(which.max()) + 1
-        if groups < 3:
+        which = np.unique(which, return_inverse=True)[1]
+        number = int(which.max()) + 1
+        if number < 3:
             raise checks.refused("records", "name at least 3 records, for an error between them", records)
         sums = np.stack([np.bincount(which, weights=first * column) for column in design.T], axis=1)
-        covariance = covariance @ (sums.T @ sums) @ covariance * groups / (groups - 1)
+        covariance = covariance @ (sums.T @ sums) @ covariance * number / (number - 1)
     # ln(median) = middle - width a / b and dispersion = width / b.
     a, b = at
     jacobian = width * np.array([[-1 / b, a / b**2], [0, -1 / b**2]])
     return Fragility(
         math.exp(middle - width * a / b), width / b, jacobian @ covariance @ jacobian.T, int(np.sum(n)), int(np.sum(k)),
-        groups, float(x.min()), float(x.max()),
+        number, float(x.min()), float(x.max()),
     )  # fmt: skip
 
 
@@ -392,11 +407,10 @@ def _check_overlap(x: np.ndarray, n: np.ndarray, k: np.ndarray) -> None:
             f"Argument exceeds must hold analyses that exceed the limit and others that do not, but {which} of "
             f"{int(np.sum(n))} do; take other scales of the records, or another limit."
         )
-    stays, passes = x[k < n], x[k > 0]
-    for below, above, order in ((stays, passes, "below"), (passes, stays, "above")):
-        if below.max() <= above.min():
+    stays, exceed = x[k < n], x[k > 0]
+    for low, high, said in ((stays, exceed, "stay within the limit"), (exceed, stays, "exceed it")):
+        if low.max() <= high.min():
             raise ValueError(
-                f"Argument exceeds must overlap, but all analyses that stay within the limit lie {order} "
-                f"{above.min():.4g}, and all others on the other side of it, so that no dispersion can be fitted; take "
-                "scales between them, or more records."
+                f"Argument exceeds must overlap, but all analyses below {high.min():.4g} {said} and none above does, "
+                "so that no dispersion can be fitted; take more scales near it, or more records."
             )

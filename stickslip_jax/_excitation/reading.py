@@ -243,7 +243,7 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
         raise _unsuitable(
             f"as many samples as its header says, NPTS = {count}", f"{file} holds {len(values)}; get a whole copy of it"
         )
-    return _looked_at(GroundAcceleration(np.arange(count) * step, values * float(g)), file, is_stated=True)
+    return _looked_at(GroundAcceleration(np.arange(count) * step, values * float(g)), path, is_stated=True)
 
 
 def _looked_at(record: GroundAcceleration, path: object, *, is_stated: bool) -> GroundAcceleration:

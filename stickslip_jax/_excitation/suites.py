@@ -140,7 +140,8 @@ class RecordSuite(GroundMotion):
         record, number = np.asarray(self.record, float), len(self.records.names)
         wrong = (record != np.round(record)) | (record >= number)
         if np.any(wrong):
-            raise checks.refused("record", f"be the number of one of {number} records, from 0", record[wrong].flat[0])
+            given = float(record[wrong].flat[0])
+            raise checks.refused("record", f"be the number of one of {number} records, from 0", given)
 
     @property
     def _arrays(self) -> list[Any]:
@@ -179,7 +180,10 @@ class RecordSuite(GroundMotion):
         Raises:
             ValueError: For anything else, and a suite that draws records or scales itself.
         """
-        (record, own), every = map(np.asarray, self.entries), checks.numbers("scales", scales, ndim=1)
+        checks.bounded("scales", scales, ndim=1)
+        (record, own), every = map(np.asarray, self.entries), np.asarray(scales, float)
+        if not len(every):
+            raise checks.refused("scales", "hold at least one number", scales)
         return RecordSuite(self.records, (every[:, None] * own).reshape(-1), np.tile(record.astype(float), len(every)))
 
     def __len__(self) -> int:
