@@ -131,7 +131,7 @@ def response_spectrum(
     if np.any(np.isinf(checks.numbers("periods", periods, ndim=1))):
         raise checks.refused("periods", "be finite", periods, "sliding_spectrum takes flat sliders")
     found = sliding_spectrum(records, periods, [0.0], damping=damping, threads=threads, progress=progress)
-    largest, period = found.largest_displacement.values[..., 0], found.period.values
+    largest, period = np.asarray(found.largest_displacement)[..., 0], np.asarray(found.period)
     omega = 2 * math.pi / period
     units = {"displacement": "m", "pseudo_velocity": "m/s", "pseudo_acceleration": "m/s^2"}
     quantities = {
@@ -191,7 +191,7 @@ def sliding_spectrum(
         mass=1.0, stiffness=omega**2, normal_force=float(gravity), friction=Coulomb(each),
         damping=2 * damping * omega if damping > 0 else None,
     )  # fmt: skip
-    record, own = (np.asarray(values)[entry] for values in suite.entries)
+    record, own = (np.asarray(values)[entry.astype(int)] for values in suite.entries)
     slowest = np.max(axes["periods"], initial=0.0, where=np.isfinite(axes["periods"]))
     many = simulate_ensemble(
         slider, RecordSuite(suite.records, own, record.astype(float)), suite.duration + slowest if t1 is None else t1,

@@ -320,8 +320,12 @@ class Encoder:
             return self._array(value)
         if type(value) is tuple or type(value) is list:
             return {type(value).__name__: [self._encoded(part) for part in value]}
-        is_too_large = isinstance(value, StoredRecords) and len(value.accelerations) > _MOST_POINTS
-        if _class_named(type(value).__name__) is type(value) and not is_too_large:
+        if (
+            type(value).__name__ == StoredRecords.__name__
+            and np.size(getattr(value, "accelerations", ())) > _MOST_POINTS
+        ):
+            raise NotOursError
+        if _class_named(type(value).__name__) is type(value):
             return {"class": type(value).__name__, "fields": self._fields(value)}
         name = type(value).__name__
         if name in _DIFFRAX and type(value) is getattr(diffrax, name) and repr(value) == repr(type(value)()):
