@@ -148,13 +148,6 @@ class TestTransformations:
             ends = [np.mean([_end(*at, one) for one in EVEN]) for at in (up, down)]
             assert float(found[place]) == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-5)
 
-    @pytest.mark.slow
-    def test_sensitivity_of_the_mean_over_the_records(self):
-        peak, suite = ss.Output(OUTPUTS["peak"], unit="m"), ss.RecordSuite(EVEN, ss.Uniform(0.9, 1.1))
-        found = ss.sensitivity(peak, slider(), suite, wrt="mu", t1=T1, samples=2, key=KEY, method=METHOD)
-        up, down = (run(suite, slider(0.1 + s), key=KEY).outputs["peak"].mean.value for s in (1e-5, -1e-5))
-        assert found.derivative == pytest.approx((up - down) / 2e-5, rel=0.02)
-
 
 def _end(mu, scale, motion):
     return float(ss.simulate(slider(mu), quiet(motion, scale), t1=T1, method=METHOD).final_state[0])
