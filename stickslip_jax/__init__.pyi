@@ -33,6 +33,9 @@ from ._ensemble.ensemble import simulate_ensemble as simulate_ensemble
 from ._ensemble.ensemble import ContactEnsembles as ContactEnsembles, simulate_contacts as simulate_contacts
 from ._ensemble.ensemble import concatenate as concatenate, load as load
 from ._ensemble.data import Keep as Keep
+from ._ensemble.earthquakes import Fragility as Fragility, fragility as fragility
+from ._ensemble.earthquakes import incremental_dynamic_analysis as incremental_dynamic_analysis
+from ._ensemble.earthquakes import response_spectrum as response_spectrum, sliding_spectrum as sliding_spectrum
 from ._ensemble.ensemble import Ensemble as Ensemble
 from ._dynamics.sticks import Slips as Slips, Sticks as Sticks
 from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps
@@ -55,6 +58,7 @@ from ._excitation.reading import (
     read_recorded_csv as read_recorded_csv,
 )
 from ._excitation.recorded import Recorded as Recorded
+from ._excitation.suites import RecordSuite as RecordSuite
 from ._excitation.segments import SegmentLaw as SegmentLaw, VelocitySegments as VelocitySegments
 from ._excitation.piecewise_constant import SemiMarkovSwitching as SemiMarkovSwitching
 from ._excitation.motion import Harmonic as Harmonic, Signal as Signal, SumOfHarmonics as SumOfHarmonics

@@ -2,6 +2,7 @@
 
 - `native_loop`, `CompiledNatively`: a loop over small arrays as one native function of the CPU.
 - `computed_once`, `sharing`: values that several results need are computed once.
+- `neighbours`: two numbers of a long array.
 - `packed`, `unpacked`, `Layout`: few arrays in place of many, for calls of compiled functions.
 - `of_moving`, `flattened`: a function of those of its arguments that have a tangent, or that are arrays.
 - `WIDE_VECTORS`, `COMPILED_QUICKLY`: options of the compiler.
@@ -73,7 +74,7 @@ _ARITHMETIC = {
     unvmap_max
     """.split(),  # noqa: SIM905
 }
-_INSIDE = "cond custom_jvp_call jit pjit closed_call core_call remat2 checkpoint scan while".split()  # noqa: SIM905
+_INSIDE = "cond custom_jvp_call custom_vmap_call jit pjit closed_call core_call remat2 checkpoint scan while".split()  # noqa: SIM905
 _OF_OWN = ("call_with_own_derivative", "tangent_of_call")  # `_numerics/derivatives.py`
 _LARGEST = 64
 """Numbers in an array that is computed with. The usual kernels are faster with more, as where many trajectories advance
@@ -347,6 +348,32 @@ def native_loops_work() -> bool:
     except Exception:  # a probe: whatever goes wrong, plain compilation works
         return False
     return right and "xla_cpu_small_call" in text
+
+
+# Look-up in a long array.
+
+
+@jax.custom_batching.custom_vmap
+def neighbours(array: jax.Array, at: jax.Array) -> jax.Array:
+    """``array[at : at + 2]`` of a long array (numbers,), which no sample has of its own; (2,).
+
+    For many samples at once JAX makes a gather of it. XLA counts all of the array as read by that, divides the work
+    among threads, and cannot put it into a native loop. So the CPU looks one up after the other there.
+    """
+    return lax.dynamic_slice(array, (at,), (2,))
+
+
+@neighbours.def_vmap
+def _neighbours_of_each(size: int, batched: Sequence[bool], array: jax.Array, at: jax.Array) -> tuple[jax.Array, bool]:
+    def one(array: jax.Array, at: jax.Array) -> jax.Array:
+        return lax.dynamic_slice(array, (at,), (2,))
+
+    def look_up(number: jax.Array, found: jax.Array) -> jax.Array:
+        return lax.dynamic_update_slice(found, one(array, at[number])[None], (number, jnp.zeros_like(number)))
+
+    if batched[0] or not native_loops_work():
+        return jax.vmap(one, tuple(0 if each else None for each in batched))(array, at), True
+    return lax.fori_loop(0, size, look_up, jnp.zeros((size, 2), array.dtype)), True
 
 
 # Many small arrays packed into a few: JAX takes microseconds for each array that a compiled function is given.

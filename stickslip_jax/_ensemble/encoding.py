@@ -19,6 +19,7 @@ import jax
 import jax.lib
 import numpy as np
 
+from .._excitation.suites import StoredRecords
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.extras import require
 from .._foundation.files import FULL
@@ -266,10 +267,11 @@ _SHORT = 32  # entries: longer arrays stand beside the JSON
 _INTERNAL: dict[str, type] = {
     kind.__name__: kind
     for kind in (
-        Design, DyadicCounts, GivenMotions, Moments, Origin, PowerSums, StickAccumulator, TabulatedCurve,
+        Design, DyadicCounts, GivenMotions, Moments, Origin, PowerSums, StickAccumulator, StoredRecords, TabulatedCurve,
         Unknown, UnknownSystem,
     )
 }  # fmt: skip
+_MOST_POINTS = 2**20  # of records in a suite: a larger one is known by its check sum, as it prints, and not stored
 _LONGEST_TEXT = 1000  # of an object that prints itself
 _DIFFRAX = (
     "Bosh3", "Dopri5", "Dopri8", "Euler", "Heun", "ImplicitEuler", "KenCarp3", "KenCarp4", "KenCarp5", "Kvaerno3",
@@ -318,6 +320,11 @@ class Encoder:
             return self._array(value)
         if type(value) is tuple or type(value) is list:
             return {type(value).__name__: [self._encoded(part) for part in value]}
+        if (
+            type(value).__name__ == StoredRecords.__name__
+            and np.size(getattr(value, "accelerations", ())) > _MOST_POINTS
+        ):
+            raise NotOursError
         if _class_named(type(value).__name__) is type(value):
             return {"class": type(value).__name__, "fields": self._fields(value)}
         name = type(value).__name__

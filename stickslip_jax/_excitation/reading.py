@@ -26,6 +26,9 @@ _COUNT_AND_STEP = (
 )
 _QUANTITY_AND_UNIT = re.compile(r"\bUNITS?\b|\bTIME[- ]+(?:HISTORY|SERIES)\b")
 _IN_G = re.compile(r"(?:\bIN|\bUNITS?(?:\s+OF|\s*[:=])?)\s*\(?G(?![A-Z/*])")
+_FEWEST = 50  # points: shorter records are not looked at
+# Of 18 well-known strong motions all reach 1.8 m/s^2, and none ends with more than 0.03 of its largest velocity.
+_IN_G_BELOW, _DRIFT, _GAP = 2.0, 0.1, 1.5
 _NO_ACCELERATION = re.compile(r"VELOCITY|DISPLACEMENT")
 
 
@@ -151,7 +154,7 @@ def read_acceleration_csv(
     *,
     time_column: int | str = 0,
     value_column: int | str = 1,
-    scale: float = 1.0,
+    scale: float | None = None,
     delimiter: str | None = ",",
     shift: bool = False,
 ) -> GroundAcceleration:
@@ -164,7 +167,8 @@ def read_acceleration_csv(
         path: Name of the file.
         time_column: Number of the column of times, counted from 0, or its name in the header row. Times must be in s.
         value_column: Number or name of the column of accelerations.
-        scale: What the values are multiplied by, for example 0.01 for cm/s^2 into m/s^2.
+        scale: What the values are multiplied by, for example 0.01 for cm/s^2 into m/s^2. By default 1, with a warning
+            where they look like those of a record in g.
         delimiter: The character between columns; None for any white space.
         shift: Subtract the first time from all; without it, the first time must be 0.
 
@@ -176,9 +180,13 @@ def read_acceleration_csv(
             rows of different lengths or too few columns, entries that are not finite numbers, or times that do not
             increase.
         OSError: For a file that is missing or cannot be read.
+
+    Warns:
+        RuntimeWarning: For a record whose values look like g, whose velocity drifts, or with gaps.
     """
-    columns = {"time_column": time_column, "value_column": value_column}
-    return GroundAcceleration(*read_csv(path, **columns, scale=scale, delimiter=delimiter, shift=shift))
+    how = {"time_column": time_column, "value_column": value_column, "delimiter": delimiter, "shift": shift}
+    times, values = read_csv(path, **how, scale=1.0 if scale is None else scale)
+    return _looked_at(GroundAcceleration(times, values), path, is_stated=scale is not None)
 
 
 def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> GroundAcceleration:
@@ -196,6 +204,9 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
         ValueError: For a `g` that is not positive, and for a file that is empty, has no such header, holds another
             quantity or unit, another number of samples, or an entry that is not a finite number (with its line).
         OSError: For a file that is missing or cannot be read.
+
+    Warns:
+        RuntimeWarning: For a record whose velocity drifts.
     """
     checks.positive("g", g, "m/s^2")
     file, text = _read(path)
@@ -232,7 +243,36 @@ def read_at2(path: str | os.PathLike[str], *, g: float = STANDARD_GRAVITY) -> Gr
         raise _unsuitable(
             f"as many samples as its header says, NPTS = {count}", f"{file} holds {len(values)}; get a whole copy of it"
         )
-    return GroundAcceleration(np.arange(count) * step, values * float(g))
+    return _looked_at(GroundAcceleration(np.arange(count) * step, values * float(g)), path, is_stated=True)
+
+
+def _looked_at(record: GroundAcceleration, path: object, *, is_stated: bool) -> GroundAcceleration:
+    """The record, with a warning of what looks wrong in it; `is_stated`: whether its unit is known to be m/s^2."""
+    times, values = np.asarray(record.times), np.asarray(record.accelerations)
+    if len(times) < _FEWEST:
+        return record
+    steps, peak, found = np.diff(times), float(np.max(np.abs(values))), []
+    velocity = np.cumsum(steps * (values[1:] + values[:-1]) / 2)
+    fastest = float(np.max(np.abs(velocity)))
+    if not is_stated and 0 < peak < _IN_G_BELOW:
+        found.append(
+            f"its largest acceleration is {peak:.3g} m/s^2, or is it in g? Give scale={STANDARD_GRAVITY} for g, or "
+            "scale=1.0 for m/s^2"
+        )
+    if abs(velocity[-1]) > _DRIFT * fastest:
+        found.append(
+            f"the ground ends with a velocity of {velocity[-1]:.3g} m/s, of at most {fastest:.3g} m/s in the record; "
+            "correct its baseline, or cut it where it is quiet"
+        )
+    if np.max(steps) > _GAP * np.median(steps):
+        at = int(np.argmax(steps))
+        found.append(
+            f"its points are {np.median(steps):.4g} s apart, but {times[at]:.6g} s and {times[at + 1]:.6g} s are not; "
+            "between them it is taken for a straight line"
+        )
+    for what in found:
+        checks.warn(f"The record {checks.show(str(path))} looks odd: {what}.")
+    return record
 
 
 def _read(name: object) -> tuple[str, str]:

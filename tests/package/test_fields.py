@@ -54,6 +54,7 @@ def test_every_field_of_numbers_is_described(kind):
     others |= {"durations", "velocities"} if kind is ss.VelocitySteps else set()
     others |= {"smoothing"} if kind is ss.Recorded else set()  # in words
     others |= {"direction"} if kind is ss.Contact else set()
+    others |= {"records"} if kind is ss.RecordSuite else set()  # stored by points
     others |= {"law", "growth"} if kind is ss.Ageing else set()
     others |= {"forward", "backward"} if kind is ss.Directional else {"forward"} if kind is ss.OneWay else set()
     others |= {"places", "laws", "on"} if kind is ss.FrictionByPlace else set()

@@ -22,6 +22,7 @@ DOCUMENTS = {
     "docs/howto/contacts.md": 13,
     "docs/howto/control.md": 12,
     "docs/howto/drilling.md": 5,
+    "docs/howto/earthquakes.md": 8,
     "docs/howto/engine.md": 2,
     "docs/howto/first_hour.md": 9,
     "docs/howto/friction_memory.md": 9,

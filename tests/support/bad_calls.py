@@ -125,6 +125,11 @@ def constructors() -> Iterator[Target]:
     )  # fmt: skip
     yield fields(ss.Recorded, times=([0.0, 1.0], "array"), values=([1.0, 2.0], "array"))
     yield fields(ss.GroundAcceleration, times=([0.0, 1.0], "array"), accelerations=([1.0, 2.0], "array"))
+    ground = ss.GroundAcceleration([0.0, 1.0], [1.0, 0.0])
+    yield fields(
+        ss.RecordSuite, records=([ground], "never | path"), scale=(1.0, "field"), record=(None, "optional field"),
+    )  # fmt: skip
+    yield fields(ss.RecordSuite([ground]).at_scales, scales=([1.0, 2.0], "array"))
     yield fields(
         ss.VelocitySteps, ("durations",), durations=(np.array([1.0, 1.0]), "array"),
         velocities=(np.array([1.0, 2.0]), "array"),
@@ -327,10 +332,36 @@ def results() -> Iterator[Target]:
     yield fields(many().statistics.duration.histogram, bins=(4, "any"))
     yield fields(ss.read_recorded_csv, path=("missing.csv", "path"), scale=(1.0, "number"), delimiter=(",", "any"))
     yield fields(ss.read_at2, path=("missing.at2", "path"), g=(9.81, "positive"))
+    yield from of_earthquakes()
     for paper in (papers.square_wave_belt, papers.harmonic_belt, papers.random_belt):
         yield fields(paper, ratio=(1.0, "positive field"), mu=(1.0, "not negative field"))
     yield fields(papers.motor_cart, mu=(0.2, "not negative field"), t1=(2.0, "positive"))
     yield fields(papers.parametric_analysis, samples=(4, "whole"), t1=(5.0, "positive"), seed=(0, "any"))
+
+
+def of_earthquakes() -> Iterator[Target]:
+    ground = [ss.GroundAcceleration([0.0, 1.0], [1.0, 0.0])]
+    yield fields(
+        ss.response_spectrum, records=(ground, "never"), periods=([1.0], "array"), damping=(0.05, "not negative"),
+        threads=(1, "optional whole"), progress=(False, "optional truth"),
+    )  # fmt: skip
+    yield fields(
+        ss.sliding_spectrum, records=(ground, "never"), periods=([1.0], "array | positive"),
+        mu=([0.1], "array | not negative"), damping=(0.0, "not negative"), gravity=(9.81, "positive"),
+        t1=(1.0, "optional positive"),
+    )  # fmt: skip
+    yield fields(
+        ss.incremental_dynamic_analysis, ("record", "law"), system=(SYSTEM, "system"), records=(ground, "never"),
+        scales=([1.0], "array"), outputs=({"end": lambda one: one.final_state[0]}, "nothing"),
+        t1=(1.0, "optional positive"), y0=(None, "optional start"), key=(None, "optional key"),
+        period=(None, "optional positive"), progress=(False, "optional truth"),
+    )  # fmt: skip
+    fit = ss.fragility([1.0, 2.0, 3.0, 4.0], [False, True, False, True])
+    yield fields(
+        ss.fragility, intensity=([1.0, 2.0, 3.0, 4.0], "reals"), exceeds=([False, True, False, True], "reals"),
+        trials=(None, "optional reals"), records=(None, "optional any"),
+    )  # fmt: skip
+    yield fields(fit.interval, intensity=(1.0, "reals"), level=(0.9, "share"))
 
 
 def calibrations() -> Iterator[Target]:
