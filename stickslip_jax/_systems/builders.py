@@ -76,7 +76,7 @@ def storeys_on_bearing(
     mass: Sequence[Number],
     stiffness: Sequence[Number],
     *,
-    friction: FrictionLaw | Sequence[Coulomb],
+    friction: FrictionLaw | Sequence[FrictionLaw],
     damping: Sequence[Number] | None = None,
     bearing_stiffness: Number = 0.0,
     gravity: Number = STANDARD_GRAVITY,
@@ -126,16 +126,16 @@ def storeys_on_bearing(
 def friction_pendulum(
     mass: Number,
     radius: Number | Sequence[Number] | None,
-    friction: FrictionLaw | Sequence[Coulomb],
+    friction: FrictionLaw | Sequence[FrictionLaw],
     *,
     vertical: GroundAcceleration | None = None,
     gravity: Number = STANDARD_GRAVITY,
 ) -> LinearStructure:
     """One mass on a friction pendulum, or on a flat slider: an isolated structure as a rigid block.
 
-    The weight presses, ``(1 + vertical / gravity)`` times where the ground moves up and down, and this normal force over
-    the radius is the stiffness. While that is not positive the mass is off the ground, and nothing acts on it; how far
-    it lifts off, and the impact when it is back, are not followed. Displacements are small beside the radius. The
+    The weight presses, ``(1 + vertical / gravity)`` times where the ground moves up and down, and this normal force
+    over the radius is the stiffness. While that is not positive the mass is off the ground, and nothing acts on it; how
+    far it lifts off, and the impact when it is back, are not followed. Displacements are small beside the radius. The
     position is relative to the ground: the base to simulate it with is a `GroundAcceleration`.
 
     Args:
@@ -173,6 +173,8 @@ def _bearing(
         if vertical is not None:
             hint = "they have no equivalent in parallel under a weight that varies"
             raise checks.refused("vertical", "be None for surfaces in series", vertical, hint)
+        if np.ndim(radius) != 1:
+            raise checks.refused("radius", "hold one number for each law of surfaces in series", radius)
         return pendulum_in_series(weight, radius, [law.mu for law in friction], direction=direction)
     if np.ndim(radius):
         raise checks.refused("friction", "hold a law Coulomb(mu) for each radius of surfaces in series", friction)
@@ -191,8 +193,8 @@ def _bearing(
 
 # Surfaces in series without masses between them: each is a spring k_i = W / R_i beside a rigid slider of the strength
 # mu_i W, and the force F in all is the same. With mu_1 < ... < mu_n, a force that grows from zero moves the surfaces
-# 1 ... j while it is between mu_j W and mu_(j+1) W: then F has the slope K_j = W / (R_1 + ... + R_j) by the displacement
-# u, which at F = mu_(j+1) W is d_j = sum over i <= j of (mu_(j+1) - mu_i) R_i. Below mu_1 W nothing moves.
+# 1 ... j while it is between mu_j W and mu_(j+1) W: then F has the slope K_j = W / (R_1 + ... + R_j) by the
+# displacement u, which at F = mu_(j+1) W is d_j = sum over i <= j of (mu_(j+1) - mu_i) R_i. Below mu_1 W nothing moves.
 #
 # The displacement of a surface is the play of F with the threshold mu_i W, over k_i. So u is a sum of plays of F, an
 # operator of Prandtl and Ishlinskii. Its inverse is one too (Krejci 1996, Hysteresis, Convexity and Dissipation in

@@ -11,7 +11,8 @@ import numpy as np
 from .._compiler.programs import kept_jit
 from .._excitation.excitation import Excitation
 from .._excitation.motion import RandomPhase, RandomSignal, Signal
-from .._excitation.piecewise_constant import Constant
+from .._excitation.piecewise_constant import VelocitySteps
+from .._excitation.segments import SegmentLaw
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import with_fields
@@ -20,7 +21,6 @@ from .._foundation.types import (
     ExplicitSolver,
     FloatArray,
     FloatScalar,
-    Number,
     Solver,
 )
 from .._numerics.derivatives import without_derivatives
@@ -355,11 +355,8 @@ class LinearStructure(WithContacts):
 
     def check_excitation(self, excitation: Excitation) -> None:
         super().check_excitation(excitation)
-        swings = any(one.radius is not None and not _is_zero(one.on_base) for one in kinds_in(self.contacts))
-        rests = excitation.smooth is None and all(
-            isinstance(law, Constant) and _is_zero(law.speed) for law in excitation.base
-        )
-        if swings and not rests:
+        swings = any(one.radius is not None and _is_not_zero(one.on_base) for one in kinds_in(self.contacts))
+        if swings and (excitation.smooth is not None or any(map(_moves, excitation.base))):
             raise ValueError(
                 "Argument base must be at rest under a contact with a radius, but it moves: a pendulum bearing pulls "
                 "towards where positions are zero, those relative to the ground; take a GroundAcceleration, or a "
@@ -439,9 +436,7 @@ class LinearStructure(WithContacts):
         """
         stiffness = self.stiffness
         plain = (None,) * 3
-        others = [
-            one for one in self.contacts if (one.series_stiffness, one.normal_stiffness, one.radius) != plain
-        ]
+        others = [one for one in self.contacts if (one.series_stiffness, one.normal_stiffness, one.radius) != plain]
         xp: Any = jnp if any(map(checks.is_traced, jax.tree.leaves((stiffness, others)))) else np
         if others:
             stiffness = xp.asarray(stiffness, float)
@@ -572,8 +567,13 @@ def _fastest(mass: Any, stiffness: Any, damping: Any) -> FloatScalar:
     return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), _lowest())
 
 
-def _is_zero(number: Number) -> bool:
-    return not checks.is_traced(number) and bool(number == 0)
+def _moves(base: SegmentLaw) -> bool:
+    """Whether it is known that this part of the base moves."""
+    return _is_not_zero(base.velocities if isinstance(base, VelocitySteps) else getattr(base, "speed", 1.0))
+
+
+def _is_not_zero(numbers: Any) -> bool:
+    return not checks.is_traced(numbers) and bool(np.any(np.asarray(numbers) != 0))
 
 
 def _lowest() -> float:

@@ -41,8 +41,8 @@ class Matrices(NamedTuple):
     - `gain`: see `contact_forces`. `fastest`: see `LinearStructure.fastest`.
     - `softness`: of the springs, m/N, zero where there is none.
     - `by_position`: of the normal forces, by positions, N/m, (contacts, d); `None` where there are none.
-    - `by_pendulum`: of the normal forces times the relative displacements in pendulums whose stiffness varies, 1/m, from
-      the left by the inverse mass; `None` where there are none. Other pendulums are part of `stiffness`.
+    - `by_pendulum`: of normal forces times relative displacements in pendulums whose stiffness varies, 1/m, from the
+      left by the inverse mass; `None` where there are none. Other pendulums are part of `stiffness`.
     """
 
     inverse_mass: Matrix

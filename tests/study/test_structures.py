@@ -97,10 +97,13 @@ SYSTEMS = {
     "storeys_on_bearing over pendulums": (
         STOREYS + f"radius = 2\nvertical = {VERTICAL}\n",
         ss.storeys_on_bearing(
-            [3.0, 2.0, 1.0], [50.0, 40.0], friction=ss.Coulomb(0.1), radius=2.0,
+            [3.0, 2.0, 1.0],
+            [50.0, 40.0],
+            friction=ss.Coulomb(0.1),
+            radius=2.0,
             vertical=ss.GroundAcceleration(TIMES, VALUES),
         ).of_contact(0),
-    ),  # fmt: skip
+    ),
     "friction_pendulum": (
         '[system]\nmodel = "friction_pendulum"\nmass = 2\nradius = 1.5\n'
         'friction = { law = "VelocityDependent", mu_slow = 0.05, mu_fast = 0.1, rate = 20 }\n',

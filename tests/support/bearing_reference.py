@@ -5,6 +5,7 @@ integrated by itself (DOP853, rtol 1e-12), so that every right-hand side is smoo
 """
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -58,7 +59,7 @@ class Bearing:
         edges = [t0, t1]
         if pressed(t0) * pressed(t1) < 0:
             edges.insert(1, t0 + (t1 - t0) * pressed(t0) / (pressed(t0) - pressed(t1)))
-        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        for begin, end in pairwise(edges):
             is_open = pressed((begin + end) / 2) < 0
             if is_open != (self.mode == "open") or self.mode is None:
                 if self.mode == 0:
@@ -82,6 +83,7 @@ class Bearing:
             # What it needs less what it can hold, either way: lines within a piece.
             roots = []
             for way in (1, -1):
+
                 def line(s, way=way):
                     return way * (ground(s) + pressed(s) * self.curvature * self.x) - self.breakaway * pressed(s)
 
