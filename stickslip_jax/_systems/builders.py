@@ -156,6 +156,7 @@ def friction_pendulum(
     >>> times = np.arange(0.0, 8.0, 0.02)
     >>> shaking = ss.GroundAcceleration(times, 3.0 * np.sin(6.0 * times))
     >>> print(f"{ss.simulate(isolated, shaking, t1=7.9).peak('position 0'):.4f} m")
+    0.2377 m
     """
     checks.positive("mass", mass, "kg")
     checks.positive("gravity", gravity, "m/s^2")
