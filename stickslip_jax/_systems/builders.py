@@ -153,8 +153,8 @@ def friction_pendulum(
         ValueError: For a number out of its range, and for surfaces in series with vertical motion or other friction.
 
     >>> isolated = ss.friction_pendulum(1e5, 2.0, ss.VelocityDependent(0.03, 0.06, 40.0))
-    >>> times = np.arange(0.0, 8.0, 0.02)
-    >>> shaking = ss.GroundAcceleration(times, 3.0 * np.sin(6.0 * times))
+    >>> times = jax.numpy.arange(0.0, 8.0, 0.02)
+    >>> shaking = ss.GroundAcceleration(times, 3.0 * jax.numpy.sin(6.0 * times))
     >>> print(f"{ss.simulate(isolated, shaking, t1=7.9).peak('position 0'):.4f} m")
     0.2377 m
     """
@@ -167,6 +167,7 @@ def friction_pendulum(
 def _bearing(
     direction: Any, weight: Number, radius: Any, friction: Any, vertical: Any, gravity: Number
 ) -> tuple[Contact, ...]:
+    radius = _row_of(radius)
     if isinstance(friction, (list, tuple)):
         if not all(isinstance(law, Coulomb) and law.mu_static is None for law in friction):
             hint = "surfaces in series have one constant coefficient each"

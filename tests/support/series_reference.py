@@ -81,7 +81,8 @@ class InSeries:
             if len(found.t_events[0]):
                 self._stop(found.t[-1], ground)
             else:
-                joined = [i for i, times in zip(others, found.t_events[1:], strict=True) if len(times)]
+                excess = self.way * (force - self.springs * self.own) - self.strengths
+                joined = [i for i in others if excess[i] > -1e-9 * self.strengths[i]]  # some at once
                 self.moving = on | np.isin(np.arange(len(on)), joined)
         return found.t[-1]
 

@@ -95,7 +95,7 @@ def test_derivatives_of_a_pendulum():
 @pytest.mark.slow
 def test_an_ensemble_of_pendulums():
     """Samples are the same as single runs: sticks, and peaks found in the pass."""
-    times, along, upward = accelerograms(3)
+    times, along, upward = accelerograms(3, points=300)
     law = ss.VelocityDependent(0.04, ss.Uniform(0.07, 0.12), 30.0)
     bearing = ss.friction_pendulum(MASS, ss.Uniform(1.0, 2.0), law, vertical=ground_of(times, upward))
     outputs = {
@@ -104,18 +104,16 @@ def test_an_ensemble_of_pendulums():
         "fastest": lambda one: one.peak("velocity 0"),
     }
     many = ss.simulate_ensemble(
-        bearing.of_contact(0), ground_of(times, along), t1=5.99, samples=12, key=jax.random.key(1), keep="sticks",
+        bearing.of_contact(0), ground_of(times, along), t1=2.99, samples=5, key=jax.random.key(1), keep="sticks",
         outputs=outputs,
     )  # fmt: skip
-    assert many.finished == 12
-    for i in (0, 5, 11):
+    assert many.finished == 5
+    for i in (0, 2, 4):
         system, base, y0 = many.realization(i)
-        one = ss.simulate(system, base, t1=5.99, y0=y0, method=many.method)
+        one = ss.simulate(system, base, t1=2.99, y0=y0, method=many.method)
         for name, function in outputs.items():
             assert many.output_values[name][i] == pytest.approx(float(function(one)), rel=1e-9, abs=1e-12)
-        radius, mu = (
-            float(many.input_values[name][i]) for name in ("contacts[0].radius", "contacts[0].friction.mu_fast")
-        )
+        radius, mu = (float(many.input_values[name][i]) for name in ("radius", "mu_fast"))
         again = ss.friction_pendulum(
             MASS, radius, ss.VelocityDependent(0.04, mu, 30.0), vertical=ground_of(times, upward)
         )
@@ -320,14 +318,16 @@ def test_derivatives_of_a_double_pendulum():
 def test_a_building_on_pendulums():
     """A nearly rigid one is a mass; that of bearings in series, and under vertical motion, too."""
     times, along, upward = accelerograms(2, points=300)
+    method = ss.Exact(max_steps=2**17)
     for radius, law, vertical in (
         (1.5, LAW, ground_of(times, upward)),
         ([1.5, 2.5], [ss.Coulomb(0.03), ss.Coulomb(0.08)], None),
     ):
         of = {"gravity": GRAVITY, "vertical": vertical}
-        building = ss.storeys_on_bearing([1.0, 1.0], [1e5], damping=[200.0], friction=law, radius=radius, **of)
+        building = ss.storeys_on_bearing([1.0, 1.0], [2e4], damping=[100.0], friction=law, radius=radius, **of)
         mass = ss.friction_pendulum(2.0, radius, law, **of)
-        building, mass = (simulated(one, times, along) for one in (building, mass))
+        building, mass = (ss.simulate(one, ground_of(times, along), t1=2.99, method=method) for one in (building, mass))
+        assert building.status == mass.status == 0
         assert float(building.final_state[0]) == pytest.approx(float(mass.final_state[0]), abs=2e-3)
         assert float(mass.peak("position 0")) > 0.05
 
