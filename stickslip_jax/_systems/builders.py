@@ -211,7 +211,7 @@ def pendulum_in_series(
     radii: Sequence[Number] | AnyArray,
     coefficients: Sequence[Number] | AnyArray,
     *,
-    direction: Sequence[float] = (1.0,),
+    direction: Sequence[float] | AnyArray = (1.0,),
 ) -> tuple[Contact, ...]:
     """The contacts of a double or triple friction pendulum: surfaces in series, under a constant weight.
 
