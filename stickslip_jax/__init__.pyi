@@ -153,6 +153,7 @@ from ._systems.friction import (
     FrictionLaw as FrictionLaw,
     LogarithmicGrowth as LogarithmicGrowth,
     Stribeck as Stribeck,
+    VelocityDependent as VelocityDependent,
     VelocityWeakening as VelocityWeakening,
 )
 from ._systems.mass_spring import MassSpring as MassSpring
@@ -163,6 +164,8 @@ from ._systems.contacts import Contact as Contact
 from ._systems.builders import (
     block_row as block_row,
     iwan_sliders as iwan_sliders,
+    friction_pendulum as friction_pendulum,
+    pendulum_in_series as pendulum_in_series,
     storeys_on_bearing as storeys_on_bearing,
 )
 from ._systems.builders import FrictionDisk as FrictionDisk, drill_string as drill_string, drivetrain as drivetrain

@@ -1,11 +1,14 @@
-"""Structures that everyone draws: blocks in a row, storeys over a sliding bearing, drivetrains."""
+"""Structures that everyone draws: blocks in a row, sliding bearings and storeys over them, drivetrains."""
 
+import math
+import warnings
 from collections.abc import Sequence
 from typing import Annotated, Any
 
 import jax.numpy as jnp
 import numpy as np
 
+from .._excitation.recorded import GroundAcceleration, Recorded
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity
 from .._foundation.types import AnyArray, Number
@@ -14,7 +17,7 @@ from .contacts import Contact, ForceQuantity, NormalForce, entries_of
 from .friction import Coulomb, FrictionLaw, require_law
 from .structure import BLOCKS, MOST_CONTACTS, STOREYS, LinearStructure, check_forces, numbers_in
 
-# Structures that everyone draws: blocks in a row, storeys over a sliding bearing.
+# Structures that everyone draws: blocks in a row, sliding bearings, storeys over them.
 
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -73,23 +76,28 @@ def storeys_on_bearing(
     mass: Sequence[Number],
     stiffness: Sequence[Number],
     *,
-    friction: FrictionLaw,
+    friction: FrictionLaw | Sequence[FrictionLaw],
     damping: Sequence[Number] | None = None,
     bearing_stiffness: Number = 0.0,
     gravity: Number = STANDARD_GRAVITY,
+    radius: Number | Sequence[Number] | None = None,
+    vertical: GroundAcceleration | None = None,
 ) -> LinearStructure:
     """A shear building on a sliding bearing, or on a pendulum bearing: the base mat slides on the ground.
 
     The positions are those of the base mat and of the storeys, from below, relative to the ground: the base to simulate
-    it with is a `GroundAcceleration`. The normal force is the weight of all.
+    it with is a `GroundAcceleration`. The normal force is the weight of all, ``(1 + vertical / gravity)`` times where
+    the ground moves up and down: the building does so with it.
 
     Args:
         mass: Of the base mat, then of the storeys, kg, (storeys + 1,), positive.
         stiffness: From the base mat to the first storey, and between storeys, N/m, (storeys,), positive.
-        friction: Of the bearing.
+        friction: Of the bearing; of surfaces in series as in `friction_pendulum`.
         damping: Between the same, N s/m, (storeys,), zero or positive; None is zero.
-        bearing_stiffness: N/m; of a pendulum bearing, its weight over the radius. Zero for a flat one.
+        bearing_stiffness: N/m, of springs or rubber beside the bearing; zero for none.
         gravity: m/s^2, positive.
+        radius: Of a pendulum bearing, m, as in `friction_pendulum`; None for a flat one.
+        vertical: Acceleration of the ground, positive upward.
 
     Raises:
         ValueError: For a number out of its range, or sequences of lengths that do not fit.
@@ -111,9 +119,149 @@ def storeys_on_bearing(
             raise checks.refused("damping", "hold numbers of zero or more", damping)
         dampers = row_of_springs(values)
     weight = float(gravity) * float(np.sum(masses))
-    return LinearStructure(
-        masses, matrix, dampers, (Contact.of_mass(0, len(masses), weight, friction),), drawn_as=STOREYS
+    contacts = _bearing(np.eye(len(masses))[0], weight, radius, friction, vertical, float(gravity))
+    return LinearStructure(masses, matrix, dampers, contacts, drawn_as=STOREYS)
+
+
+def friction_pendulum(
+    mass: Number,
+    radius: Number | Sequence[Number] | None,
+    friction: FrictionLaw | Sequence[FrictionLaw],
+    *,
+    vertical: GroundAcceleration | None = None,
+    gravity: Number = STANDARD_GRAVITY,
+) -> LinearStructure:
+    """One mass on a friction pendulum, or on a flat slider: an isolated structure as a rigid block.
+
+    The weight presses, ``(1 + vertical / gravity)`` times where the ground moves up and down, and this normal force
+    over the radius is the stiffness. While that is not positive the mass is off the ground, and nothing acts on it; how
+    far it lifts off, and the impact when it is back, are not followed. Displacements are small beside the radius. The
+    position is relative to the ground: the base to simulate it with is a `GroundAcceleration`.
+
+    Args:
+        mass: kg, positive.
+        radius: Effective radius of curvature, m, positive; None or infinity for a flat slider. Of double and triple
+            pendulums, surfaces in series, one for each: see `pendulum_in_series`.
+        friction: Such as `VelocityDependent`; of surfaces in series a `Coulomb` law for each.
+        vertical: Acceleration of the ground, positive upward; with one surface.
+        gravity: m/s^2, positive.
+
+    Returns:
+        A structure with one mass and one contact; of surfaces in series the contacts of `pendulum_in_series`.
+
+    Raises:
+        ValueError: For a number out of its range, and for surfaces in series with vertical motion or other friction.
+
+    >>> isolated = ss.friction_pendulum(1e5, 2.0, ss.VelocityDependent(0.03, 0.06, 40.0))
+    >>> times = jax.numpy.arange(0.0, 8.0, 0.02)
+    >>> shaking = ss.GroundAcceleration(times, 3.0 * jax.numpy.sin(6.0 * times))
+    >>> print(f"{ss.simulate(isolated, shaking, t1=7.9).peak('position 0'):.4f} m")
+    0.2377 m
+    """
+    checks.positive("mass", mass, "kg")
+    checks.positive("gravity", gravity, "m/s^2")
+    contacts = _bearing((1.0,), mass * gravity, radius, friction, vertical, gravity)
+    return LinearStructure(_row_of([mass]), [0.0], None, contacts, uncoupled=True)
+
+
+def _bearing(
+    direction: Any, weight: Number, radius: Any, friction: Any, vertical: Any, gravity: Number
+) -> tuple[Contact, ...]:
+    radius = _row_of(radius)
+    if isinstance(friction, (list, tuple)):
+        if not all(isinstance(law, Coulomb) and law.mu_static is None for law in friction):
+            hint = "surfaces in series have one constant coefficient each"
+            raise checks.refused("friction", "hold laws Coulomb(mu), one for each surface in series", friction, hint)
+        if vertical is not None:
+            hint = "they have no equivalent in parallel under a weight that varies"
+            raise checks.refused("vertical", "be None for surfaces in series", vertical, hint)
+        if np.ndim(radius) != 1:
+            raise checks.refused("radius", "hold one number for each law of surfaces in series", radius)
+        return pendulum_in_series(weight, radius, [law.mu for law in friction], direction=direction)
+    if np.ndim(radius):
+        raise checks.refused("friction", "hold a law Coulomb(mu) for each radius of surfaces in series", friction)
+    if radius is not None and not checks.is_traced(radius) and radius == math.inf:
+        radius = None
+    if vertical is None:
+        return (Contact(direction, weight, friction, radius=radius),)
+    if not isinstance(vertical, GroundAcceleration):
+        hint = "a Contact takes any function of time as its normal force"
+        raise checks.refused("vertical", "be a GroundAcceleration", vertical, hint)
+    with warnings.catch_warnings():  # what would be noise of a base velocity may well be a ground acceleration
+        warnings.filterwarnings("ignore", "The record of")
+        pressing = Recorded(vertical.times, weight * (1 + vertical.accelerations / gravity))
+    return (Contact(direction, pressing, friction, radius=radius),)
+
+
+# Surfaces in series without masses between them: each is a spring k_i = W / R_i beside a rigid slider of the strength
+# mu_i W, and the force F in all is the same. With mu_1 < ... < mu_n, a force that grows from zero moves the surfaces
+# 1 ... j while it is between mu_j W and mu_(j+1) W: then F has the slope K_j = W / (R_1 + ... + R_j) by the
+# displacement u, which at F = mu_(j+1) W is d_j = sum over i <= j of (mu_(j+1) - mu_i) R_i. Below mu_1 W nothing moves.
+#
+# The displacement of a surface is the play of F with the threshold mu_i W, over k_i. So u is a sum of plays of F, an
+# operator of Prandtl and Ishlinskii. Its inverse is one too (Krejci 1996, Hysteresis, Convexity and Dissipation in
+# Hyperbolic Equations), and these are determined by the curve of first loading. So in every motion that begins in the
+# virgin state, with no force in any spring, F is that of elements in parallel with the same curve: a rigid slider
+# of the strength mu_1 W, a spring K_n, and for j = 1 ... n - 1 a spring K_j - K_(j+1) behind which a slider has the
+# strength (K_j - K_(j+1)) d_j. Surfaces with the same coefficient are one, with the sum of the radii.
+
+
+def pendulum_in_series(
+    weight: Number,
+    radii: Sequence[Number] | AnyArray,
+    coefficients: Sequence[Number] | AnyArray,
+    *,
+    direction: Sequence[float] | AnyArray = (1.0,),
+) -> tuple[Contact, ...]:
+    """The contacts of a double or triple friction pendulum: surfaces in series, under a constant weight.
+
+    Each surface is a pendulum with Coulomb friction, and has no mass. The same in parallel is exact for every motion
+    that begins with all surfaces at their centres: a contact with friction and curvature, and sliders behind springs
+    whose elongations are further numbers of the state. Without the stops at the rims of the surfaces.
+
+    Of a double pendulum give the effective radii and coefficients of its two surfaces (Fenz and Constantinou 2006,
+    Earthquake Eng. Struct. Dyn. 35, 785). Of a triple pendulum, whose outer surfaces 1 and 4 stop the inner ones 2 and
+    3, give those of its series model (Fenz and Constantinou 2008, same journal 37, 163): radii
+    ``R_2 + R_3, R_1 - R_2, R_4 - R_3``, coefficients ``mu_2 = mu_3, mu_1, mu_4``. Under `storeys_on_bearing` and
+    `friction_pendulum` say ``radius=[R_1, R_2], friction=[Coulomb(mu_1), Coulomb(mu_2)]``.
+
+    Args:
+        weight: N, positive.
+        radii: Effective radii, m, positive, (surfaces,).
+        coefficients: Friction coefficients, zero or positive, in any order, (surfaces,). Where JAX traces them they
+            must differ.
+        direction: (d,), what each velocity of the structure contributes to that of the bearing.
+
+    Returns:
+        The contacts of a `LinearStructure`, one for each coefficient.
+
+    Raises:
+        ValueError: For numbers out of their ranges, and lists of different lengths.
+
+    >>> contacts = ss.pendulum_in_series(100.0, radii=[1.0, 3.0], coefficients=[0.02, 0.06])
+    >>> print([round(one.friction.static * one.normal_force, 6) for one in contacts])
+    [2.0, 3.0]
+    """
+    checks.positive("weight", weight, "N")
+    radii, coefficients = _row_of(radii), _row_of(coefficients)
+    checks.bounded("radii", radii, "m", above=0, ndim=1)
+    checks.bounded("coefficients", coefficients, at_least=0, ndim=1)
+    curves, given = numbers_in("radii", radii), numbers_in("coefficients", coefficients)
+    if np.shape(curves) != np.shape(given) or not np.size(given):
+        raise checks.refused("coefficients", f"hold {np.size(curves)}, one for each of radii", coefficients)
+    xp: Any = jnp if checks.holds_traced([curves, given]) else np
+    order = xp.argsort(given)
+    given, reach = given[order], xp.cumsum(curves[order])
+    if xp is np:
+        last = np.append(np.diff(given) > 0, True)
+        given, reach = given[last], reach[last]
+    # (K_j - K_(j+1)) d_j of each, and d_j, which grows from surface to surface by (mu_(j+1) - mu_j) (R_1 + ... + R_j).
+    springs, ways = weight / reach[:-1] - weight / reach[1:], xp.cumsum(xp.diff(given) * reach[:-1])
+    sliders = (
+        Contact(direction, weight, Coulomb(spring * way / weight), series_stiffness=spring)
+        for spring, way in zip(springs, ways, strict=True)
     )
+    return Contact(direction, weight, Coulomb(given[0]), radius=reach[-1]), *sliders
 
 
 def iwan_sliders(
@@ -162,6 +310,12 @@ def iwan_sliders(
         raise checks.refused("strengths", "hold positive numbers (in N), or be a distribution of such", strengths)
     number = np.shape(each)[0]
     return tuple(Contact(direction, each[i] / number, Coulomb(1.0), on_base, stiffness / number) for i in range(number))
+
+
+def _row_of(values: Any) -> Any:
+    """Numbers in a list, of which JAX traces some, as an array; anything else as it is."""
+    is_list = isinstance(values, (list, tuple)) and any(map(checks.is_traced, values))
+    return jnp.stack([jnp.asarray(value, float) for value in values]) if is_list else values
 
 
 def row_of_springs(stiffness: Any) -> Any:

@@ -133,10 +133,12 @@ def size_of(normal_force: NormalForce, t: FloatScalar) -> FloatScalar:
 
 def largest_of(normal_force: NormalForce) -> Scalar | None:
     """The largest size that it has at any time, N, or an upper bound of it; None where that is not known."""
+    # Known numbers stay known, under jit too.
+    xp: Any = jnp if checks.holds_traced(normal_force) else np
     if isinstance(normal_force, _PIECES):
-        return jnp.max(jnp.abs(jnp.asarray(normal_force.values, float)))
+        return xp.max(xp.abs(xp.asarray(normal_force.values, float)))
     if not isinstance(normal_force, Signal):
-        return jnp.abs(jnp.asarray(normal_force, float))
+        return xp.abs(xp.asarray(normal_force, float))
     if not normal_force.is_harmonic:
         return None
     tones: Any = normal_force
@@ -204,6 +206,10 @@ class Contact(Checked):
             direction. None: no spring.
         normal_stiffness: (d,), by how much the normal force grows with each position of the structure, N/m, as where
             a spring or pad presses; the contact is open where that makes it zero or negative. None: with none.
+        radius: m, positive, of a pendulum bearing (the effective radius): besides friction, ``normal_force / radius``
+            times the relative displacement ``direction . positions`` pulls the masses back, along `direction`, while
+            the contact is closed. Positions are then relative to the ground, which a `GroundAcceleration` shakes:
+            unless `on_base` is 0, a base that moves is refused. None: flat.
 
     Raises:
         ValueError: If a number is out of its range or not finite, `friction` is no friction law, or there is a spring
@@ -221,6 +227,7 @@ class Contact(Checked):
     normal_stiffness: Annotated[
         Any, Quantity("N/m", meaning="growth of the normal force with each position", ndim=1)
     ] = eqx.field(default=None, converter=numbers_of)
+    radius: Annotated[Number | None, Quantity("m", above=0, meaning="of a pendulum bearing")] = None
 
     def check_parts(self) -> None:
         checks.bounded("direction", self.direction, ndim=1)
@@ -232,6 +239,16 @@ class Contact(Checked):
         """Whether the normal force changes with time or with the positions."""
         return is_function(self.normal_force) or self.normal_stiffness is not None
 
+    @property
+    def swings_differently(self) -> bool:
+        """Whether it is a pendulum whose stiffness changes with time or with the positions."""
+        return self.radius is not None and self.has_varying_normal_force
+
+    @property
+    def curvature(self) -> Scalar:
+        """Of a pendulum ``1 / radius``, 1/m; of a flat contact 0."""
+        return 0.0 if self.radius is None else 1 / self.radius
+
     @classmethod
     def of_mass(
         cls,
@@ -240,9 +257,11 @@ class Contact(Checked):
         normal_force: NormalForce,
         friction: FrictionLaw,
         series_stiffness: Number | None = None,
+        radius: Number | None = None,
     ) -> "Contact":
         """The contact of mass number `index` (from 0) of `masses` with the base."""
-        return cls(_unit(index, masses), normal_force, friction, series_stiffness=series_stiffness)
+        unit = _unit(index, masses)
+        return cls(unit, normal_force, friction, series_stiffness=series_stiffness, radius=radius)
 
     @classmethod
     def between(
@@ -288,9 +307,14 @@ class Alike(eqx.Module):
         return self.number
 
 
+def kinds_in(contacts: "tuple[Contact, ...] | Alike") -> tuple[Contact, ...]:
+    """All, or the one of those that are alike."""
+    return contacts if isinstance(contacts, tuple) else (contacts.each,)
+
+
 def laws_in(contacts: "tuple[Contact, ...] | Alike") -> tuple[FrictionLaw, ...]:
     """The friction laws of all, or the one of those that are alike."""
-    return tuple(one.friction for one in (contacts if isinstance(contacts, tuple) else (contacts.each,)))
+    return tuple(one.friction for one in kinds_in(contacts))
 
 
 def _unit(index: int, masses: int) -> np.ndarray:

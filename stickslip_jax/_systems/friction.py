@@ -104,6 +104,7 @@ _STATIC = "friction coefficient of a stick"
 # Sphinx cannot read formatted strings in annotations, and would show no sources of this file.
 _STATIC_ABOVE_MU = _STATIC + ", at least mu"
 _STATIC_OR_MU = _STATIC + ", at least mu; not given: mu"
+_STATIC_OR_SLOW = _STATIC + ", at least mu_slow; not given: mu_slow"
 _STATIC_OR_CURVE = _STATIC + "; not given: curve(0)"
 _ROUND_OFF = 1e-6  # of numbers in single precision
 
@@ -389,6 +390,56 @@ class Stribeck(FrictionLaw):
         ratio = speed / self.stribeck_speed
         power = ratio if self.exponent == 1 else ratio**self.exponent
         return self.mu + (self.mu_static - self.mu) * jnp.exp(-power) + self.viscous * speed
+
+
+class VelocityDependent(FrictionLaw):
+    """Friction of sliding bearings: ``mu_fast - (mu_fast - mu_slow) exp(-rate |v_rel|)``.
+
+    The friction of PTFE on steel rises with the speed, that of other pairs may fall. Source: Constantinou, Mokha and
+    Reinhorn 1990, Teflon bearings in base isolation II: modeling, J. Struct. Eng. 116, 455; as ``VelDependent`` of
+    OpenSees, whose `transRate` is `rate`.
+
+    Args:
+        mu_slow: The kinetic friction coefficient at vanishing speed (dimensionless).
+        mu_fast: That of a fast slip, larger or smaller.
+        rate: How fast the one goes over into the other, s/m, positive.
+        mu_static: The static one, of breakaway, at least `mu_slow`; by default equal to it.
+
+    Raises:
+        ValueError: For numbers outside these bounds.
+
+    >>> law = ss.VelocityDependent(mu_slow=0.05, mu_fast=0.1, rate=40.0)
+    >>> print(law.force([0.0, 1.0], [0.01, 0.5], normal_force=100.0).round(2))
+    [6.65 10. ]
+    """
+
+    mu_slow: Annotated[Number, Quantity(meaning="friction coefficient at vanishing speed", at_least=0)]
+    mu_fast: Annotated[Number, Quantity(meaning="friction coefficient of a fast slip", at_least=0)]
+    rate: Annotated[Number, Quantity("s/m", "of the speed in the exponential", above=0)]
+    mu_static: Annotated[Number | None, Quantity(meaning=_STATIC_OR_SLOW, at_least=0)] = None
+
+    def check_relations(self) -> None:
+        static_at_least(self.mu_slow, self.mu_static, of="mu_slow")
+        FrictionLaw.check_relations(self)
+
+    @property
+    def static_exceeds_kinetic(self) -> bool:
+        return self.mu_static is not None
+
+    @property
+    def static(self) -> Scalar:
+        return self.mu_slow if self.mu_static is None else self.mu_static
+
+    @property
+    def speed_scale(self) -> Scalar | None:
+        # Steps are short beside the time in which static friction changes the speed by this; where the coefficient
+        # changes by more than that, its slope at rest asks for less.
+        change = abs(self.mu_fast - self.mu_slow)
+        held = most(self.static, 1e-3 * change + 1e-9)
+        return held / (self.rate * most(held, change))
+
+    def kinetic(self, speed: FloatArray) -> Scalar | FloatArray:
+        return self.mu_fast + (self.mu_slow - self.mu_fast) * jnp.exp(-self.rate * speed)
 
 
 def traceable(curve: PyTree) -> PyTree:

@@ -11,6 +11,8 @@ import numpy as np
 from .._compiler.programs import kept_jit
 from .._excitation.excitation import Excitation
 from .._excitation.motion import RandomPhase, RandomSignal, Signal
+from .._excitation.piecewise_constant import VelocitySteps
+from .._excitation.segments import SegmentLaw
 from .._foundation import checks
 from .._foundation import lazy_diffrax as diffrax
 from .._foundation.fields import with_fields
@@ -36,6 +38,7 @@ from .contacts import (
     NormalForce,
     entries_of,
     is_function,
+    kinds_in,
     largest_of,
     laws_in,
     numbers_of,
@@ -352,14 +355,34 @@ class LinearStructure(WithContacts):
         smooth = smooth.signal if isinstance(smooth, RandomPhase) else smooth
         of_time = [one for one in (smooth, *self.functions) if isinstance(one, (Signal, RandomSignal))]
         are_known = all(isinstance(one, Signal) and one.is_harmonic for one in of_time)
-        return are_known and all(law.constant for law in laws_in(self.contacts))
+        are_constant = all(one.friction.constant and not one.swings_differently for one in kinds_in(self.contacts))
+        return are_known and are_constant
+
+    def check_excitation(self, excitation: Excitation) -> None:
+        super().check_excitation(excitation)
+        swings = any(one.radius is not None and _is_not_zero(one.on_base) for one in kinds_in(self.contacts))
+        if swings and (excitation.smooth is not None or any(map(_moves, excitation.base))):
+            raise ValueError(
+                "Argument base must be at rest under a contact with a radius, but it moves: a pendulum bearing pulls "
+                "towards where positions are zero, those relative to the ground; take a GroundAcceleration, or a "
+                "contact with on_base=0."
+            )
 
     @property
     def matrices(self) -> Matrices:
         """What the equations of motion need of linear algebra."""
         directions = stacked([contact.direction for contact in self.contacts], jnp.result_type(float))
         by_force, by_springs, softness = _inverse_times(self.mass, directions.T), None, None
-        by_position = None
+        by_position, by_pendulum, stiffness = None, None, _matrix(self.stiffness)
+        if any(one.radius is not None for one in self.contacts):
+            varies = np.array([one.has_varying_normal_force for one in self.contacts])
+            curvatures = stacked([one.curvature for one in self.contacts], directions.dtype)
+            # Where the normal force is a number, a pendulum is one more spring.
+            given = [0.0 if one.has_varying_normal_force else one.normal_force for one in self.contacts]
+            springs = curvatures * stacked(given, directions.dtype)
+            stiffness = stiffness + directions.T @ (springs[:, None] * directions)
+            if any(one.swings_differently for one in self.contacts):
+                by_pendulum = by_force * jnp.where(varies, curvatures, 0)[None, :]
         if any(contact.normal_stiffness is not None for contact in self.contacts):
             rows = [contact.normal_stiffness for contact in self.contacts]
             by_position = stacked([np.zeros(self.size) if row is None else row for row in rows], directions.dtype)
@@ -370,7 +393,7 @@ class LinearStructure(WithContacts):
             by_force, by_springs = by_force * ~self.elastic[None, :], by_force * springs[None, :]
         return Matrices(
             inverse_mass=_inverse_times(self.mass, jnp.eye(self.size)),
-            stiffness=_inverse_times(self.mass, _matrix(self.stiffness)),
+            stiffness=_inverse_times(self.mass, stiffness),
             damping=None if self.damping is None else _inverse_times(self.mass, _matrix(self.damping)),
             directions=directions,
             by_force=by_force,
@@ -381,6 +404,7 @@ class LinearStructure(WithContacts):
             by_springs=by_springs,
             softness=softness,
             by_position=by_position,
+            by_pendulum=by_pendulum,
         )
 
     def ready(self) -> "LinearStructure":
@@ -416,7 +440,8 @@ class LinearStructure(WithContacts):
         equal eigenvalues, which have none.
         """
         stiffness = self.stiffness
-        others = [one for one in self.contacts if not (one.series_stiffness is None and one.normal_stiffness is None)]
+        plain = (None,) * 3
+        others = [one for one in self.contacts if (one.series_stiffness, one.normal_stiffness, one.radius) != plain]
         xp: Any = jnp if any(map(checks.is_traced, jax.tree.leaves((stiffness, others)))) else np
         if others:
             stiffness = xp.asarray(stiffness, float)
@@ -425,6 +450,9 @@ class LinearStructure(WithContacts):
             w = xp.asarray(one.direction, float)
             if one.series_stiffness is not None:  # while the slider sticks
                 stiffness = stiffness + one.series_stiffness * xp.outer(w, w)
+            largest = None if one.radius is None else largest_of(one.normal_force)
+            if largest is not None:
+                stiffness = stiffness + largest * one.curvature * xp.outer(w, w)
             if one.normal_stiffness is not None:
                 # Friction acts as the matrix mu w a^T, no more than mu (r w w^T + a a^T / r) does, r = |a| / |w|.
                 a = xp.asarray(one.normal_stiffness, float)
@@ -542,6 +570,15 @@ def _fastest(mass: Any, stiffness: Any, damping: Any) -> FloatScalar:
     squared = largest_eigenvalue(_inverse_times(mass, _matrix(stiffness)))
     decay = 0.0 if damping is None else largest_eigenvalue(_inverse_times(mass, _matrix(damping)))
     return jnp.maximum(jnp.maximum(jnp.sqrt(squared), decay), _lowest())
+
+
+def _moves(base: SegmentLaw) -> bool:
+    """Whether it is known that this part of the base moves."""
+    return _is_not_zero(base.velocities if isinstance(base, VelocitySteps) else getattr(base, "speed", 1.0))
+
+
+def _is_not_zero(numbers: Any) -> bool:
+    return not checks.is_traced(numbers) and bool(np.any(np.asarray(numbers) != 0))
 
 
 def _lowest() -> float:

@@ -42,6 +42,8 @@ class Matrices(NamedTuple):
     - `gain`: see `contact_forces`. `fastest`: see `LinearStructure.fastest`.
     - `softness`: of the springs, m/N, zero where there is none.
     - `by_position`: of the normal forces, by positions, N/m, (contacts, d); `None` where there are none.
+    - `by_pendulum`: of normal forces times relative displacements in pendulums whose stiffness varies, 1/m, from the
+      left by the inverse mass; `None` where there are none. Other pendulums are part of `stiffness`.
     """
 
     inverse_mass: Matrix
@@ -55,6 +57,7 @@ class Matrices(NamedTuple):
     by_springs: Matrix | None = None
     softness: FloatArray | None = None
     by_position: FloatArray | None = None
+    by_pendulum: FloatArray | None = None
 
     def by_bands(self) -> "Matrices":
         """The same, large matrices with few bands by these: of ten blocks in a row, 28 of the 100 stiffnesses."""
@@ -95,6 +98,8 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
     def implicit_changes(
         self, forcing: Forcing, tau: FloatScalar, y: State, weight: FloatScalar, sides: State
     ) -> State:
+        if self.matrices.by_pendulum is not None:
+            return super().implicit_changes(forcing, tau, y, weight, sides)
         of, (of_position, of_velocity) = self._in_precision_of(y), sides
         matrix = jnp.eye(self.structure.size, dtype=weight.dtype) + weight**2 * dense(of.stiffness)
         if of.damping is not None:
@@ -156,6 +161,7 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
             pull = pull - times(of.damping, y[1])
         if of.by_springs is not None:
             pull = pull - times(of.by_springs, y[2])
+        pull = pull - self._swinging(forcing, tau, y)
         velocity = times(of.directions, y[1]) - of.on_base * base.velocity
         drift = times(of.directions, pull) - of.on_base * base.acceleration
         elongating = () if not self.has_sliders else (jnp.where(self.elastic, velocity, 0),)
@@ -201,6 +207,9 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         of = self._in_precision_of(y)
         load = jnp.abs(self._load(forcing, jnp.zeros_like(h))) + times(magnitudes(of.by_force), friction)
         load = load + times(magnitudes(of.stiffness), x)
+        if of.by_pendulum is not None:
+            normal = jnp.abs(self.normal_forces_at(forcing, jnp.zeros_like(h), y))
+            load = load + times(jnp.abs(of.by_pendulum), normal * times(magnitudes(of.directions), x))
         if of.damping is not None:
             load = load + times(magnitudes(of.damping), v)
         if of.by_springs is None:
@@ -226,7 +235,7 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
 
     def stored_energies(self, y: State) -> Terms:
         of, (x, v) = self.structure, y[:2]
-        elastic = jnp.dot(x, _product(of.stiffness, x))
+        elastic = jnp.dot(x, _product(of.mass, times(self._in_precision_of(y).stiffness, x)))  # of pendulums, too
         if self.has_sliders:
             softness = self.softness(y)
             elastic = elastic + jnp.sum(jnp.where(softness > 0, y[2] ** 2 / jnp.where(softness > 0, softness, 1), 0))
@@ -237,8 +246,18 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
         none = jnp.zeros_like(forcing.t)
         base = -jnp.dot(force, self._in_precision_of(y).on_base) * forcing.base_at(self.smooth, none).velocity
         damping = jnp.zeros_like(base) if of.damping is None else jnp.dot(v, _product(of.damping, v))
-        supplied = {"base": base, "load": jnp.dot(v, _product(of.mass, self._load(forcing, none)))}
+        # Pendulums under normal forces that vary store no energy of their own: what presses on them works.
+        load = self._load(forcing, none) - self._swinging(forcing, none, y)
+        supplied = {"base": base, "load": jnp.dot(v, _product(of.mass, load))}
         return Powers(supplied, {"friction": jnp.dot(force, velocity), "damping": damping})
+
+    def _swinging(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
+        """How the pendulums whose stiffness varies decelerate each mass, m/s^2; open ones do not."""
+        of = self._in_precision_of(y)
+        if of.by_pendulum is None:
+            return jnp.zeros_like(y[0])
+        normal = jnp.maximum(self.normal_forces_at(forcing, tau, y), 0)
+        return times(of.by_pendulum, normal * times(of.directions, y[0]))
 
     def _load(self, forcing: Forcing, tau: FloatScalar) -> FloatArray:
         """What ground and external forces do to each mass, m/s^2."""

@@ -10,7 +10,7 @@ from .._excitation import gaussian, piecewise_constant
 from .._excitation.excitation import WithJumps
 from .._excitation.motion import Harmonic, RandomPhase, Signal, SourceVoltage, SumOfHarmonics
 from .._excitation.recorded import ForceSteps
-from .._systems.builders import STANDARD_GRAVITY, block_row, storeys_on_bearing
+from .._systems.builders import STANDARD_GRAVITY, block_row, friction_pendulum, storeys_on_bearing
 from .._systems.contacts import Contact
 from .._systems.dynamic_friction import BoucWen, Dahl, DieterichRuina, ElastoPlastic, LuGre
 from .._systems.friction import (
@@ -19,6 +19,7 @@ from .._systems.friction import (
     ExponentialGrowth,
     LogarithmicGrowth,
     Stribeck,
+    VelocityDependent,
     VelocityWeakening,
 )
 from .._systems.mass_spring import MassSpring
@@ -199,7 +200,7 @@ _BASES = (*_JUMPS, *_MOTIONS, _WITH_JUMPS, GroundAccelerationConfig, *_laws(gaus
 
 # --- sections of forces: friction laws, external forces and normal forces
 
-_OF_SPEED = _laws(Coulomb, VelocityWeakening, Stribeck)
+_OF_SPEED = _laws(Coulomb, VelocityWeakening, VelocityDependent, Stribeck)
 _GROWTHS = _laws(ExponentialGrowth, LogarithmicGrowth)
 _WEAKENING = _laws(SlipWeakening)
 _WITH_INNER_STATE = _laws(LuGre, ElastoPlastic, Dahl, BoucWen, DieterichRuina)
@@ -356,6 +357,7 @@ class ContactConfig(WithFriction):
     on_base: float | None = about("share of the base velocity that is subtracted; not given: 1, between masses 0", None)
     series_stiffness: float | None = about("N/m, of a spring in front of the contact; not given: none", None, gt=0)
     normal_stiffness: list[float] | None = about("N/m, growth of the normal force with each position", None)
+    radius: float | None = about("m, of a pendulum bearing; not given: a flat contact", None, gt=0)
 
     @model_validator(mode="after")
     def _one_place(self) -> "ContactConfig":
@@ -479,6 +481,10 @@ class BlockRowConfig(StructureSection, WithFriction):
         return self
 
 
+_RADIUS = about("m, of a pendulum bearing; not given: a flat one", None, gt=0)
+_VERTICAL = about("acceleration of the ground upward, m/s^2, a section like [base]", None)
+
+
 class StoreysOnBearingConfig(StructureSection, DescribedSection, WithFriction):
     """Section ``[system]`` with the model `storeys_on_bearing`: a building whose base mat slides on the ground."""
 
@@ -489,9 +495,32 @@ class StoreysOnBearingConfig(StructureSection, DescribedSection, WithFriction):
     stiffness: list[float] = about("below each storey, N/m")
     damping: list[float] | None = about("likewise, N s/m; not given: none", None)
     bearing_stiffness: float = about("N/m; of a pendulum bearing: weight over radius", 0.0, ge=0)
+    radius: float | None = _RADIUS
+    vertical: GroundAccelerationConfig | None = _VERTICAL
     mu: float | None = MU
     friction: FrictionConfig | None = FRICTION
     gravity: float = about("m/s^2", STANDARD_GRAVITY, gt=0)
+
+
+class FrictionPendulumConfig(StructureSection, DescribedSection, WithFriction):
+    """Section ``[system]`` with the model `friction_pendulum`: a mass on a pendulum bearing, or on a flat slider."""
+
+    maker: ClassVar[Any] = staticmethod(friction_pendulum)
+
+    model: Literal["friction_pendulum"]
+    mass: float = about("kg", gt=0)
+    radius: float | None = _RADIUS
+    vertical: GroundAccelerationConfig | None = _VERTICAL
+    mu: float | None = MU
+    friction: FrictionConfig | None = FRICTION
+    gravity: float = about("m/s^2", STANDARD_GRAVITY, gt=0)
+
+    @property
+    def size(self) -> int:
+        return 1
+
+    def arguments(self, *left_out: str) -> dict[str, Any]:
+        return {"radius": None, **super().arguments(*left_out)}
 
 
 # --- section ``[system]`` of a study's file: the system, its friction law, and the force on it
@@ -532,7 +561,14 @@ if TYPE_CHECKING:
     SystemConfig = Any
 else:
     SystemConfig = _any_of(
-        (MassSpringConfig, MotorCartConfig, LinearStructureConfig, BlockRowConfig, StoreysOnBearingConfig),
+        (
+            MassSpringConfig,
+            MotorCartConfig,
+            LinearStructureConfig,
+            BlockRowConfig,
+            StoreysOnBearingConfig,
+            FrictionPendulumConfig,
+        ),
         tag="model",
         usual="MassSpring",
     )

@@ -16,6 +16,7 @@ DOCUMENTS = {
     "docs/clusters.md": 2,
     "docs/designs.md": 8,
     "docs/howto/animation.md": 2,
+    "docs/howto/bearings.md": 6,
     "docs/howto/brakes.md": 3,
     "docs/howto/calibration.md": 5,
     "docs/howto/calibration_sticks.md": 2,

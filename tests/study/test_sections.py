@@ -30,6 +30,10 @@ SYSTEMS = {
         '[system.friction]\nlaw = "VelocityWeakening"\nmu_static = 0.4\nweakening = 2',
         mass_spring(ss.VelocityWeakening(0.4, 2.0)),
     ),
+    "VelocityDependent": (
+        '[system.friction]\nlaw = "VelocityDependent"\nmu_slow = 0.05\nmu_fast = 0.1\nrate = 20\nmu_static = 0.06',
+        mass_spring(ss.VelocityDependent(0.05, 0.1, 20.0, 0.06)),
+    ),
     "Stribeck": (
         '[system.friction]\nlaw = "Stribeck"\nmu = 0.3\nmu_static = 0.4\nstribeck_speed = 0.1\nexponent = 2.0\n'
         "viscous = 0.2",

@@ -17,6 +17,7 @@ from stickslip_jax.study._reading import read_config, read_sweep_config
 from stickslip_jax.study._run import DATA, RESULT_FILES, STATISTICS, run_study, sweep_of
 
 LOWER = ss.Contact.of_mass(0, 2, 5.0, ss.Coulomb(0.2))
+VERTICAL = '{ law = "GroundAcceleration", file = "record.csv", value_column = "value" }'
 HARMONIC = '{ law = "Harmonic", amplitude = 0.5, angular_frequency = 1.5 }'
 
 
@@ -92,6 +93,25 @@ SYSTEMS = {
             bearing_stiffness=2.0,
             gravity=9.81,
         ).of_contact(0),
+    ),
+    "storeys_on_bearing over pendulums": (
+        STOREYS + f"radius = 2\nvertical = {VERTICAL}\n",
+        ss.storeys_on_bearing(
+            [3.0, 2.0, 1.0],
+            [50.0, 40.0],
+            friction=ss.Coulomb(0.1),
+            radius=2.0,
+            vertical=ss.GroundAcceleration(TIMES, VALUES),
+        ).of_contact(0),
+    ),
+    "friction_pendulum": (
+        '[system]\nmodel = "friction_pendulum"\nmass = 2\nradius = 1.5\n'
+        'friction = { law = "VelocityDependent", mu_slow = 0.05, mu_fast = 0.1, rate = 20 }\n',
+        ss.friction_pendulum(2.0, 1.5, ss.VelocityDependent(0.05, 0.1, 20.0)).of_contact(0),
+    ),
+    "flat slider": (
+        '[system]\nmodel = "friction_pendulum"\nmass = 2\nmu = 0.1\n',
+        ss.friction_pendulum(2.0, None, ss.Coulomb(0.1)).of_contact(0),
     ),
 }
 

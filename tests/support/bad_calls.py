@@ -57,6 +57,10 @@ def systems() -> Iterator[Target]:
         ss.Stribeck, mu=(0.3, "not negative field"), mu_static=(0.5, "not negative field"),
         stribeck_speed=(0.1, "positive field"), exponent=(1.0, "field"), viscous=(0.0, "not negative field"),
     )  # fmt: skip
+    yield fields(
+        ss.VelocityDependent, mu_slow=(0.05, "not negative field"), mu_fast=(0.1, "not negative field"),
+        rate=(20.0, "positive field"), mu_static=(None, "optional not negative field"),
+    )  # fmt: skip
     yield fields(ss.VelocityWeakening, mu_static=(0.5, "not negative field"), weakening=(1.0, "not negative field"))
     yield fields(ss.FrictionCurve, curve=(lambda v: 0.5, "function"), mu_static=(None, "optional not negative field"))
     yield from laws_with_a_memory()

@@ -29,7 +29,10 @@ def structures() -> Iterator[Target]:
         lambda direction: ss.LinearStructure(np.eye(2), np.eye(2), None, (ss.Contact(direction, 1.0, FRICTION),)),
         direction=([1.0, 0.0], "array"),
     )
-    yield fields(ss.Contact, direction=([1.0, 0.0], "array"), normal_force=normal, friction=law, on_base=(1.0, "field"))
+    yield fields(
+        ss.Contact, direction=([1.0, 0.0], "array"), normal_force=normal, friction=law, on_base=(1.0, "field"),
+        radius=(1.0, "positive field"),
+    )  # fmt: skip
     yield fields(
         ss.FrictionDisk, normal_force=normal, friction=law, radius=(1.0, "positive field"),
     )  # fmt: skip
@@ -45,6 +48,14 @@ def structures() -> Iterator[Target]:
     yield fields(
         ss.storeys_on_bearing, mass=([2.0, 1.0], "array"), stiffness=([3.0], "array"), friction=law,
         damping=(None, "optional array"), bearing_stiffness=(0.0, "not negative"), gravity=(9.81, "positive"),
+    )  # fmt: skip
+    yield fields(
+        ss.friction_pendulum, mass=(1.0, "positive"), radius=(1.0, "positive field"), friction=law,
+        gravity=(9.81, "positive"),
+    )  # fmt: skip
+    yield fields(
+        ss.pendulum_in_series, weight=(1.0, "positive"), radii=([1.0, 2.0], "array"),
+        coefficients=([0.1, 0.2], "array"), direction=([1.0], "array"),
     )  # fmt: skip
     yield fields(
         ss.block_row, blocks=(2, "whole"), mass=(1.0, "positive"), between=(1.0, "not negative"),
