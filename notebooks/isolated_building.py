@@ -13,10 +13,10 @@
 # %% [markdown]
 # # Three storeys on sliding bearings
 #
-# A building of three storeys stands on friction pendulums: its base mat slides on curved surfaces, whose radius gives it
-# a long period. What a report needs of it: how far the bearings move and where they come to rest, how much the storeys
-# drift, what acceleration each floor feels (and what hangs on it, by floor spectra), and how likely the bearings reach
-# their edge, by the intensity of the earthquake.
+# A building of three storeys stands on friction pendulums: its base mat slides on curved surfaces, whose radius gives
+# it a long period. What a report needs of it: how far the bearings move and where they come to rest, how much the
+# storeys drift, what acceleration each floor feels (and what hangs on it, by floor spectra), and how likely the
+# bearings reach their edge, by the intensity of the earthquake.
 #
 # The ground motions are the AT2 and CSV files of the folder that the environment variable `STICKSLIP_RECORDS` names.
 # Otherwise they are **artificial**: filtered white noise under envelopes of different lengths, at two sampling rates.
@@ -46,7 +46,7 @@ weight = (STOREYS + 1) * FLOOR * GRAVITY
 def building(mu):
     """The building on pendulums with this friction coefficient."""
     return ss.storeys_on_bearing(
-        [FLOOR] * (STOREYS + 1), shear, friction=ss.Coulomb(mu), damping=damping, bearing_stiffness=weight / RADIUS
+        [FLOOR] * (STOREYS + 1), shear, friction=ss.Coulomb(mu), damping=damping, radius=RADIUS
     )
 
 
@@ -127,7 +127,8 @@ for name, known in isolated.outputs.items():
 # %%
 record = suite[0]
 ground_times, ground = np.asarray(record.times), np.asarray(record.accelerations)
-viscous = np.diag(np.append(damping[:-1] + damping[1:], damping[-1])) - np.diag(damping[1:], 1) - np.diag(damping[1:], -1)
+viscous = np.diag(np.append(damping[:-1] + damping[1:], damping[-1]))
+viscous = viscous - np.diag(damping[1:], 1) - np.diag(damping[1:], -1)
 below, right = np.hstack([-fixed / FLOOR, -viscous / FLOOR]), np.hstack([np.zeros((STOREYS, STOREYS)), np.eye(STOREYS)])
 linear = (np.vstack([right, below]), np.append(np.zeros(STOREYS), -np.ones(STOREYS))[:, None],
           np.eye(1, 2 * STOREYS), [[0.0]])  # fmt: skip
@@ -168,13 +169,13 @@ axes.legend(frameon=False)
 plt.show()
 near = int(np.argmin(np.abs(oscillators - periods[0])))
 ratio = np.median(spectra["fixed to the ground"], axis=0)[near] / np.median(list(spectra.values())[1], axis=0)[near]
-print(f"at {oscillators[near]:.2f} s, the period of the building, the bearings divide the floor spectrum by {ratio:.1f}")
+print(f"at {oscillators[near]:.2f} s, near the period of the building, the bearings divide the spectrum by {ratio:.1f}")
 
 # %% [markdown]
 # ## How likely do the bearings reach their edge?
 #
-# Incremental dynamic analysis: every ground motion scaled to nine spectral accelerations at the period of the pendulums;
-# then a lognormal fragility curve by maximum likelihood, whose errors are those of whole records.
+# Incremental dynamic analysis: every ground motion scaled to nine spectral accelerations at the period of the
+# pendulums; then a lognormal fragility curve by maximum likelihood, whose errors are those of whole records.
 
 # %%
 EDGE = 0.25  # m
