@@ -125,7 +125,7 @@ for name, known in isolated.outputs.items():
 # The fixed building is linear, and `scipy.signal.lsim` computes its response exactly: the drift of the first storey.
 
 # %%
-record = suite[0]
+record = suite.motion(0)
 ground_times, ground = np.asarray(record.times), np.asarray(record.accelerations)
 viscous = np.diag(np.append(damping[:-1] + damping[1:], damping[-1]))
 viscous = viscous - np.diag(damping[1:], 1) - np.diag(damping[1:], -1)

@@ -93,6 +93,11 @@ def times(matrix: Matrix, values: FloatArray) -> FloatArray:
     return reduce(add, (matrix[:, j, None] * values[None, j] for j in range(len(values))))
 
 
+def inner(one: FloatArray, other: FloatArray) -> FloatScalar:
+    """The inner product of two vectors."""
+    return times(one[None, :], other)[0]
+
+
 def linear_solve(matrix: FloatArray, target: FloatArray) -> FloatArray:
     """The solution of ``matrix x = target``, for a matrix with a positive definite symmetric part: no pivots.
 

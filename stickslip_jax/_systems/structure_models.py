@@ -12,7 +12,7 @@ import numpy as np
 
 from .._excitation.motion import Harmonic, Signal, SumOfHarmonics
 from .._foundation.types import DType, FloatArray, FloatScalar, Number, State
-from .._numerics.matrices import Matrix, by_bands, dense, linear_solve, magnitudes, stacked, times
+from .._numerics.matrices import Matrix, by_bands, dense, inner, linear_solve, magnitudes, stacked, times
 from .contacts import (
     Alike,
     Contact,
@@ -235,21 +235,21 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
 
     def stored_energies(self, y: State) -> Terms:
         of, (x, v) = self.structure, y[:2]
-        elastic = jnp.dot(x, _product(of.mass, times(self._in_precision_of(y).stiffness, x)))  # of pendulums, too
+        elastic = inner(x, _product(of.mass, times(self._in_precision_of(y).stiffness, x)))  # of pendulums, too
         if self.has_sliders:
             softness = self.softness(y)
             elastic = elastic + jnp.sum(jnp.where(softness > 0, y[2] ** 2 / jnp.where(softness > 0, softness, 1), 0))
-        return {"kinetic": jnp.dot(v, _product(of.mass, v)) / 2, "elastic": elastic / 2}
+        return {"kinetic": inner(v, _product(of.mass, v)) / 2, "elastic": elastic / 2}
 
     def powers_in(self, forcing: Forcing, y: State, sign: FloatArray) -> Powers:
         (force, velocity), of, v = self.friction_forces(forcing, y, sign), self.structure, y[1]
         none = jnp.zeros_like(forcing.t)
-        base = -jnp.dot(force, self._in_precision_of(y).on_base) * forcing.base_at(self.smooth, none).velocity
-        damping = jnp.zeros_like(base) if of.damping is None else jnp.dot(v, _product(of.damping, v))
+        base = -inner(force, self._in_precision_of(y).on_base) * forcing.base_at(self.smooth, none).velocity
+        damping = jnp.zeros_like(base) if of.damping is None else inner(v, _product(of.damping, v))
         # Pendulums under normal forces that vary store no energy of their own: what presses on them works.
         load = self._load(forcing, none) - self._swinging(forcing, none, y)
-        supplied = {"base": base, "load": jnp.dot(v, _product(of.mass, load))}
-        return Powers(supplied, {"friction": jnp.dot(force, velocity), "damping": damping})
+        supplied = {"base": base, "load": inner(v, _product(of.mass, load))}
+        return Powers(supplied, {"friction": inner(force, velocity), "damping": damping})
 
     def _swinging(self, forcing: Forcing, tau: FloatScalar, y: State) -> FloatArray:
         """How the pendulums whose stiffness varies decelerate each mass, m/s^2; open ones do not."""
@@ -274,7 +274,7 @@ class StructureModel(ContactsModel, HasEnergies[Forcing]):
 def _product(matrix: Any, vector: FloatArray) -> FloatArray:
     """A matrix, or its diagonal, times a vector."""
     matrix = jnp.asarray(matrix, vector.dtype)
-    return matrix * vector if matrix.ndim == 1 else matrix @ vector
+    return matrix * vector if matrix.ndim == 1 else times(matrix, vector)
 
 
 def in_dtype(tree: _Tree, dtype: DType) -> _Tree:

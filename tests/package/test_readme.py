@@ -30,7 +30,7 @@ DOCUMENTS = {
     "docs/howto/joints.md": 4,
     "docs/howto/memory.md": 1,
     "docs/howto/nonlinear.md": 8,
-    "docs/howto/outputs.md": 2,
+    "docs/howto/outputs.md": 3,
     "docs/howto/own_force.md": 3,
     "docs/howto/own_friction.md": 6,
     "docs/howto/own_law.md": 4,
