@@ -134,7 +134,7 @@ linear = (np.vstack([right, below]), np.append(np.zeros(STOREYS), -np.ones(STORE
           np.eye(1, 2 * STOREYS), [[0.0]])  # fmt: skip
 _, drift, _ = lsim(linear, ground, ground_times, interp=True)
 ours = np.asarray(
-    ss.simulate(building(10.0), record, t1=end).response("position 1 - position 0", ground_times[ground_times <= end])
+    ss.simulate(building(10.0), suite[0], t1=end).response("position 1 - position 0", ground_times[ground_times <= end])
 )
 print(f"drift by lsim the same within 1e-9 m: {np.max(np.abs(drift[: len(ours)] - ours)) < 1e-9}")
 

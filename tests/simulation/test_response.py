@@ -279,8 +279,9 @@ def test_every_kind_of_contact(name):
         speeds = np.abs(np.asarray(one.response(f"relative velocity{number}", times)))
         jumps = 8 * 1.6 if isinstance(base, ss.SquareWave) else 0.0  # in m/s, which a grid meets too late or too early
         assert path == pytest.approx(np.trapezoid(speeds, times), rel=2e-5, abs=1e-4 * jumps)
-        force = np.asarray(one.response(f"friction force{number}", times))
-        expected = np.asarray(one.friction_force(times))
+        inside = times[:-1]  # the base jumps at the end
+        force = np.asarray(one.response(f"friction force{number}", inside))
+        expected = np.asarray(one.friction_force(inside))
         np.testing.assert_allclose(force, expected[i] if len(paths) > 1 else expected, rtol=0, atol=1e-9)
 
 
