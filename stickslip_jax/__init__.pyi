@@ -34,6 +34,10 @@ from ._ensemble.ensemble import ContactEnsembles as ContactEnsembles, simulate_c
 from ._ensemble.ensemble import concatenate as concatenate, load as load
 from ._ensemble.data import Keep as Keep
 from ._ensemble.ensemble import Ensemble as Ensemble
+from ._ensemble.sliding_blocks import (
+    NewmarkDisplacements as NewmarkDisplacements,
+    newmark_displacements as newmark_displacements,
+)
 from ._dynamics.sticks import Slips as Slips, Sticks as Sticks
 from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps
 from ._excitation.recorded import ForceSteps as ForceSteps
@@ -158,7 +162,10 @@ from ._systems.motor_cart import MotorCart as MotorCart, stick_duration_bound as
 from ._systems.contacts import Contact as Contact
 from ._systems.builders import (
     block_row as block_row,
+    coupled_block as coupled_block,
+    equivalent_acceleration as equivalent_acceleration,
     iwan_sliders as iwan_sliders,
+    rigid_block as rigid_block,
     storeys_on_bearing as storeys_on_bearing,
 )
 from ._systems.builders import FrictionDisk as FrictionDisk, drill_string as drill_string, drivetrain as drivetrain

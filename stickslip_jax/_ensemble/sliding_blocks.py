@@ -1,0 +1,107 @@
+"""Permanent displacements of sliding blocks under a set of recorded earthquakes, in one table."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .._dynamics.sticks import table_of
+from .._excitation.recorded import GroundAcceleration, GroundRecords
+from .._foundation import checks
+from .._foundation.types import Number
+from .._systems.builders import rigid_block
+from .._systems.system import System
+from .ensemble import simulate_ensemble
+
+if TYPE_CHECKING:
+    import pandas
+
+
+class NewmarkDisplacements(NamedTuple):
+    """What `newmark_displacements` returns: how far each block has slid under each record.
+
+    Attributes:
+        records: The names of the records.
+        scales: The factors of their accelerations, (scales,).
+        yield_coefficients: Of the blocks, (yields,).
+        values: Displacements down the slope after the earthquake, m, (records, scales, yields); NaN where a sample was
+            not followed to its end.
+    """
+
+    records: tuple[str, ...]
+    scales: np.ndarray
+    yield_coefficients: np.ndarray
+    values: np.ndarray
+
+    @property
+    def median(self) -> np.ndarray:
+        """Of the records, m, (scales, yields)."""
+        return np.median(self.values, axis=0)
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """A row for each record, scale and yield coefficient, with the displacement in m.
+
+        Raises:
+            ImportError: Without the extra ``tables``.
+        """
+        record, scale, above = (array.ravel() for array in np.indices(self.values.shape))
+        columns = {"record": np.array(self.records)[record], "scale": self.scales[scale]}
+        columns |= {"yield_coefficient": self.yield_coefficients[above], "displacement_m": self.values.ravel()}
+        return table_of(columns)
+
+
+def newmark_displacements(
+    records: Mapping[str, GroundAcceleration] | Sequence[GroundAcceleration],
+    yield_coefficients: Sequence[Number] | Number,
+    *,
+    scales: Sequence[Number] | Number = 1.0,
+    block: Callable[[Any], System] = rigid_block,
+    rest: Number = 5.0,
+) -> NewmarkDisplacements:
+    """Permanent displacements of sliding blocks under all records, scaled by all factors: one ensemble.
+
+    A record accelerates the ground up the slope, as in SLAMMER: where it is above the yield acceleration, the block
+    slides down. Negative `scales` turn it round.
+
+    Args:
+        records: By their names, or a list; they may differ in length and in their time steps.
+        yield_coefficients: Yield accelerations over that of gravity, positive.
+        scales: Factors of the accelerations, finite.
+        block: Makes the system of an array of yield coefficients: `rigid_block`, or with the soil
+            ``functools.partial(ss.coupled_block, period=0.6, damping_ratio=0.1)``. For the decoupled analysis give
+            records that `equivalent_acceleration` made. Its first coordinate counts, down the slope.
+        rest: For which the ground is at rest after the longest record, so that blocks come to rest, s, positive.
+
+    Returns:
+        The displacements.
+
+    Raises:
+        ValueError: For what is no record, and numbers out of their range.
+
+    >>> times = np.linspace(0.0, 2.0, 201)
+    >>> records = {
+    ...     f"{f} Hz": ss.GroundAcceleration(times, 4 * np.sin(2 * np.pi * f * times)) for f in (1, 2)
+    ... }
+    >>> print(ss.newmark_displacements(records, [0.1, 0.2]).values[:, 0].round(3))
+    """
+    named = dict(records) if isinstance(records, Mapping) else {f"record {i}": one for i, one in enumerate(records)}
+    if not named or not all(isinstance(one, GroundAcceleration) for one in named.values()):
+        raise checks.refused("records", "hold one GroundAcceleration or more", records)
+    yields, factors = (np.atleast_1d(np.asarray(value, float)) for value in (yield_coefficients, scales))
+    checks.bounded("yield_coefficients", yields, above=0, ndim=1)
+    checks.bounded("scales", factors, ndim=1)
+    checks.positive("rest", rest, "s")
+    t1 = max(float(one.times[-1]) for one in named.values()) + float(rest)
+    shape = len(yields), len(factors), len(named)  # of the samples: records run fastest, as those of a suite would
+    of_yield, of_scale, which = (array.ravel() for array in np.indices(shape))
+    law = GroundRecords.padded(list(named.values()), t1, which.astype(float), -factors[of_scale])
+    many = simulate_ensemble(
+        block(yields[of_yield]),
+        law,
+        t1=t1,
+        samples=len(which),
+        keep="totals",
+        outputs={"slid": lambda one: one.final_state[0]},
+    )
+    values = np.reshape(many.output_values["slid"], shape).transpose(2, 1, 0)
+    return NewmarkDisplacements(tuple(named), factors, yields, values)
