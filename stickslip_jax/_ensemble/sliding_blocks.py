@@ -70,7 +70,8 @@ def newmark_displacements(
         block: Makes the system of an array of yield coefficients: `rigid_block`, or with the soil
             ``functools.partial(ss.coupled_block, period=0.6, damping_ratio=0.1)``. For the decoupled analysis give
             records that `equivalent_acceleration` made. Its first coordinate counts, down the slope.
-        rest: For which the ground is at rest after the longest record, so that blocks come to rest, s, positive.
+        rest: For how long the ground is at rest after the longest record, so that blocks come to rest, s, zero or
+            positive. (SLAMMER stops where the record ends.)
 
     Returns:
         The displacements.
@@ -90,7 +91,7 @@ def newmark_displacements(
     yields, factors = (np.atleast_1d(np.asarray(value, float)) for value in (yield_coefficients, scales))
     checks.bounded("yield_coefficients", yields, above=0, ndim=1)
     checks.bounded("scales", factors, ndim=1)
-    checks.positive("rest", rest, "s")
+    checks.non_negative("rest", rest, "s")
     t1 = max(float(one.times[-1]) for one in named.values()) + float(rest)
     shape = len(yields), len(factors), len(named)  # of the samples: records run fastest, as those of a suite would
     of_yield, of_scale, which = (array.ravel() for array in np.indices(shape))

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .._compiler.programs import kept_jit
 from .._excitation.recorded import GroundAcceleration
 from .._foundation import checks
 from .._foundation.fields import Checked, Quantity
@@ -266,8 +267,15 @@ def equivalent_acceleration(
     cut = checks.whole_number("parts", parts, maximum=1000)
     corners = jnp.arange(len(record.times), dtype=float)
     at = jnp.arange((len(record.times) - 1) * cut + 1) / cut
-    times, ground = (jnp.interp(at, corners, jnp.asarray(values, float)) for values in (record.times, record.accelerations))
-    decay, stiffness = damping_ratio * frequencies, frequencies**2
+    times = jnp.interp(at, corners, jnp.asarray(record.times, float))
+    ground = jnp.interp(at, corners, jnp.asarray(record.accelerations, float))
+    of_modes = _accelerations_of_masses(times, ground, damping_ratio * frequencies, frequencies**2)
+    return GroundAcceleration(times, (1 - np.sum(shares)) * ground + of_modes @ shares)
+
+
+@kept_jit
+def _accelerations_of_masses(times: Any, ground: Any, decay: Any, stiffness: Any) -> Any:
+    """Of masses on springs and dampers under a record, in the frame at rest, m/s^2, (points, masses)."""
 
     def step(state: Any, here: Any) -> Any:
         (x, v), (h, before, after) = state, here
@@ -275,12 +283,11 @@ def equivalent_acceleration(
         slope = (before - after) / h
         x1 = x + v * by.impulse + first * by.step + slope * by.ramp
         v1 = v * by.rate + first * by.impulse + slope * by.step
-        return (x1, v1), (x1, v1)
+        return (x1, v1), -2 * decay * v1 - stiffness * x1
 
-    rest = jnp.zeros(modes, ground.dtype)
-    _, (x, v) = lax.scan(step, (rest, rest), (jnp.diff(times), ground[:-1], ground[1:]))
-    total = jnp.concatenate([rest[None], -2 * decay[None] * v - stiffness[None] * x])  # of the masses of the modes
-    return GroundAcceleration(times, (1 - np.sum(shares)) * ground + total @ shares)
+    rest = jnp.zeros_like(stiffness)
+    _, found = lax.scan(step, (rest, rest), (jnp.diff(times), ground[:-1], ground[1:]))
+    return jnp.concatenate([rest[None], found])
 
 
 def _modes(period: Number, damping_ratio: Number, modes: int) -> tuple[np.ndarray, Any]:
