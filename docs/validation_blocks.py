@@ -2,7 +2,7 @@
 
 ``python docs/validation_blocks.py FOLDER``, where FOLDER is a copy of github.com/pySLAMMER/pySLAMMER: its records, and
 the displacements that SLAMMER and pySLAMMER found with them, are read from there. ``python docs/validation_blocks.py
-FOLDER coupled`` (or ``decoupled``) prints those of blocks of soil that vibrates. With a second folder, a copy of
+FOLDER coupled 5`` (or ``decoupled``) prints those of blocks of soil that vibrates, of every fifth set of numbers. With a second folder, a copy of
 github.com/GeorgePapazafeiropoulos/OpenSeismoMatlab, sliding spectra of two of its records are printed too. What this
 prints, and what it means, is in ``validation.md``; ``tests/validation/test_blocks.py`` tests the functions of this file
 without these records.
@@ -304,45 +304,47 @@ def main(folder):
 SHORTEST = 0.00125  # s: into steps of this length the equivalent acceleration of decoupled blocks is cut
 
 
-def vibrating(folder, method):
-    """Displacements in cm of blocks of soil that vibrates, (blocks,), by who found them."""
+def vibrating(folder, method, every):
+    """Displacements in cm of blocks of soil that vibrates, (blocks,), by who found them; of every n-th set of numbers."""
     theirs = {name: published(folder / RESULTS / file, method) for name, file in PUBLISHED.items()}
     rule = slide_coupled_by_steps if method == "coupled" else slide_decoupled_by_steps
-    rows = []
     keys = list(next(iter(theirs.values())))
-    for name in dict.fromkeys(key[0] for key in keys):
-        times, shape = record(folder / RECORDS / name)
-        here = [key for key in keys if key[0] == name]
-        signs = np.tile([1.0, -1.0], len(here))
-        above, largest, periods, damping = np.repeat(np.array([key[1:] for key in here]), 2, axis=0).T
-        ground = (signs * GRAVITY * largest)[:, None] * shape
-        steps = [rule(times, ground, GRAVITY * above, periods, damping, parts) for parts in FINER]
-        found = [[value for key in here for value in results[key]] for results in theirs.values()]
-        motion = ss.GroundAcceleration(times, GRAVITY * shape)
-        rows.append([*found, *(100 * np.array([slide_soil(motion, method, here), *steps]))])
-        print(f"  {name}", file=sys.stderr, flush=True)
-    names = [*theirs, OURS, *(f"their rule, steps / {n}" for n in FINER)]
-    return dict(zip(names, np.concatenate(rows, axis=1), strict=True))
+    sets = list(dict.fromkeys(key[1:] for key in keys))[::every]
+    motions = {name: record(folder / RECORDS / name) for name in dict.fromkeys(key[0] for key in keys)}
+    signs = np.tile([1.0, -1.0], len(sets))
+    above, largest, periods, damping = np.repeat(np.array(sets), 2, axis=0).T
+    found = {name: [results[motion, *one] for motion in motions for one in sets] for name, results in theirs.items()}
+    found[OURS] = [100 * slide_soil(motions, method, *one) for one in sets]
+    found[OURS] = np.stack(found[OURS], axis=1)  # (records, sets, directions)
+    for parts in FINER:
+        steps = []
+        for times, shape in motions.values():
+            ground = (signs * GRAVITY * largest)[:, None] * shape
+            steps.append(100 * rule(times, ground, GRAVITY * above, periods, damping, parts))
+        found[f"their rule, steps / {parts}"] = steps
+    return {name: np.ravel(values) for name, values in found.items()}
 
 
-def slide_soil(motion, method, keys):
-    """Displacements of blocks of soil under one record, m, (2 blocks,), by this package; `keys` as in `published`."""
-    parts = max(1, round(float(motion.times[1]) / SHORTEST))
-    found = []
-    for _, above, largest, period, damping in keys:
-        soil, records, block = {"period": period, "damping_ratio": damping}, [motion], ss.rigid_block
-        if method == "coupled":
-            block = partial(ss.coupled_block, **soil)
-        else:
-            records = [ss.equivalent_acceleration(motion, **soil, parts=parts)]
-        scales = [largest, -largest]
-        table = ss.newmark_displacements(records, above, scales=scales, block=partial(block, gravity=GRAVITY), rest=0)
-        found.append(table.values.ravel())
-    return np.concatenate(found)
+def slide_soil(motions, method, above, largest, period, damping):
+    """Displacements of blocks of soil under all records and their reverses, m, (records, 2), by this package.
+
+    SLAMMER stops where the record ends; here the ground then rests until the longest record has ended.
+    """
+    soil, block = {"period": period, "damping_ratio": damping}, ss.rigid_block
+    records = {name: ss.GroundAcceleration(times, GRAVITY * shape) for name, (times, shape) in motions.items()}
+    if method == "coupled":
+        block = partial(ss.coupled_block, **soil)
+    else:
+        for name, one in records.items():
+            parts = max(1, round(float(one.times[1]) / SHORTEST))
+            records[name] = ss.equivalent_acceleration(one, **soil, parts=parts)
+    block, scales = partial(block, gravity=GRAVITY), [largest, -largest]
+    print(f"  {above} {largest} {period:.3f} {damping:.2f}", file=sys.stderr, flush=True)
+    return ss.newmark_displacements(records, above, scales=scales, block=block, rest=0.0).values[:, :, 0]
 
 
-def print_vibrating(folder, method):
-    found = vibrating(folder, method)
+def print_vibrating(folder, method, every=1):
+    found = vibrating(folder, method, every)
     ours, slammer = found[OURS], found["SLAMMER 1.1"]
     large = ours > NEGLIGIBLE
     print(f"{method}: {len(ours)} displacements, {np.sum(large)} of them above {NEGLIGIBLE} cm; cm")
@@ -377,8 +379,8 @@ def sliding_spectra(folder):
 
 
 if __name__ == "__main__":
-    if sys.argv[2:] in (["coupled"], ["decoupled"]):
-        print_vibrating(Path(sys.argv[1]), sys.argv[2])
+    if sys.argv[2:] and sys.argv[2] in ("coupled", "decoupled"):
+        print_vibrating(Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:]))
     else:
         main(Path(sys.argv[1]))
         if len(sys.argv) > 2:

@@ -5,7 +5,7 @@ steps.
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from .._foundation import checks
 from .._foundation.fields import Quantity
-from .._foundation.types import AnyArray, FloatArray, FloatScalar, Scalar, Word
+from .._foundation.types import AnyArray, FloatArray, FloatScalar, Number, Word
 from .motion import SIGNAL_UNIT
 from .segments import GivenSegments, PerSegment, SegmentLaw
 
@@ -334,36 +334,40 @@ class GroundAcceleration(GroundMotion, Points):
 class GroundRecords(GroundMotion):
     """Several recorded ground accelerations, of which a sample takes number `which`, times `scale`.
 
-    Rows `times` (s) and `accelerations` (m/s^2), (records, points), linear between the points, as in
-    `GroundAcceleration`; `which` and `scale` may be arrays with one number for each sample.
+    The `points` of each, `times` (s) and `accelerations` (m/s^2), one record after the other in arrays
+    (records * points,), for XLA copies tables whose rows it reads. Linear between the points, as `GroundAcceleration`.
+    `which` and `scale` may be arrays with one number for each sample.
     """
 
-    times: Annotated[AnyArray, Quantity("s", ndim=2)]
-    accelerations: Annotated[AnyArray, Quantity("m/s^2", ndim=2)]
-    which: Annotated[Scalar, Quantity(meaning="number of the record", at_least=0)]
-    scale: Annotated[Scalar, Quantity(meaning="factor of the accelerations")]
+    times: Annotated[AnyArray, Quantity("s", ndim=1)]
+    accelerations: Annotated[AnyArray, Quantity("m/s^2", ndim=1)]
+    which: Annotated[Number, Quantity(meaning="number of the record", at_least=0)]
+    scale: Annotated[Number, Quantity(meaning="factor of the accelerations")]
+    points: int = eqx.field(static=True)
     is_record = True
 
     @classmethod
-    def padded(cls, records: Sequence[GroundAcceleration], t1: float, which: AnyArray, scale: AnyArray) -> Self:
+    def padded(
+        cls, records: Sequence[GroundAcceleration], t1: float, which: AnyArray, scale: AnyArray
+    ) -> "GroundRecords":
         """Those of `records`, each followed by rest until `t1` (s): from its last point it falls to 0 in one step."""
-        most, rows = max(len(one.times) for one in records) + 2, []
+        points, rows = max(len(one.times) for one in records) + 2, []
         for one in records:
             times, values = np.asarray(one.times, float), np.asarray(one.accelerations, float)
             end = 2 * times[-1] - times[-2]
-            rest = max(end, t1) + 1.0 + np.arange(most - len(times) - 1)
-            rows.append((np.concatenate([times, [end], rest]), np.append(values, np.zeros(most - len(times)))))
-        return cls(*(np.stack(rows) for rows in zip(*rows, strict=True)), which, scale)
+            rest = max(end, t1) + 1.0 + np.arange(points - len(times) - 1)
+            rows.append((np.concatenate([times, [end], rest]), np.append(values, np.zeros(points - len(times)))))
+        return cls(*(np.concatenate(column) for column in zip(*rows, strict=True)), which, scale, points)
 
     def segments(self, t1) -> int:
-        return np.shape(self.times)[1]
+        return self.points
 
     def draw(self, key_data, number, dtype):
-        last, row = np.shape(self.times)[1] - 2, jnp.asarray(self.which).astype(jnp.int32)
-        here = jnp.minimum(number.astype(jnp.int32), last)
+        last = self.points - 2
+        here = self.points * jnp.asarray(self.which).astype(jnp.int32) + jnp.minimum(number.astype(jnp.int32), last)
         times, values = (jnp.asarray(array, dtype) for array in (self.times, self.accelerations))
-        duration, value = times[row, here + 1] - times[row, here], self.scale * values[row, here]
-        slope = (self.scale * values[row, here + 1] - value) / duration
+        duration, value = times[here + 1] - times[here], self.scale * values[here]
+        slope = (self.scale * values[here + 1] - value) / duration
         return jnp.where(number <= last, duration, 0), value, slope
 
     def next_segment(self, memory, drawn, dtype):
