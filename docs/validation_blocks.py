@@ -130,7 +130,12 @@ def slide_coupled_by_events(times, acceleration, above, period, damping, cuts=4)
     finds its instant. The state is the slip and its rate, the mode and its rate, the acceleration of the ground and its
     slope, and 1.
     """
-    w, c, loads, free = 2 * math.pi / period, 4 * math.pi * damping / period, FIRST_L / FIRST_M, 1 - FIRST_L**2 / FIRST_M
+    w, c, loads, free = (
+        2 * math.pi / period,
+        4 * math.pi * damping / period,
+        FIRST_L / FIRST_M,
+        1 - FIRST_L**2 / FIRST_M,
+    )
     stick, slip = np.zeros((2, 7, 7))
     for matrix in (stick, slip):
         matrix[2, 3] = matrix[4, 5] = 1

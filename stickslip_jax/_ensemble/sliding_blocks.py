@@ -85,12 +85,16 @@ def newmark_displacements(
     ... }
     >>> print(ss.newmark_displacements(records, [0.1, 0.2]).values[:, 0].round(3))
     """
-    named = dict(records) if isinstance(records, Mapping) else {f"record {i}": one for i, one in enumerate(records)}
+    listed = {f"record {i}": one for i, one in enumerate(records)} if isinstance(records, (list, tuple)) else records
+    named = dict(listed) if isinstance(listed, Mapping) else {}
     if not named or not all(isinstance(one, GroundAcceleration) for one in named.values()):
-        raise checks.refused("records", "hold one GroundAcceleration or more", records)
-    yields, factors = (np.atleast_1d(np.asarray(value, float)) for value in (yield_coefficients, scales))
+        raise checks.refused("records", "hold one GroundAcceleration or more, in a list or a dict", records)
+    given = {"yield_coefficients": yield_coefficients, "scales": scales}
+    yields, factors = (np.atleast_1d(checks.numbers(name, value)).astype(float) for name, value in given.items())
     checks.bounded("yield_coefficients", yields, above=0, ndim=1)
     checks.bounded("scales", factors, ndim=1)
+    if not callable(block):
+        raise checks.refused("block", "be a function that makes a block of yield coefficients", block)
     checks.non_negative("rest", rest, "s")
     t1 = max(float(one.times[-1]) for one in named.values()) + float(rest)
     shape = len(yields), len(factors), len(named)  # of the samples: records run fastest, as those of a suite would

@@ -122,6 +122,7 @@ def storeys_on_bearing(
         masses, matrix, dampers, (Contact.of_mass(0, len(masses), weight, friction),), drawn_as=STOREYS
     )
 
+
 # Slopes, dams and landfills that slide under earthquakes: Newmark's rigid block, and blocks of flexible soil.
 
 
@@ -310,6 +311,9 @@ def _sliding(
     if friction is None:
         if not checks.is_traced(slope) and slope != 0:
             raise checks.refused("slope", "be 0 beside a yield_coefficient, which holds it already", slope)
+        for name, value in (("yield_coefficient", yield_coefficient), ("uphill", uphill)):
+            if value is not None:
+                Quantity(above=0).check(name, value)
         down = Coulomb(yield_coefficient)
         law = OneWay(down, _HELD) if uphill is None else Directional(down, Coulomb(uphill))
         return law, mass * gravity, None
@@ -320,7 +324,6 @@ def _sliding(
     xp: Any = jnp if checks.is_traced(slope) else np
     weight, is_level = mass * gravity, not checks.is_traced(slope) and slope == 0
     return friction, weight * xp.cos(slope), None if is_level else weight * xp.sin(slope)
-
 
 
 def iwan_sliders(
