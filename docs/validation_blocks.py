@@ -2,14 +2,16 @@
 
 ``python docs/validation_blocks.py FOLDER``, where FOLDER is a copy of github.com/pySLAMMER/pySLAMMER: its records, and
 the displacements that SLAMMER and pySLAMMER found with them, are read from there. ``python docs/validation_blocks.py
-FOLDER coupled 5`` (or ``decoupled``) prints those of blocks of soil that vibrates, of every fifth set of numbers. With a second folder, a copy of
-github.com/GeorgePapazafeiropoulos/OpenSeismoMatlab, sliding spectra of two of its records are printed too. What this
-prints, and what it means, is in ``validation.md``; ``tests/validation/test_blocks.py`` tests the functions of this file
-without these records.
+FOLDER coupled`` (or ``decoupled``) prints those of blocks of soil that vibrates, and with a number n after that every
+n-th set of numbers. With a second folder, a copy of github.com/GeorgePapazafeiropoulos/OpenSeismoMatlab, sliding
+spectra of two of its records are printed too. What this prints, and what it means, is in ``validation.md``;
+``tests/validation/test_blocks.py`` and ``tests/systems/test_sliding_blocks.py`` test the functions of this file without
+these records.
 """
 
 import csv
 import gzip
+import itertools
 import json
 import math
 import sys
@@ -151,7 +153,7 @@ def slide_coupled_by_events(times, acceleration, above, period, damping, cuts=4)
     step = (times[1] - times[0]) / cuts
     whole = {slides: expm(matrix * step) for slides, matrix in ((False, stick), (True, slip))}
     z, slides = np.array([0, 0, 0, 0, 0, 0, 1.0]), False
-    for begin, end in zip(acceleration[:-1], acceleration[1:], strict=True):
+    for begin, end in itertools.pairwise(acceleration):
         z[4:6] = begin, (end - begin) / (cuts * step)
         for _ in range(cuts):
             left = step
@@ -211,7 +213,7 @@ def slide_coupled_by_steps(times, accelerations, yields, periods, damping, parts
 
 
 def slide_decoupled_by_steps(times, accelerations, yields, periods, damping, parts=1):
-    """The same by the rule of its `decoupled_analysis.py`: first the mode on a base that does not slide, then a block."""
+    """The same by the rule of its `decoupled_analysis.py`: the mode on a base that does not slide, then a block."""
     finer = np.interp(np.arange((len(times) - 1) * parts + 1) / parts, np.arange(len(times)), times)
     h, w, c = (times[1] - times[0]) / parts, 2 * math.pi / periods, 4 * math.pi * damping / periods
     ground = np.stack([np.interp(finer, times, row) for row in accelerations], axis=1)
@@ -306,11 +308,12 @@ def main(folder):
     print(f"The trapezoidal rule here and pySLAMMER: at most {np.max(np.abs(rule - python)):.0e} cm apart")
 
 
+BY_EVENTS, MOST_POINTS = 103, 9000  # every 103rd coupled block, of records up to this length, is followed in Python
 SHORTEST = 0.00125  # s: into steps of this length the equivalent acceleration of decoupled blocks is cut
 
 
 def vibrating(folder, method, every):
-    """Displacements in cm of blocks of soil that vibrates, (blocks,), by who found them; of every n-th set of numbers."""
+    """Displacements in cm of soil that vibrates, (blocks,), by who found them; of every n-th set of numbers."""
     theirs = {name: published(folder / RESULTS / file, method) for name, file in PUBLISHED.items()}
     rule = slide_coupled_by_steps if method == "coupled" else slide_decoupled_by_steps
     keys = list(next(iter(theirs.values())))
@@ -327,6 +330,15 @@ def vibrating(folder, method, every):
             ground = (signs * GRAVITY * largest)[:, None] * shape
             steps.append(100 * rule(times, ground, GRAVITY * above, periods, damping, parts))
         found[f"their rule, steps / {parts}"] = steps
+    if method == "coupled":
+        blocks = list(itertools.product(motions.values(), sets, (1, -1)))
+        few = [i for i in range(0, len(blocks), BY_EVENTS) if len(blocks[i][0][0]) < MOST_POINTS]
+        apart = []
+        for i in few:
+            (times, shape), (above, largest, *soil), sign = blocks[i]
+            exact = slide_coupled_by_events(times, sign * GRAVITY * largest * shape, GRAVITY * above, *soil)
+            apart.append(abs(100 * exact - np.ravel(found[OURS])[i]))
+        print(f"{len(few)} of them event by event, without the package: at most {max(apart):.0e} cm from ours")
     return {name: np.ravel(values) for name, values in found.items()}
 
 

@@ -351,13 +351,14 @@ class GroundRecords(GroundMotion):
         cls, records: Sequence[GroundAcceleration], t1: float, which: AnyArray, scale: AnyArray
     ) -> "GroundRecords":
         """Those of `records`, each followed by rest until `t1` (s): from its last point it falls to 0 in one step."""
-        points, rows = max(len(one.times) for one in records) + 2, []
-        for one in records:
-            times, values = np.asarray(one.times, float), np.asarray(one.accelerations, float)
-            end = 2 * times[-1] - times[-2]
-            rest = max(end, t1) + 1.0 + np.arange(points - len(times) - 1)
-            rows.append((np.concatenate([times, [end], rest]), np.append(values, np.zeros(points - len(times)))))
-        return cls(*(np.concatenate(column) for column in zip(*rows, strict=True)), which, scale, points)
+        points = max(len(one.times) for one in records) + 2
+        times, values = np.zeros((2, len(records), points))
+        for row, one in enumerate(records):
+            size = len(one.times)
+            times[row, :size], values[row, :size] = one.times, one.accelerations
+            end = 2 * times[row, size - 1] - times[row, size - 2]
+            times[row, size:] = end, *(max(end, t1) + 1.0 + np.arange(points - size - 1))
+        return cls(times.ravel(), values.ravel(), which, scale, points)
 
     def segments(self, t1) -> int:
         return self.points

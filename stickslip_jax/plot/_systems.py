@@ -1,4 +1,4 @@
-"""Figures of what is simulated: the mechanism of a system, the characteristic of a friction law, how far slopes slide."""
+"""Figures of what is simulated: the mechanism of a system, the characteristic of a friction law, slopes that slide."""
 
 import math
 from typing import Any, cast
@@ -129,16 +129,11 @@ def newmark_displacements(table: NewmarkDisplacements, *, scale: int = 0, ax: Ax
     chosen = checks.whole_number("scale", scale, minimum=0, maximum=len(table.scales) - 1)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
     order = np.argsort(table.yield_coefficients)
-    x = table.yield_coefficients[order]
-    for number, row in enumerate(np.concatenate([table.values, table.median[None]])[:, chosen, order]):
-        is_median = number == len(table.records)
-        look = (
-            {"color": _style.SERIES[0], "lw": 2.0, "marker": "o", "ms": 3.5}
-            if is_median
-            else {"color": "0.6", "lw": 0.8}
-        )
-        label = "median" if is_median else f"{len(table.records)} records" if number == 0 else None
-        ax.plot(x, np.where(row > 0, row, np.nan), label=label, **look)
+    of_records = np.where(table.values > 0, table.values, np.nan)[:, chosen, order]
+    lines = ax.plot(table.yield_coefficients[order], of_records.T, color="0.6", lw=0.8)
+    lines[0].set_label(f"{len(lines)} records")
+    median = np.where(table.median > 0, table.median, np.nan)[chosen, order]
+    ax.plot(table.yield_coefficients[order], median, color=_style.SERIES[0], marker="o", label="median")
     ax.set(xlabel="yield coefficient (yield acceleration / g)", ylabel="permanent displacement (m)", yscale="log")
     _style.legend_above(ax, columns=2)
     return ax

@@ -2,6 +2,7 @@
 derivatives, and tables.
 """
 
+import itertools
 import math
 from functools import partial
 
@@ -184,7 +185,7 @@ def test_the_equivalent_acceleration():
         return np.concatenate([y[2:], -a - 2 * zeta * w * y[2:] - w**2 * y[:2]])
 
     y = [np.zeros(4)]
-    for begin, end in zip(times[:100], times[1:101], strict=True):  # between the corners of the record
+    for begin, end in itertools.pairwise(times[:101]):  # between the corners of the record
         y.append(solve_ivp(rates, (begin, end), y[-1], method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1])
     y = np.array(y)
     total = -2 * zeta * w * y[:, 2:] - w**2 * y[:, :2]
