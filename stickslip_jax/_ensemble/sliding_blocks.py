@@ -79,11 +79,13 @@ def newmark_displacements(
     Raises:
         ValueError: For what is no record, and numbers out of their range.
 
-    >>> times = np.linspace(0.0, 2.0, 201)
     >>> records = {
-    ...     f"{f} Hz": ss.GroundAcceleration(times, 4 * np.sin(2 * np.pi * f * times)) for f in (1, 2)
+    ...     f"{end} s": ss.GroundAcceleration([0.0, end, end + 0.01], [4.0, 4.0, 0.0])
+    ...     for end in (0.2, 0.4)
     ... }
     >>> print(ss.newmark_displacements(records, [0.1, 0.2]).values[:, 0].round(3))
+    [[0.259 0.087]
+     [1.01  0.341]]
     """
     listed = {f"record {i}": one for i, one in enumerate(records)} if isinstance(records, (list, tuple)) else records
     named = dict(listed) if isinstance(listed, Mapping) else {}

@@ -219,6 +219,7 @@ def coupled_block(
     >>> dam = ss.coupled_block(0.1, period=0.4, damping_ratio=0.05)
     >>> one = ss.simulate(dam, shaking, t1=9.0)
     >>> print(f"{float(one.final_state[0]):.3f} m down the slope")
+    3.113 m down the slope
     """
     law, normal, pull = _sliding(yield_coefficient, uphill, friction, slope, mass, gravity)
     shares, frequencies = _modes(period, damping_ratio, modes)
@@ -305,11 +306,13 @@ def _sliding(
     """The friction law of a sliding surface, the normal force, and the pull of gravity down the slope (N)."""
     checks.positive("mass", mass, "kg")
     checks.positive("gravity", gravity, "m/s^2")
+    checks.bounded("slope", slope, "rad", at_least=0, below=math.pi / 2)
+    is_level = not checks.is_traced(slope) and slope == 0
     if (yield_coefficient is None) == (friction is None):
         given = "neither was" if friction is None else "both were"
         raise ValueError(f"Argument yield_coefficient or friction must say what the block holds, but {given} given.")
     if friction is None:
-        if not checks.is_traced(slope) and slope != 0:
+        if not is_level:
             raise checks.refused("slope", "be 0 beside a yield_coefficient, which holds it already", slope)
         for name, value in (("yield_coefficient", yield_coefficient), ("uphill", uphill)):
             if value is not None:
@@ -320,9 +323,7 @@ def _sliding(
     if uphill is not None:
         raise checks.refused("uphill", "be None beside friction, which says it already", uphill)
     require_law("friction", friction)
-    Quantity("rad", at_least=0, below=math.pi / 2).check("slope", slope)
-    xp: Any = jnp if checks.is_traced(slope) else np
-    weight, is_level = mass * gravity, not checks.is_traced(slope) and slope == 0
+    weight, xp = mass * gravity, jnp if checks.is_traced(slope) else np
     return friction, weight * xp.cos(slope), None if is_level else weight * xp.sin(slope)
 
 

@@ -55,14 +55,15 @@ def structures() -> Iterator[Target]:
         "yield_coefficient": (0.1, "positive field"), "uphill": (None, "optional positive field"),
     }  # fmt: skip
     column = {"period": (0.5, "positive"), "damping_ratio": (0.1, "not negative"), "modes": (1, "whole")}
-    yield fields(ss.rigid_block, **block, slope=(0.0, "never"))
+    yield fields(ss.rigid_block, **block)
     yield fields(ss.coupled_block, **block, **column)
-    yield fields(ss.rigid_block, friction=law, slope=(0.1, "number"))
+    yield fields(ss.rigid_block, friction=law, slope=(0.1, "not negative"))
     record = ss.GroundAcceleration([0.0, 1.0], [1.0, 1.0])
     yield fields(ss.equivalent_acceleration, record=(record, "never"), **column, parts=(1, "whole"))
     yield fields(
-        ss.newmark_displacements, records=([record], "never"), yield_coefficients=(0.1, "positive | array"),
-        scales=(1.0, "number | array"), block=(ss.rigid_block, "never"), rest=(1.0, "not negative"),
+        ss.newmark_displacements, ("yield_coefficient",), records=([record], "never"),
+        yield_coefficients=(0.1, "positive | array | reals"), scales=(1.0, "number | array | reals"),
+        block=(ss.rigid_block, "function"), rest=(1.0, "not negative"),
     )  # fmt: skip
     yield fields(
         partial(ss.simulate_contacts, ROW, ss.Constant(0.1)), t1=(1.0, "positive"), samples=(2, "whole | design"),

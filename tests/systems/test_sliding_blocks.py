@@ -261,7 +261,7 @@ RECORD = ss.GroundAcceleration([0.0, 1.0], [1.0, 1.0])
     [
         (ss.rigid_block, "Argument yield_coefficient or friction must say what the block holds, but neither was given"),
         (partial(ss.rigid_block, 0.1, friction=ss.Coulomb(0.1)), "both were given"),
-        (partial(ss.rigid_block, -0.1), "Argument mu must be"),
+        (partial(ss.rigid_block, -0.1), "Argument yield_coefficient must be positive"),
         (partial(ss.rigid_block, 0.1, slope=0.2), "Argument slope must be 0 beside a yield_coefficient"),
         (partial(ss.rigid_block, friction=ss.Coulomb(0.1), uphill=0.2), "Argument uphill must be None beside friction"),
         (partial(ss.rigid_block, friction=ss.Coulomb(0.1), slope=2.0), "Argument slope must be"),
