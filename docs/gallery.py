@@ -233,6 +233,18 @@ def friction_law():
     return plot.friction_law(one_way, speed=0.6, label="Directional", ax=ax)
 
 
+def newmark_displacements():
+    """Rigid blocks under twelve artificial earthquakes."""
+    times = np.linspace(0.0, 16.0, 801)
+    envelope = 0.8 * np.exp(-(((times - 6) / 3) ** 2))
+    source, records = np.random.default_rng(1), []
+    for _ in range(12):
+        waves = np.sin(2 * np.pi * times[:, None] * source.uniform(0.5, 4.0, 10))
+        records.append(ss.GroundAcceleration(times, envelope * waves.sum(axis=1)))
+    yields = np.linspace(0.02, 0.14, 13)
+    return plot.newmark_displacements(ss.newmark_displacements(records, yields))
+
+
 def mechanism():
     """The motor and cart of the 2022 paper."""
     return plot.mechanism(ss.MotorCart(), (0.6, 0.0, 0.0))

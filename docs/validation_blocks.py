@@ -1,23 +1,29 @@
-"""Rigid blocks that slide down a slope under recorded earthquakes, against SLAMMER: four minutes.
+"""Blocks that slide down a slope under recorded earthquakes, against SLAMMER: rigid ones in four minutes.
 
 ``python docs/validation_blocks.py FOLDER``, where FOLDER is a copy of github.com/pySLAMMER/pySLAMMER: its records, and
-the displacements that SLAMMER and pySLAMMER found with them, are read from there. With a second folder, a copy of
-github.com/GeorgePapazafeiropoulos/OpenSeismoMatlab, sliding spectra of two of its records are printed too. What this
-prints, and what it means, is in ``validation.md``; ``tests/validation/test_blocks.py`` tests the functions of this file
-without these records.
+the displacements that SLAMMER and pySLAMMER found with them, are read from there. ``python docs/validation_blocks.py
+FOLDER coupled`` (or ``decoupled``) prints those of blocks of soil that vibrates, and with a number n after that every
+n-th set of numbers. With a second folder, a copy of github.com/GeorgePapazafeiropoulos/OpenSeismoMatlab, sliding
+spectra of two of its records are printed too. What this prints, and what it means, is in ``validation.md``;
+``tests/validation/test_blocks.py`` and ``tests/systems/test_sliding_blocks.py`` test the functions of this file without
+these records.
 """
 
 import csv
 import gzip
+import itertools
 import json
 import math
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import brentq
 
 import stickslip_jax as ss
 
@@ -115,6 +121,118 @@ def slide_by_steps(times, accelerations, yields, parts=1):
     return x
 
 
+FIRST_L, FIRST_M = 2 / math.pi, 1 / 2  # of the first mode of a column that shears, over its mass
+
+
+def slide_coupled_by_events(times, acceleration, above, period, damping, cuts=4):
+    """How far one coupled block slides, m, without this package, event by event.
+
+    The column with its first mode sticks and slides by linear equations, which matrix exponentials follow exactly from
+    point to point of a record that is linear between them; in `cuts` parts of its steps it looks for an event, and
+    finds its instant. The state is the slip and its rate, the mode and its rate, the acceleration of the ground and its
+    slope, and 1.
+    """
+    w, c, loads, free = (
+        2 * math.pi / period,
+        4 * math.pi * damping / period,
+        FIRST_L / FIRST_M,
+        1 - FIRST_L**2 / FIRST_M,
+    )
+    stick, slip = np.zeros((2, 7, 7))
+    for matrix in (stick, slip):
+        matrix[2, 3] = matrix[4, 5] = 1
+    stick[3, [2, 3, 4]] = -(w**2), -c, loads
+    slip[0, 1] = 1
+    slip[3, [2, 3, 6]] = np.array([-(w**2), -c, loads * above]) / free
+    slip[1] = -FIRST_L * slip[3]
+    slip[1, [4, 6]] += 1, -above
+
+    def beyond(z):
+        return z[4] - FIRST_L * (stick[3] @ z) - above
+
+    step = (times[1] - times[0]) / cuts
+    whole = {slides: expm(matrix * step) for slides, matrix in ((False, stick), (True, slip))}
+    z, slides = np.array([0, 0, 0, 0, 0, 0, 1.0]), False
+    for begin, end in itertools.pairwise(acceleration):
+        z[4:6] = begin, (end - begin) / (cuts * step)
+        for _ in range(cuts):
+            left = step
+            while left > 1e-15:
+                matrix, limit = (slip, lambda z: -z[1]) if slides else (stick, beyond)
+                after = (whole[slides] if left == step else expm(matrix * left)) @ z
+                if limit(after) <= 0:
+                    z, left = after, 0.0
+                    continue
+                at = partial(lambda t, matrix, limit, z: limit(expm(matrix * t) @ z), matrix=matrix, limit=limit, z=z)
+                first = min(1e-9, left / 2) if slides else 0.0  # a slip begins at zero, too
+                instant = brentq(at, first, left, xtol=1e-16, rtol=1e-14) if at(first) < 0 else 0.0
+                z, left, slides = expm(matrix * instant) @ z, left - instant, not slides
+                z[1] = 0.0
+    return z[0]
+
+
+def slide_coupled_by_steps(times, accelerations, yields, periods, damping, parts=1):
+    """How far coupled blocks slide, (blocks,), m, by the rule of pySLAMMER (`coupled_analysis.py`), as it stands there.
+
+    Newmark's average acceleration for the mode and the trapezoidal rule for the slip, in steps of the record that are
+    cut into `parts`. Of a stop inside a step it finds the instant, but goes on from the state of the mode at the end of
+    the step: an error of the first order in the step.
+    """
+    finer = np.interp(np.arange((len(times) - 1) * parts + 1) / parts, np.arange(len(times)), times)
+    h, w, c = (times[1] - times[0]) / parts, 2 * math.pi / periods, 4 * math.pi * damping / periods
+    ground = -np.stack([np.interp(finer, times, row) for row in accelerations], axis=1)
+    loads, free = FIRST_L / FIRST_M, 1 - FIRST_L**2 / FIRST_M
+    s, sv, sa, u, uv, ua = np.zeros((6, len(yields)))
+    slides, before = np.zeros(len(yields), bool), np.zeros(len(yields))
+    for b in ground:
+        old, new = np.where(slides, -yields, before), np.where(slides, -yields, b)
+        inertia = np.where(slides, free, 1.0)
+        change = -loads * (new - old) + (4 * inertia / h + 2 * c) * uv + 2 * inertia * ua
+        change = change / (w**2 + 2 * c / h + 4 * inertia / h**2)
+        u2, uv2 = u + change, uv + 2 / h * change - 2 * uv
+        ua2 = (-loads * new - c * uv2 - w**2 * u2) / inertia
+        sa2 = np.where(slides, -b - yields - FIRST_L * ua2, sa)
+        sv2 = np.where(slides, sv + h / 2 * (sa2 + sa), sv)
+        s2 = np.where(slides, s + h / 2 * (sv2 + sv), s)
+        starts, stops = ~slides & (-b - FIRST_L * ua2 > yields), slides & (sv2 <= 0)
+        if np.any(stops & (sv != 0)):
+            part = np.where(stops, -sv / np.where(stops, sv2 - sv, 1), 0)
+            within, here = stops & (sv != 0), before + part * (b - before)
+            stop_sa = -here - yields - FIRST_L * ua2
+            s2 = np.where(within, s + part * h / 2 * (2 * sv + part * h / 2 * (stop_sa + sa)), s2)
+            left = (1 - part) * h
+            push = -loads * (b + yields) + (free - c * left / 2 - w**2 * left**2 / 4) * ua2 - w**2 * left * uv2
+            after = push / (1 + c * left / 2 + w**2 * left**2 / 4)
+            u2 = np.where(within, u2 + uv2 * left + left**2 / 4 * (ua2 + after), u2)
+            uv2 = np.where(within, uv2 + left / 2 * (ua2 + after), uv2)
+            ua2 = np.where(within, after, ua2)
+        sv2, sa2 = np.where(stops, 0, sv2), np.where(stops, 0, sa2)
+        slides = (slides & ~stops) | starts
+        s, sv, sa, u, uv, ua, before = s2, sv2, sa2, u2, uv2, ua2, b
+    return s
+
+
+def slide_decoupled_by_steps(times, accelerations, yields, periods, damping, parts=1):
+    """The same by the rule of its `decoupled_analysis.py`: the mode on a base that does not slide, then a block."""
+    finer = np.interp(np.arange((len(times) - 1) * parts + 1) / parts, np.arange(len(times)), times)
+    h, w, c = (times[1] - times[0]) / parts, 2 * math.pi / periods, 4 * math.pi * damping / periods
+    ground = np.stack([np.interp(finer, times, row) for row in accelerations], axis=1)
+    loads = FIRST_L / FIRST_M
+    u, uv, ua, s, v = np.zeros((5, len(yields)))
+    slides, before, last = np.zeros(len(yields), bool), ground[0], ground[0]
+    for b in ground:
+        change = -loads * (b - before) + (4 / h + 2 * c) * uv + 2 * ua
+        change = change / (w**2 + 2 * c / h + 4 / h**2)
+        u, uv, ua = u + change, 2 / h * change - uv, 4 / h**2 * change - 4 / h * uv - ua
+        here = b + FIRST_L * ua
+        excess, more = yields - last, here - last
+        s = np.where(slides, s - v * h - (excess + more / 6) * h**2 / 2, s)
+        v = np.where(slides, v + (excess - more / 2) * h, 0)
+        slides = np.where(slides, v < 0, here > yields)
+        before, last = b, here
+    return s
+
+
 def record(path):
     """Times (s) and accelerations (in units of the largest), (points,), of a record of pySLAMMER."""
     with path.open(encoding="utf-8-sig") as file:
@@ -123,14 +241,24 @@ def record(path):
     return times, accelerations / np.max(np.abs(accelerations))
 
 
-def published(path):
-    """The rigid blocks of a file of results: both displacements (cm) by record, yield and largest acceleration (g)."""
+def published(path, method="rigid"):
+    """The blocks of a file of results, with linear soil: both displacements (cm) by record, yield and largest
+    acceleration (g); of soil that vibrates by its period (s) and damping ratio, too.
+
+    SLAMMER adds the damping by waves that go down into the base, ``0.55 (V_base / V_slope)^-0.99`` and at most 0.2, to
+    the damping ratio that is given, which is therefore negative in some of its cases.
+    """
     with gzip.open(path, "rt", encoding="utf-8") as file:
-        cases = [case for case in json.load(file)["analyses"] if case["analysis"]["method"] == "rigid"]
+        cases = [case for case in json.load(file)["analyses"] if case["analysis"]["method"] == method]
     found: dict[tuple[Any, ...], tuple[float, float]] = {}
     for case in cases:
-        motion, results = case["ground_motion_parameters"], case["results"]
-        key = motion["ground_motion_file"], case["site_parameters"]["ky_g"], motion["target_pga_g"]
+        motion, results, site = case["ground_motion_parameters"], case["results"], case["site_parameters"]
+        key = motion["ground_motion_file"], site["ky_g"], motion["target_pga_g"]
+        if method != "rigid":
+            if case["analysis"]["mode"] != "linear_elastic":
+                continue
+            radiated = min(0.55016 * (site["vs_base_mps"] / site["vs_slope_mps"]) ** -0.9904, 0.2)
+            key = *key, 4 * site["height_m"] / site["vs_slope_mps"], site["damping_ratio"] + radiated
         found[key] = results["normal_displacement_cm"], results["inverse_displacement_cm"]
     return found
 
@@ -180,6 +308,78 @@ def main(folder):
     print(f"The trapezoidal rule here and pySLAMMER: at most {np.max(np.abs(rule - python)):.0e} cm apart")
 
 
+BY_EVENTS, MOST_POINTS = 103, 9000  # every 103rd coupled block, of records up to this length, is followed in Python
+SHORTEST = 0.00125  # s: into steps of this length the equivalent acceleration of decoupled blocks is cut
+
+
+def vibrating(folder, method, every):
+    """Displacements in cm of soil that vibrates, (blocks,), by who found them; of every n-th set of numbers."""
+    theirs = {name: published(folder / RESULTS / file, method) for name, file in PUBLISHED.items()}
+    rule = slide_coupled_by_steps if method == "coupled" else slide_decoupled_by_steps
+    keys = list(next(iter(theirs.values())))
+    sets = list(dict.fromkeys(key[1:] for key in keys))[::every]
+    motions = {name: record(folder / RECORDS / name) for name in dict.fromkeys(key[0] for key in keys)}
+    signs = np.tile([1.0, -1.0], len(sets))
+    above, largest, periods, damping = np.repeat(np.array(sets), 2, axis=0).T
+    found = {name: [results[motion, *one] for motion in motions for one in sets] for name, results in theirs.items()}
+    found[OURS] = [100 * slide_soil(motions, method, *one) for one in sets]
+    found[OURS] = np.stack(found[OURS], axis=1)  # (records, sets, directions)
+    for parts in FINER:
+        steps = []
+        for times, shape in motions.values():
+            ground = (signs * GRAVITY * largest)[:, None] * shape
+            steps.append(100 * rule(times, ground, GRAVITY * above, periods, damping, parts))
+        found[f"their rule, steps / {parts}"] = steps
+    if method == "coupled":
+        blocks = list(itertools.product(motions.values(), sets, (1, -1)))
+        few = [i for i in range(0, len(blocks), BY_EVENTS) if len(blocks[i][0][0]) < MOST_POINTS]
+        apart = []
+        for i in few:
+            (times, shape), (above, largest, *soil), sign = blocks[i]
+            exact = slide_coupled_by_events(times, sign * GRAVITY * largest * shape, GRAVITY * above, *soil)
+            apart.append(abs(100 * exact - np.ravel(found[OURS])[i]))
+        print(f"{len(few)} of them event by event, without the package: at most {max(apart):.0e} cm from ours")
+    return {name: np.ravel(values) for name, values in found.items()}
+
+
+def slide_soil(motions, method, above, largest, period, damping):
+    """Displacements of blocks of soil under all records and their reverses, m, (records, 2), by this package.
+
+    SLAMMER stops where the record ends; here the ground then rests until the longest record has ended.
+    """
+    soil, block = {"period": period, "damping_ratio": damping}, ss.rigid_block
+    records = {name: ss.GroundAcceleration(times, GRAVITY * shape) for name, (times, shape) in motions.items()}
+    if method == "coupled":
+        block = partial(ss.coupled_block, **soil)
+    else:
+        for name, one in records.items():
+            parts = max(1, round(float(one.times[1]) / SHORTEST))
+            records[name] = ss.equivalent_acceleration(one, **soil, parts=parts)
+    block, scales = partial(block, gravity=GRAVITY), [largest, -largest]
+    print(f"  {above} {largest} {period:.3f} {damping:.2f}", file=sys.stderr, flush=True)
+    return ss.newmark_displacements(records, above, scales=scales, block=block, rest=0.0).values[:, :, 0]
+
+
+def print_vibrating(folder, method, every=1):
+    found = vibrating(folder, method, every)
+    ours, slammer = found[OURS], found["SLAMMER 1.1"]
+    large = ours > NEGLIGIBLE
+    print(f"{method}: {len(ours)} displacements, {np.sum(large)} of them above {NEGLIGIBLE} cm; cm")
+    print(f"  {'from ours':27}   at most    mean   of those above: at most   median   within 2 %")
+    for name, values in found.items():
+        apart = np.abs(values - ours)
+        share = apart[large] / ours[large]
+        near = np.mean(apart <= np.where(ours > NEGLIGIBLE, 0.02 * ours, 0.05))
+        if name != OURS:
+            ends = f"{np.max(share):25.1e} {np.median(share):8.1e} {100 * near:10.1f} %"
+            print(f"  {name:27} {np.max(apart):9.1e} {np.mean(apart):7.1e} {ends}")
+    apart = np.max(np.abs(found["their rule, steps / 1"] - found["pySLAMMER 0.2.3"]))
+    print(f"Their rule here and pySLAMMER: at most {apart:.0e} cm apart")
+    near = np.abs(found["pySLAMMER 0.2.3"] - slammer) <= np.where(slammer > NEGLIGIBLE, 0.02 * slammer, 0.05)
+    print(f"pySLAMMER's within 2 % of SLAMMER's, below {NEGLIGIBLE} cm within 0.05 cm: {100 * np.mean(near):.1f} %")
+    return found
+
+
 def sliding_spectra(folder):
     """Blocks on level ground under two records, with the displacements in the figures of OpenSeismoMatlab."""
     print("Largest displacements on level ground, m\n  friction   in the figure    ours   event by event")
@@ -196,6 +396,9 @@ def sliding_spectra(folder):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
-    if len(sys.argv) > 2:
-        sliding_spectra(Path(sys.argv[2]))
+    if sys.argv[2:] and sys.argv[2] in ("coupled", "decoupled"):
+        print_vibrating(Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:]))
+    else:
+        main(Path(sys.argv[1]))
+        if len(sys.argv) > 2:
+            sliding_spectra(Path(sys.argv[2]))

@@ -37,6 +37,10 @@ from ._ensemble.earthquakes import Fragility as Fragility, fragility as fragilit
 from ._ensemble.earthquakes import incremental_dynamic_analysis as incremental_dynamic_analysis
 from ._ensemble.earthquakes import response_spectrum as response_spectrum, sliding_spectrum as sliding_spectrum
 from ._ensemble.ensemble import Ensemble as Ensemble
+from ._ensemble.sliding_blocks import (
+    NewmarkDisplacements as NewmarkDisplacements,
+    newmark_displacements as newmark_displacements,
+)
 from ._dynamics.sticks import Slips as Slips, Sticks as Sticks
 from ._excitation.excitation import BaseMotion as BaseMotion, WithJumps as WithJumps
 from ._excitation.recorded import ForceSteps as ForceSteps
@@ -169,6 +173,8 @@ from ._systems.builders import (
     storeys_on_bearing as storeys_on_bearing,
 )
 from ._systems.builders import FrictionDisk as FrictionDisk, drill_string as drill_string, drivetrain as drivetrain
+from ._systems.slopes import coupled_block as coupled_block, rigid_block as rigid_block
+from ._systems.slopes import equivalent_acceleration as equivalent_acceleration
 from ._systems.structure import LinearStructure as LinearStructure
 from ._systems.switched_system import SwitchedSystem as SwitchedSystem
 from ._systems.system import Coordinate as Coordinate, System as System

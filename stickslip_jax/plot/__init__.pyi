@@ -40,7 +40,11 @@ from ._sensitivities import (
     tornado as tornado,
 )
 from ._style import save as save
-from ._systems import friction_law as friction_law, mechanism as mechanism
+from ._systems import (
+    friction_law as friction_law,
+    mechanism as mechanism,
+    newmark_displacements as newmark_displacements,
+)
 from ._trajectory import (
     energies as energies,
     friction_force as friction_force,

@@ -1,4 +1,4 @@
-"""Figures of what is simulated: the mechanism of a system, and the characteristic of a friction law."""
+"""Figures of what is simulated: the mechanism of a system, the characteristic of a friction law, slopes that slide."""
 
 import math
 from typing import Any, cast
@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .._dynamics.common.method import check_fixed, state_of
+from .._ensemble.sliding_blocks import NewmarkDisplacements
 from .._foundation import checks
 from .._foundation.types import InitialState
 from .._systems.friction import FrictionLaw, require_law
@@ -104,4 +105,35 @@ def friction_law(
     ax.set_ylabel("friction coefficient")
     if ax.get_legend() is not None or label is not None or len(ax.get_lines()) > 2:
         ax.legend(fontsize="small", loc="upper left")
+    return ax
+
+
+def newmark_displacements(table: NewmarkDisplacements, *, scale: int = 0, ax: Axes | None = None) -> Axes:
+    """Displacements of sliding blocks against their yield coefficient: a thin curve for each record, and the median.
+
+    Displacements of zero or less are left out of the logarithmic axis.
+
+    Args:
+        table: Of `stickslip_jax.newmark_displacements`.
+        scale: The number of the factor by which the records are scaled, from 0.
+        ax: Axes to draw into; by default those of a new figure.
+
+    Returns:
+        The axes.
+
+    Raises:
+        ValueError: For another `table`, and a `scale` that it does not have.
+    """
+    if not isinstance(table, NewmarkDisplacements):
+        raise checks.refused("table", "be what newmark_displacements returns", table)
+    chosen = checks.whole_number("scale", scale, minimum=0, maximum=len(table.scales) - 1)
+    ax = _style.axes_or_new(ax, (5.6, 3.8))
+    order = np.argsort(table.yield_coefficients)
+    of_records = np.where(table.values > 0, table.values, np.nan)[:, chosen, order]
+    lines = ax.plot(table.yield_coefficients[order], of_records.T, color="0.6", lw=0.8)
+    lines[0].set_label(f"{len(lines)} records")
+    median = np.where(table.median > 0, table.median, np.nan)[chosen, order]
+    ax.plot(table.yield_coefficients[order], median, color=_style.SERIES[0], marker="o", label="median")
+    ax.set(xlabel="yield coefficient (yield acceleration / g)", ylabel="permanent displacement (m)", yscale="log")
+    _style.legend_above(ax, columns=2)
     return ax

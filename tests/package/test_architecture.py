@@ -48,7 +48,7 @@ CIRCLES: set[tuple[str, ...]] = set()
 
 # A file holds one topic, usually in 200 to 800 lines; a function reads from top to bottom.
 FILE_LINES, FUNCTION_LINES = 800, 200
-FILES_AT_MOST = 149  # of the package
+FILES_AT_MOST = 151  # of the package
 FLOORS, ARROWS = 12, 108  # at most, of the imports between folders; one that is undone lowers them
 
 MODULES = {path.relative_to(ROOT).with_suffix("").parts: path for path in sorted(ROOT.rglob("*.py"))}

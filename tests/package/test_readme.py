@@ -39,7 +39,7 @@ DOCUMENTS = {
     "docs/howto/precision.md": 2,
     "docs/howto/records.md": 8,
     "docs/howto/save.md": 2,
-    "docs/howto/sliding_block.md": 1,
+    "docs/howto/sliding_block.md": 3,
     "docs/howto/strings.md": 3,
     "docs/regularized.md": 3,
     "docs/sensitivity.md": 2,

@@ -515,3 +515,17 @@ def test_drawing_of_a_mechanism():
     with pytest.raises(ValueError, match="Argument y0 must"):
         plot.mechanism(cart, (0.7, 0.0))
     plt.close("all")
+
+
+def test_displacements_of_sliding_blocks(annotations_unchecked):
+    """A curve for each record, in the order of yields, and the median; what did not slide is left out."""
+    values = np.array([[[0.1, 0.5]], [[0.0, 0.3]], [[0.4, 0.9]]])
+    table = ss.NewmarkDisplacements(("a", "b", "c"), np.ones(1), np.array([0.2, 0.1]), values)
+    ax = plot.newmark_displacements(table)
+    drawn = [line.get_ydata() for line in ax.lines]
+    np.testing.assert_array_equal(drawn, [[0.5, 0.1], [0.3, np.nan], [0.9, 0.4], [0.5, 0.1]])
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["3 records", "median"]
+    with pytest.raises(ValueError, match="Argument scale must be at most 0"):
+        plot.newmark_displacements(table, scale=1)
+    with pytest.raises(ValueError, match="Argument table must be what newmark_displacements returns"):
+        plot.newmark_displacements(values)

@@ -61,6 +61,21 @@ def structures() -> Iterator[Target]:
         ss.block_row, blocks=(2, "whole"), mass=(1.0, "positive"), between=(1.0, "not negative"),
         to_ground=(1.0, "not negative"), normal_force=normal, friction=law, damping=(0.0, "not negative"),
     )  # fmt: skip
+    block = {
+        "mass": (1.0, "positive"), "gravity": (9.81, "positive"), "friction": (None, "optional never"),
+        "yield_coefficient": (0.1, "positive field"), "uphill": (None, "optional positive field"),
+    }  # fmt: skip
+    column = {"period": (0.5, "positive"), "damping_ratio": (0.1, "not negative"), "modes": (1, "whole")}
+    yield fields(ss.rigid_block, **block)
+    yield fields(ss.coupled_block, **block, **column)
+    yield fields(ss.rigid_block, friction=law, slope=(0.1, "not negative"))
+    record = ss.GroundAcceleration([0.0, 1.0], [1.0, 1.0])
+    yield fields(ss.equivalent_acceleration, record=(record, "never"), **column, parts=(1, "whole"))
+    yield fields(
+        ss.newmark_displacements, records=([record], "never"),
+        yield_coefficients=(0.1, "any"), scales=(1.0, "any"),
+        block=(ss.rigid_block, "function"), rest=(1.0, "not negative"),
+    )  # fmt: skip
     yield fields(
         partial(ss.simulate_contacts, ROW, ss.Constant(0.1)), t1=(1.0, "positive"), samples=(2, "whole | design"),
         key=(jax.random.key(0), "optional key"), y0=(None, "optional start"),
