@@ -17,13 +17,9 @@ from .._dynamics.sticks import StickRecord, start_totals
 from .._dynamics.switched.engine import Lane, SwitchedEngine, advance
 from .._excitation.motion import Signal
 from .._foundation.types import AnyArray, BoolArray, FloatArray, IntArray, Scalar
-from .._numerics.derivatives import without_derivatives
 from .._systems.contacts_model import ContactsModel
 from .._systems.system import one_contact_model
 from .boundaries import (
-    FAR,
-    LANDED,
-    SOON,
     AtContact,
     BoundaryDistances,
     BoundarySums,
@@ -195,9 +191,7 @@ class IntervalCounting(CountingEngine[Scales, _IntervalMotion]):
 # differs from the true one by a higher order only. So the boundaries of a contact are those of a system with one.
 #
 # Where friction is coupled, an event of another contact makes the rate of a slip's guard jump, and the guard of a
-# stick. It may end a stick that has only just begun, or hold what has only just been released: like the end of a
-# segment, at a time that depends on the parameters (`_distances_around_others`). And right after it a stick may be so
-# near its limit that it is released for no time, where the friction it needs then falls.
+# stick: such systems have further boundaries, and are refused.
 #
 # All contacts stick at once from the last arrival to the first release. Such a time has no length where a contact
 # arrives as another is released (`_distance_of_race`); else it appears and vanishes with a stick or slip of one
@@ -212,9 +206,7 @@ def distances_of_contacts(
     """
     numbers = jnp.arange(len(step.sign))
     if counted >= 0:
-        given = _at_contact(model, shared, step, numbers == counted)
-        found = stacked(distances_of_step(*given))
-        return _joined(found, _distances_around_others(*given, step)) if model.coupled else found
+        return stacked(distances_of_step(*_at_contact(model, shared, step, numbers == counted)))
 
     def of(contact: IntArray) -> BoundaryDistances:
         own = numbers == contact
@@ -229,44 +221,13 @@ def may_be_close(model: ContactsModel, shared: StepsShared, step: EngineStep, co
     numbers = jnp.arange(len(step.sign))
     contacts = numbers if counted < 0 else numbers[counted : counted + 1]
     each = jax.vmap(lambda contact: is_candidate(*_at_contact(model, shared, step, numbers == contact)))(contacts)
-    is_close = jnp.any(each)
-    return is_close | jnp.any(step.sign_end != step.sign) if counted < 0 or model.coupled else is_close
+    return jnp.any(each) | ((counted < 0) & jnp.any(step.sign_end != step.sign))
 
 
 def _at_contact(
     model: ContactsModel, shared: StepsShared, step: EngineStep, own: BoolArray
 ) -> tuple[AtContact, StepsShared, EngineStep, AtContact]:
     return AtContact(model, own, step.sign), shared, step.of_contact(own), AtContact(model, own, step.sign_end)
-
-
-def _distances_around_others(
-    model: AtContact, shared: StepsShared, step: EngineStep, then: AtContact, of_all: EngineStep
-) -> BoundaryDistances:
-    """The signed distances (3,) to the boundaries at which a stick, or a slip, of a contact has no length because of an
-    event of another one: it would end soon after that, or began shortly before, and does not last beyond it.
-    """
-    assert step.since is not None
-    inputs = model.forcing(step.end, shared.segment_laws.segments(step.segment_states))
-    none, sticking = jnp.zeros_like(step.end), step.sign == 0
-    s, d = model.guard(inputs, none, step.y_end, step.sign)
-    guard, rate = then.guard(inputs, none, then.on_base(inputs, step.y_end), none)
-    still, known, y = without_derivatives((model, inputs, step.y_end))
-    holds, could_stick = guard > 0, still.can_stick(known, still.on_base(known, y))
-    by_itself = jnp.abs(s) < LANDED * still.guard_scale(known, y, step.sign)
-    others = jnp.any((of_all.sign_end != of_all.sign) & ~model.own) & ~by_itself & (step.end < stop_of(shared.t1, step))
-    is_late, is_brief = others & (d < 0) & (s > 0) & (s < -SOON * shared.step * d), others & (step.since > 0)
-    late, age = s / jnp.where(d < 0, lax.stop_gradient(d), -1), step.end - step.since
-    stick = jnp.where(sticking, is_brief & (step.sign_end != 0), is_late & could_stick & ~holds)
-    slip = jnp.where(sticking, is_late, is_brief & (step.crossed < 0)) & holds
-    edge = others & sticking & (rate > 0) & (jnp.abs(guard) < FAR)
-    ends, begun = (jnp.where(sticking, *pair) for pair in ((step.since, step.end), (step.end, step.since)))
-    of_stick, of_slip = (SignedDistance(jnp.where(sticking, *pair), is_active)
-                         for pair, is_active in (((age, late), stick), ((late, age), slip)))  # fmt: skip
-    return stacked(
-        BoundaryDistances.only(ends, sticking, is_slip=False, switch=of_stick),
-        BoundaryDistances.only(begun, ~sticking, is_slip=True, switch=of_slip),
-        BoundaryDistances.only(step.end, step.sign_end != 0, is_slip=True, grazing=SignedDistance(-guard, edge)),
-    )
 
 
 def _distance_of_race(shared: StepsShared, step: EngineStep) -> BoundaryDistances:

@@ -237,7 +237,7 @@ class SensitivityProblem(NamedTuple):
         if is_large or any(one.path[-1] in _IN_MATRICES for one in self.parameters):
             return False  # the engine holds what follows from these numbers
         model = system.switched_model(None, None)
-        return not (model.varying or model.has_sliders or (system.tracks.counted == -1 and model.coupled))
+        return not (model.varying or model.has_sliders or model.coupled)
 
     def job(self, engine: Engine, first: int, samples: int, used_rows: int = 1) -> Job:
         """A job of `used_rows` rows from sample `first` on; it holds the own leaves of `samples` samples."""
@@ -415,7 +415,7 @@ def require_correctable(problem: SensitivityProblem) -> None:
             "law is an object of your own with a method sample(key, t1), where the parameter belongs to a Beta "
             "distribution or to the distribution of a switching rate, for outputs and statistics of slips, and of "
             "several contacts where there are more than 8, normal forces vary, springs are in front of them, the "
-            "parameter is their on_base, or all at once are counted and friction in one has an effect on another."
+            "parameter is their on_base, or friction in one has an effect on another."
         )
 
 

@@ -457,7 +457,7 @@ class AdaptiveEngine(RegularizedEngine[AdaptiveLane]):
 
     @property
     def knows_extremes(self) -> bool:
-        field = self.field(self.excitation.signal)
+        field = self.field(None)
         return not (isinstance(field, InnerField) and field.in_logarithms)
 
     def lane(self, smooth: Signal | None, key_data: Any, dtype) -> AdaptiveLane:
