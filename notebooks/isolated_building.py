@@ -180,7 +180,7 @@ print(f"at {oscillators[near]:.2f} s, near the period of the building, the beari
 # %%
 EDGE = 0.25  # m
 levels = np.arange(0.5, 5.0, 0.5)  # m/s^2
-equal = ss.RecordSuite([suite[i] for i in range(len(suite))], scale=1.0 / intensity)
+equal = ss.RecordSuite([suite.motion(i) for i in range(len(suite))], scale=1.0 / intensity)
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 curves = {}
 for mu, color in ((0.04, "#0072B2"), (0.08, "#D55E00")):
