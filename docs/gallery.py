@@ -49,6 +49,7 @@ FIGURES = {
     "conference_paper": 1,
     "control": 3,
     "electromechanical": 1,
+    "isolated_building": 1,
     "measured_friction": 1,
     "nonlinear": 3,
     "own_base": 1,

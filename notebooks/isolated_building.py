@@ -64,7 +64,7 @@ if given := os.environ.get("STICKSLIP_RECORDS"):
     suite = ss.RecordSuite(given)
 else:
     records = []
-    for number in range(max(4, min(20, SAMPLES // 10))):
+    for number in range(max(10, min(20, SAMPLES // 10))):
         law = ss.KanaiTajimi(rms=1.0, rise=2.0, plateau=5.0 + number % 4, decay=0.5, interval=(0.01, 0.02)[number % 2])
         drawn = law.sample(jax.random.key(number), 20.0)
         records.append(ss.GroundAcceleration(drawn.times, drawn.accelerations))
@@ -174,12 +174,12 @@ print(f"at {oscillators[near]:.2f} s, near the period of the building, the beari
 # %% [markdown]
 # ## How likely do the bearings reach their edge?
 #
-# Incremental dynamic analysis: every ground motion scaled to nine spectral accelerations at the period of the
+# Incremental dynamic analysis: every ground motion scaled to thirteen spectral accelerations at the period of the
 # pendulums; then a lognormal fragility curve by maximum likelihood, whose errors are those of whole records.
 
 # %%
 EDGE = 0.25  # m
-levels = np.arange(0.5, 5.0, 0.5)  # m/s^2
+levels = np.arange(0.75, 4.0, 0.25)  # m/s^2
 equal = ss.RecordSuite([suite.motion(i) for i in range(len(suite))], scale=1.0 / intensity)
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 curves = {}
@@ -190,7 +190,7 @@ for mu, color in ((0.04, "#0072B2"), (0.08, "#D55E00")):
     exceeds = ~(table.peak.values <= EDGE)
     curve = ss.fragility(levels[:, None], exceeds, records=table.record.values)
     curves[mu] = curve
-    drawn = curve.to_pandas(np.linspace(0.2, 5.0, 100))
+    drawn = curve.to_pandas(np.linspace(0.5, 4.0, 100))
     axes.plot(drawn.intensity, drawn.probability, color=color, label=f"$\\mu$ = {mu:g}")
     axes.fill_between(drawn.intensity, drawn.low, drawn.high, color=color, alpha=0.2, lw=0)
     axes.plot(levels, exceeds.mean(axis=1), "o", color=color)
