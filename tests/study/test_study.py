@@ -378,3 +378,17 @@ def test_horizon_too_long_to_count_is_refused(tmp_path):
     with pytest.raises(StudyError, match="t1"):
         run_study(config)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_outputs_by_name(tmp_path):
+    """Numbers of each sample that the file names are those that the ensemble finds."""
+    text = SMALL.replace("[run]", '[run]\noutputs = ["peak position", "stick"]')
+    config = read_config(config_file(tmp_path, text), {"out": str(tmp_path / "result")})
+    with pytest.raises(StudyError, match=r"begin with peak, maximum, minimum, residual"):
+        run_study(config, progress=False)
+    config = config.model_copy(update={"run": config.run.model_copy(update={"outputs": ["peak position"]})})
+    found = run_study(config, progress=False)
+    with xr.open_dataset(found.directory / DATA) as stored:
+        values = stored["output_peak_position"]
+        assert values.attrs["units"] == "m"
+        np.testing.assert_array_equal(values, found.ensemble.output_values["peak_position"])
