@@ -86,7 +86,10 @@ class _Named:
         if what not in _SUMS:
             return getattr(one, what)(quantity)
         value = jnp.asarray(getattr(one, _SUMS[what][0]), one.time_reached.dtype)
-        return value if number is None else value[number]
+        if number is None:
+            return value
+        each = jnp.atleast_1d(value)
+        return each[checks.whole_number("number", number, minimum=0, maximum=len(each) - 1)]
 
 
 @dataclasses.dataclass(frozen=True)

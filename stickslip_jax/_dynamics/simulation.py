@@ -429,7 +429,7 @@ class Simulation(WithMethods):
         Accelerations and friction forces jump at events; there they are those after it.
 
         Args:
-            name: As above, or a difference of two of one unit: "total acceleration 1 - total acceleration 0".
+            name: One of the names above, or a difference of two of one unit: "total acceleration 1 - total acceleration 0".
             times: s, any shape.
 
         Returns:
@@ -451,7 +451,7 @@ class Simulation(WithMethods):
         """The value of a coordinate, or of the difference of two, at the end: `final_state` by name.
 
         Args:
-            coordinate: As in `maximum`; by default the first.
+            coordinate: Its name, or the difference of two, ``"position 2 - position 1"``; by default the first.
 
         Raises:
             ValueError: For another name, for a batch, and for what is no coordinate.

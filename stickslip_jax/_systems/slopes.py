@@ -95,16 +95,17 @@ def coupled_block(
     mode. Positions are counted from the rest of the column under its weight.
 
     Args:
-        yield_coefficient: As in `rigid_block`, as are `uphill`, `friction`, `slope`, `mass` and `gravity`.
+        yield_coefficient: The ground acceleration, over that of gravity, above which a rigid block would slide down: a
+            positive number, a distribution, or an array with one for each sample of an ensemble.
         period: The fundamental one of the column on a base that does not slide, s, positive: ``4 H / V_s``, with the
             velocity V_s of shear waves.
         damping_ratio: Of critical damping, the same in each mode, zero or positive.
         modes: How many are taken, 1 to 20; Rathje and Bray, SLAMMER and pySLAMMER take 1.
-        uphill: See above.
-        friction: See above.
-        slope: See above.
-        mass: See above.
-        gravity: See above.
+        uphill: Above which it would slide up, likewise; None: it never does.
+        friction: In place of both, the friction law of the sliding surface, with the `slope`; see `rigid_block`.
+        slope: The angle of the slope, rad, zero or positive and below a right angle; for `friction`.
+        mass: Of the column, kg, positive.
+        gravity: m/s^2, positive.
 
     Raises:
         ValueError: As `rigid_block`, and for numbers of the column out of their range.
@@ -146,9 +147,9 @@ def equivalent_acceleration(
 
     Args:
         record: Of the ground.
-        period: As in `coupled_block`, as are `damping_ratio` and `modes`.
-        damping_ratio: See above.
-        modes: See above.
+        period: The fundamental one of the column, s, positive, see `coupled_block`.
+        damping_ratio: Of critical damping, the same in each mode, zero or positive.
+        modes: How many are taken, 1 to 20.
         parts: Into which each step of the record is cut, 1 to 1000.
 
     Returns:

@@ -440,8 +440,8 @@ class LinearStructure(WithContacts):
         equal eigenvalues, which have none.
         """
         stiffness = self.stiffness
-        plain = (None,) * 3
-        others = [one for one in self.contacts if (one.series_stiffness, one.normal_stiffness, one.radius) != plain]
+        beside = [(one.series_stiffness, one.normal_stiffness, one.radius) for one in self.contacts]
+        others = [one for one, of in zip(self.contacts, beside, strict=True) if any(part is not None for part in of)]
         xp: Any = jnp if any(map(checks.is_traced, jax.tree.leaves((stiffness, others)))) else np
         if others:
             stiffness = xp.asarray(stiffness, float)

@@ -108,13 +108,13 @@ def friction_law(
     return ax
 
 
-def newmark_displacements(table: NewmarkDisplacements, *, scale: int = 0, ax: Axes | None = None) -> Axes:
+def newmark_displacements(result: NewmarkDisplacements, *, scale: int = 0, ax: Axes | None = None) -> Axes:
     """Displacements of sliding blocks against their yield coefficient: a thin curve for each record, and the median.
 
     Displacements of zero or less are left out of the logarithmic axis.
 
     Args:
-        table: Of `stickslip_jax.newmark_displacements`.
+        result: Of `stickslip_jax.newmark_displacements`.
         scale: The number of the factor by which the records are scaled, from 0.
         ax: Axes to draw into; by default those of a new figure.
 
@@ -122,18 +122,18 @@ def newmark_displacements(table: NewmarkDisplacements, *, scale: int = 0, ax: Ax
         The axes.
 
     Raises:
-        ValueError: For another `table`, and a `scale` that it does not have.
+        ValueError: For another `result`, and a `scale` that it does not have.
     """
-    if not isinstance(table, NewmarkDisplacements):
-        raise checks.refused("table", "be what newmark_displacements returns", table)
-    chosen = checks.whole_number("scale", scale, minimum=0, maximum=len(table.scales) - 1)
+    if not isinstance(result, NewmarkDisplacements):
+        raise checks.refused("result", "be what newmark_displacements returns", result)
+    chosen = checks.whole_number("scale", scale, minimum=0, maximum=len(result.scales) - 1)
     ax = _style.axes_or_new(ax, (5.6, 3.8))
-    order = np.argsort(table.yield_coefficients)
-    of_records = np.where(table.values > 0, table.values, np.nan)[:, chosen, order]
-    lines = ax.plot(table.yield_coefficients[order], of_records.T, color="0.6", lw=0.8)
+    order = np.argsort(result.yield_coefficients)
+    of_records = np.where(result.values > 0, result.values, np.nan)[:, chosen, order]
+    lines = ax.plot(result.yield_coefficients[order], of_records.T, color="0.6", lw=0.8)
     lines[0].set_label(f"{len(lines)} records")
-    median = np.where(table.median > 0, table.median, np.nan)[chosen, order]
-    ax.plot(table.yield_coefficients[order], median, color=_style.SERIES[0], marker="o", label="median")
+    median = np.where(result.median > 0, result.median, np.nan)[chosen, order]
+    ax.plot(result.yield_coefficients[order], median, color=_style.SERIES[0], marker="o", label="median")
     ax.set(xlabel="yield coefficient (yield acceleration / g)", ylabel="permanent displacement (m)", yscale="log")
     _style.legend_above(ax, columns=2)
     return ax

@@ -527,5 +527,5 @@ def test_displacements_of_sliding_blocks(annotations_unchecked):
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["3 records", "median"]
     with pytest.raises(ValueError, match="Argument scale must be at most 0"):
         plot.newmark_displacements(table, scale=1)
-    with pytest.raises(ValueError, match="Argument table must be what newmark_displacements returns"):
+    with pytest.raises(ValueError, match="Argument result must be what newmark_displacements returns"):
         plot.newmark_displacements(values)

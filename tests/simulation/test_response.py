@@ -290,6 +290,8 @@ def test_two_contacts_have_sums_each():
     assert one.slip_path.shape == one.slip_reversals.shape == (2,)
     assert float(one.of_contact(1).slip_path) == float(one.slip_path[1])
     assert float(ss.Output("slip path 1").function(one)) == float(one.slip_path[1])
+    with pytest.raises(ValueError, match="number must be"):
+        ss.Output("slip path 2").function(one)
     assert int(one.slip_reversals[0]) > 2
 
 

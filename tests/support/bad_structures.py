@@ -129,7 +129,7 @@ BAD_STRUCTURES = {
     ),
     "state of a mass on a spring": (
         "[run]\ninitial_state = [0.0, 1.0]",
-        ["initial_state in [run] of the model MassSpring", "model LinearStructure, block_row or storeys_on_bearing"],
+        ["initial_state in [run] of the model MassSpring", "block_row, storeys_on_bearing or friction_pendulum"],
     ),
     "voltage": (
         HEAD + CONTACT + '[base]\nlaw = "SourceVoltage"',

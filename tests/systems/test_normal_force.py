@@ -196,8 +196,6 @@ def test_bad_arguments():
     with pytest.raises(ValueError, match="normal_force must last until t1 = 3 s"):
         ss.simulate(short, BASE, t1=3.0)
     varying = ss.MassSpring(1.0, 2.0, ss.Harmonic(1.0, 2.0), FRICTION)
-    with pytest.raises(ValueError, match="Argument method must be Exact"):
-        ss.simulate(varying, BASE, t1=3.0, method=SMOOTHED)
     with pytest.raises(ValueError, match="stick_half_width"):
         _ = varying.stick_half_width
 

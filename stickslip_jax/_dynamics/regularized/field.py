@@ -599,7 +599,8 @@ def balanced_in_modes(
 
     first = slides, jnp.zeros_like(speed), jnp.zeros_like(speed), jnp.int32(0), jnp.ones((), bool)
     most = _PASSES + _PER_CONTACT * len(speed)
-    slides, _, force, *_ = lax.while_loop(lambda state: state[4] & (state[3] < most), again, first)
+    slides, _, force, _, unsettled = lax.while_loop(lambda state: state[4] & (state[3] < most), again, first)
+    force = jnp.where(unsettled, jnp.nan, force)  # the status of the trajectory is NOT_FINITE then
     in_modes = dataclasses.replace(law, slides=slides)
     for _ in range(_POLISH):
         value, slope = with_slope(in_modes, speed - times(stiffness, force))
