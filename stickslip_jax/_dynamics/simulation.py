@@ -429,7 +429,8 @@ class Simulation(WithMethods):
         Accelerations and friction forces jump at events; there they are those after it.
 
         Args:
-            name: One of the names above, or a difference of two of one unit: "total acceleration 1 - total acceleration 0".
+            name: One of the names above, or a difference of two of one unit:
+                "total acceleration 1 - total acceleration 0".
             times: s, any shape.
 
         Returns:
