@@ -441,8 +441,8 @@ class Simulation(WithMethods):
 
         >>> system = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.5))
         >>> one = ss.simulate(system, ss.Constant(0.0), t1=10.0, y0=(1.0, 0.0))
-        >>> print(one.response("acceleration", 0.0), one.peak("base shear"))
-        -3.5 3.5
+        >>> print(f"{one.response('acceleration', 0.0):.4f} m/s^2, {one.peak('base shear'):.4f} N")
+        -3.5000 m/s^2, 3.5000 N
         """
         form, times = self._form_of(name), self._checked(times)
         path = self._in_steps("response") if is_observed(form, len(self.final_state)) else self._path

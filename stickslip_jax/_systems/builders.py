@@ -239,7 +239,7 @@ def pendulum_in_series(
         ValueError: For numbers out of their ranges, and lists of different lengths.
 
     >>> contacts = ss.pendulum_in_series(100.0, radii=[1.0, 3.0], coefficients=[0.02, 0.06])
-    >>> print([round(one.friction.static * one.normal_force, 6) for one in contacts])
+    >>> print([round(float(one.friction.static * one.normal_force), 6) for one in contacts])
     [2.0, 3.0]
     """
     checks.positive("weight", weight, "N")

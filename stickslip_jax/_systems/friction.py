@@ -410,7 +410,7 @@ class VelocityDependent(FrictionLaw):
 
     >>> law = ss.VelocityDependent(mu_slow=0.05, mu_fast=0.1, rate=40.0)
     >>> print(law.force([0.0, 1.0], [0.01, 0.5], normal_force=100.0).round(2))
-    [6.65 10. ]
+    [ 6.65 10.  ]
     """
 
     mu_slow: Annotated[Number, Quantity(meaning="friction coefficient at vanishing speed", at_least=0)]
