@@ -573,6 +573,7 @@ class FrictionAt(ForceLaw):
 
 
 _PASSES, _PER_CONTACT, _POLISH = 12, 2, 3
+_MODE = 1e-6  # of the width: how exactly the modes of a balance are those of its speeds
 _KNOWN = 1e-3  # of the largest force: where Newton's method takes over
 
 
@@ -599,12 +600,14 @@ def balanced_in_modes(
 
     first = slides, jnp.zeros_like(speed), jnp.zeros_like(speed), jnp.int32(0), jnp.ones((), bool)
     most = _PASSES + _PER_CONTACT * len(speed)
-    slides, _, force, _, unsettled = lax.while_loop(lambda state: state[4] & (state[3] < most), again, first)
-    force = jnp.where(unsettled, jnp.nan, force)  # the status of the trajectory is NOT_FINITE then
+    slides, _, force, *_ = lax.while_loop(lambda state: state[4] & (state[3] < most), again, first)
     in_modes = dataclasses.replace(law, slides=slides)
     for _ in range(_POLISH):
         value, slope = with_slope(in_modes, speed - times(stiffness, force))
         force = force + linear_solve(_newton_matrix(slope, stiffness), value - force)
+    sigma = jnp.where(slides == 0, 1, slides) * (speed - times(stiffness, force)) / law.width
+    fits = jnp.where(slides == 0, jnp.abs(sigma) <= 1 + _MODE, sigma >= 1 - _MODE)
+    force = jnp.where(jnp.all(fits), force, jnp.nan)  # modes without a balance: the status is NOT_FINITE then
     (force,) = _force_root(dataclasses.replace(given[0], slides=slides), *given[1:], force)
     return force, slides
 
