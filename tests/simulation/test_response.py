@@ -203,7 +203,11 @@ def test_an_ensemble_finds_the_same():
             assert value == pytest.approx(float(ss.Output(name).function(one)), rel=1e-11), name
 
 
-@pytest.mark.parametrize("name", ["peak total acceleration", "slip path", "friction energy", "peak base shear"])
+@pytest.mark.parametrize(
+    "name",
+    ["peak total acceleration"]
+    + [pytest.param(name, marks=pytest.mark.slow) for name in ("slip path", "friction energy", "peak base shear")],
+)
 def test_derivatives(name):
     """Of events too: the largest acceleration is where a slip ends."""
 
@@ -285,6 +289,7 @@ def test_every_kind_of_contact(name):
         np.testing.assert_allclose(force, expected[i] if len(paths) > 1 else expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_two_contacts_have_sums_each():
     one = ss.simulate(PAIR, BELT, t1=12.0, method=ss.Exact(max_steps=768))
     assert one.slip_path.shape == one.slip_reversals.shape == (2,)
@@ -316,6 +321,7 @@ def test_what_is_refused():
     assert float(smooth.response("position", 0.1)) == float(smooth.evaluate(0.1)[0])
 
 
+@pytest.mark.slow
 def test_under_jit_and_vmap():
     def numbers(mu):
         system = ss.MassSpring(MASS, STIFFNESS, MASS * G, ss.Coulomb(mu), damping=DAMPING)
