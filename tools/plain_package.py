@@ -75,6 +75,7 @@ def figures() -> dict[str, Callable[[], object]]:
     assert np.isfinite(np.asarray(ss.LuGre(0.3, 0.4, 0.1, 1e3, 1.0).force(TIMES, np.sin(TIMES), 1.0))).all()
     assert nonlinear.periodic_orbit(BELT.system, BELT.law, y0=BELT.y0, iterations=5).state.shape == (2,)
     bound = ss.MotorCart(), ss.SourceVoltage()
+    blocks = ss.newmark_displacements([ss.GroundAcceleration([0.0, 0.5, 0.6], [3.0, 3.0, 0.0])], [0.1, 0.2])
     indices = sobol_indices()
     return {
         "time_history": lambda: plot.time_history(one),
@@ -98,6 +99,7 @@ def figures() -> dict[str, Callable[[], object]]:
             [1.0, 2.0], [1.0, 2.0], np.eye(2), xlabel="a", ylabel="b", label="c"
         ),
         "sobol_indices": lambda: plot.sobol_indices(indices),
+        "newmark_displacements": lambda: plot.newmark_displacements(blocks),
         "sensitivity_curve": lambda: plot.sensitivity_curve([derivative]),
         "tornado": lambda: plot.tornado(derivatives),
         "calibration": lambda: plot.calibration(fitted),
