@@ -19,6 +19,25 @@ RUN = {"t1": 20.0, "key": jax.random.key(2), "y0": (0.0, 0.3)}
 TONE = ss.Harmonic(0.3, 2.0)
 
 
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-5, 1e-7])
+def test_pulses_far_shorter_than_a_step(width):
+    """A triangular pulse with the velocity v at rest before it: the release on its rise, and the way until the stop."""
+    v, holds = 0.2, 0.5
+    slope = v / width**2
+    late = width - holds / slope  # from the release to the peak
+    way, speed = slope * late**3 / 6, slope * late**2 / 2
+    start = slope * width - holds  # of what accelerates the block at the peak
+    way = way + speed * width + start * width**2 / 2 - slope * width**3 / 6
+    speed = speed + start * width - slope * width**2 / 2
+    pulse = ss.GroundAcceleration([0.0, 1.0, 1.0 + width, 1.0 + 2 * width, 6.0], [0.0, 0.0, v / width, 0.0, 0.0])
+    one = ss.simulate(BLOCK, pulse, t1=6.0, method=ss.Exact(max_steps=768))
+    # The points of the record are exact to their last digits, 2.2e-16 s.
+    rel = max(1e-9, 4e-16 / width)
+    assert float(one.final_state[0]) == pytest.approx(-way - speed**2 / (2 * holds), rel=rel)
+    assert float(one.sticks.end[0]) == pytest.approx(1.0 + holds / slope, abs=1e-15)
+    assert int(one.near_grazing_count) == 0
+
+
 def test_what_is_infinite():
     assert BLOCK.stick_half_width == math.inf
     assert BLOCK.natural_frequency is None

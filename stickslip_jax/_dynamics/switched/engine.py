@@ -495,9 +495,9 @@ def _tried(
     clock = CLOCK_ULPS * eps * (lane.t + h)
     noise = NOISE_ULPS * eps * scale + clock * jnp.maximum(jnp.abs(d0), jnp.abs(d1))
     look = look_ahead(s0, d0 * h, s1, d1 * h, noise)
-    # One Newton step from the end. It is exact enough if the end is as near to the event as this.
+    # One Newton step from the end. It is exact enough if the end is as near to the event as this, in short pulses too.
     to_event = jnp.where(d1 < 0, -s1 / jnp.where(d1 < 0, d1, -1), jnp.inf)
-    is_near = jnp.abs(to_event) <= _LANDED[itemsize] * step + clock
+    is_near = jnp.abs(to_event) <= _LANDED[itemsize] * jnp.minimum(step, left) + clock
     # Tries that come no nearer, while the guard is zero but for round-off: the event is where the step ends.
     stalled = (lane.tries > 3 * _MANY_TRIES) & (jnp.abs(s1) <= 16 * noise)
     # A released mass leaves its stick with no relative velocity and nearly no relative acceleration: a step that ends
@@ -649,8 +649,7 @@ class SwitchedEngine(StepsEngine[Lane]):
     def inside(
         self, smooth: Signal | None, forms: tuple[Form, ...], step: tuple[StepBeginnings, State, FloatArray]
     ) -> Along:
-        # As long as was tried: that motion has been computed, wherever an event has ended it.
-        begun, _, length = step
+        begun, _, length = step  # as long as was tried: that motion has been computed
         return along_step(self._model(smooth), forms, (begun, length if begun.tried is None else begun.tried), True)
 
     def steps_are_short(self, smooth: Signal | None) -> bool:
@@ -742,9 +741,8 @@ class StepPath(MotionPath):
         lengths = jnp.append(begun.t[1:], last) - begun.t
         end = state_in_step(model, jax.tree.map(lambda values: values[-1], begun), lengths[-1])
         ends = jax.tree.map(lambda values, of_last: jnp.concatenate([values[1:], of_last[None]]), begun.y, end)
-        extremes, works = jax.vmap(lambda begun, h, end: seen_in_step(model, begun, h, end, asked))(
-            begun, lengths, ends
-        )
+        each = jax.vmap(lambda begun, h, end: seen_in_step(model, begun, h, end, asked))
+        extremes, works = each(begun, lengths, ends)
         if works is None:
             return jnp.max(extremes, axis=0), None
         none = Sums.zero(self.system.tracks.contacts, last.dtype)
