@@ -323,7 +323,9 @@ def fragility(
             a level of intensity parts those that do from those that do not; and for a probability that does not grow.
     """
     given = {"exceeds": exceeds, "intensity": intensity, "trials": 1 if trials is None else trials}
-    columns = [checks.numbers(name, np.asarray(values, float)) for name, values in given.items()]
+    arrays = {name: values if np.ma.isMaskedArray(values) else np.asarray(values) for name, values in given.items()}
+    arrays = {name: array.astype(float) if array.dtype == bool else array for name, array in arrays.items()}
+    columns = [checks.numbers(name, array).astype(float) for name, array in arrays.items()]
     groups = np.asarray(0 if records is None else records)
     shape = columns[0].shape
     try:

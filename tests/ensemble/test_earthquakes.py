@@ -245,3 +245,14 @@ def test_refusals():
     with pytest.raises(ValueError, match=r"record must be known for each sample here"):
         ss.response_spectrum(ss.RecordSuite(RECORDS, record="random"), [1.0])
     assert jax.config.read("jax_enable_x64")
+
+
+@pytest.mark.parametrize(
+    "values", [np.ma.array([1.0, 2.0, 3.0, 4.0], mask=[0, 0, 1, 0]), np.array([1.0, 2.0, 3.0, 4j])]
+)
+def test_fragility_of_what_is_no_number(values):
+    """Masked entries and imaginary parts are not dropped without a word."""
+    with pytest.raises(ValueError, match="Argument intensity must be real numbers"):
+        ss.fragility(values, [0, 1, 0, 1])
+    with pytest.raises(ValueError, match="Argument exceeds must be real numbers"):
+        ss.fragility([1.0, 2.0, 3.0, 4.0], np.ma.array([False, True, False, True], mask=[0, 0, 1, 0]))
