@@ -332,11 +332,11 @@ class BoundarySums(NamedTuple):
 
 
 _ROUND_OFF = {8: 1e-9, 4: 1e-3}  # of the guard's scale: a minimum closer to 0 is exactly 0 but for round-off
-FAR = 0.5  # of the guard's scale: beyond the width of any kernel
+_FAR = 0.5  # of the guard's scale: beyond the width of any kernel
 # Search along a flow: increments in time steps, then a number of refinements between the last two instants.
 _INCREMENTS, _REFINEMENTS = np.linspace(0.5, 1.5, 12), 5
-_JUST_AFTER, SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
-LANDED = 1e-6  # of the guard's scale: a mode that ends there has ended by itself
+_JUST_AFTER, _SOON = 0.05, 4.0  # time steps; beyond the width of any kernel
+_LANDED = 1e-6  # of the guard's scale: a mode that ends there has ended by itself
 
 _Tree = TypeVar("_Tree")
 _Start: TypeAlias = tuple[FloatArray, State, FloatArray]
@@ -520,7 +520,7 @@ def distances_of_step(model: _Model, shared: StepsShared, step: EngineStep, late
     scale = model.guard_scale(model.forcing(fixed.t, lax.stop_gradient(segments)), fixed.y, fixed.sign)
     # A minimum that is 0 but for round-off stays so, as after a release; one of half the scale is out of reach.
     size = jnp.abs(lowest)
-    is_close = (size > _ROUND_OFF[size.dtype.itemsize] * scale) & (size < FAR * scale)
+    is_close = (size > _ROUND_OFF[size.dtype.itemsize] * scale) & (size < _FAR * scale)
     is_minimum = (outcome.dips | outcome.has_event) & here.found & (here.rate > 0)
     age = jnp.where(is_ratio & here.found, then.t - step.crossed, 1)
     # Beyond the stop the motion is another one.
@@ -560,7 +560,7 @@ def distances_of_step(model: _Model, shared: StepsShared, step: EngineStep, late
     guard, rate = later.guard(inputs, nothing, step.y_end, nothing)
     # At this edge a released mass goes on in the other direction: it crosses the base velocity.
     other = later.release_sign(lax.stop_gradient(inputs), fixed.y_end) == -fixed.sign
-    is_near = (outcome.has_event | outcome.crosses) & ~sticking & other & (jnp.abs(guard) < FAR)
+    is_near = (outcome.has_event | outcome.crosses) & ~sticking & other & (jnp.abs(guard) < _FAR)
     returns, down = rate > 0, -then_across.value / jnp.where(across.found, across.tau, 1)
     is_known = ~returns | (outcome.has_event & across.found)
 
@@ -599,14 +599,14 @@ def _outcome_of(model: _Model, shared: StepsShared, step: EngineStep, later: _Mo
     inside = taken & (step.end < stop)
     has_event = inside & ((step.sign_end == 0) != sticking)
     if isinstance(model, AtContact):  # else another contact's event ended the mode (`counting.py`)
-        has_event = has_event & (jnp.abs(s[1]) < LANDED * model.guard_scale(inputs, step.y_end, step.sign))
+        has_event = has_event & (jnp.abs(s[1]) < _LANDED * model.guard_scale(inputs, step.y_end, step.sign))
     crosses = inside & ~sticking & (step.sign_end == -step.sign)
     # Far from the edge of the stick band a crossing stays one whatever the parameter's change.
     held, _ = later.guard(later.forcing(step.end, segments), 0 * tau, step.y_end, 0 * tau)
-    crosses = crosses & (jnp.abs(held) < FAR)
+    crosses = crosses & (jnp.abs(held) < _FAR)
     dips = taken & ~has_event & ~crosses & (fall < 1) & (dq[1] > 0)
     # Would the mode have switched soon, had the segment gone on? Along the tangent of the guard, within a few steps.
-    falls = taken & (step.end >= stop) & (s[1] > 0) & (s[1] < -SOON * step_length * d[1])
+    falls = taken & (step.end >= stop) & (s[1] > 0) & (s[1] < -_SOON * step_length * d[1])
     return _Outcome(tau, stop, has_event, crosses, dips, fall, falls, dq[1])
 
 
