@@ -291,7 +291,7 @@ def compare_series(case, seed):
     return len(sticks)
 
 
-@pytest.mark.slow_but_for("double")
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SERIES)
 def test_pendulums_in_series_under_records(case):
     """Against surfaces that each move by themselves under the same force."""

@@ -121,6 +121,7 @@ def test_single_precision():
         np.testing.assert_allclose(found, np.reshape(theirs, (-1, 2)), rtol=0, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_normal_forces_that_jump():
     """What slips stops where its limit jumps up, and what sticks slips where it falls below the spring's force."""
     of, y0 = random_set_up("opening", 7)
@@ -166,7 +167,8 @@ def test_jenkins_element_under_a_sine():
     assert area == pytest.approx(4 * strength * (2 * amplitude / 2 - strength / spring), rel=1e-5)
 
 
-@pytest.mark.parametrize("sliders", [10, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("sliders", [10, 100])
 def test_iwan_chain_under_a_triangle(sliders):
     """Strengths spread evenly over 0 to 1: Iwan's integral; loops are the first loading twice as large (Masing)."""
     strengths = (np.arange(sliders) + 0.5) / sliders
@@ -186,6 +188,7 @@ def test_iwan_chain_under_a_triangle(sliders):
     np.testing.assert_allclose(force[again], lowest + 2 * loading(moved[again] / 2), rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_free_decay_on_a_jenkins_element():
     """A mass with a velocity, a spring and an element: two linear motions in turn, by hand."""
     m, k, spring, strength, v = 2.0, 1.5, 3.0, 0.6, 1.7
@@ -295,6 +298,7 @@ def test_energies_and_forces(kind):
     assert np.all(np.abs(forces.T) <= of.static * np.maximum(normal, 0) + 1e-12)
 
 
+@pytest.mark.slow
 def test_ensembles():
     many = ss.simulate_ensemble(
         jenkins(), ss.PoissonSwitching(0.4, 0.7), t1=20.0, samples=50, key=jax.random.key(1), keep="sticks"
