@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, cast
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -49,8 +48,8 @@ class CompiledLanes(NamedTuple):
     """`lanes.summarize`, `lanes.open_lanes` and `lanes.record`, compiled."""
 
     summarize: Callable[..., Any]
-    open: Callable[..., tuple[jax.Array, ...]]
-    record: Callable[..., tuple[tuple[jax.Array, ...], lanes.Records, lanes.Blocks]]
+    open: Callable[..., lanes.Opened]
+    record: Callable[..., lanes.Recorded]
 
 
 def compiled_for(engine: Engine, *, with_records: bool = False) -> CompiledLanes:
@@ -65,7 +64,7 @@ def _compiled(is_built_in: bool) -> CompiledLanes:
     compiled = partial(CompiledNatively, compiler_options=options) if is_built_in else kept_jit
     return CompiledLanes(
         compiled(lanes.summarize, static_argnames=("lanes", "rows", "dtype")),
-        kept_jit(lanes.open_lanes, static_argnames=("lanes", "dtype"), compiler_options=options),
+        kept_jit(lanes.open_lanes, static_argnames=("lanes", "rows", "dtype"), compiler_options=options),
         compiled(lanes.record, static_argnames=("layout", "lanes", "blocks", "dtype")),
     )
 

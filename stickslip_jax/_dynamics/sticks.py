@@ -388,6 +388,13 @@ class FlatSticks(NamedTuple):
         return begins
 
     @property
+    def initial_rests(self) -> tuple[Bool[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+        """Whether each sample begins with a stick, and how long that lasts, s."""
+        begins, lasts = self.begins_at_zero, np.zeros(len(self.count))
+        lasts[begins] = self.end[self.first[begins]]
+        return begins, lasts
+
+    @property
     def touches(self) -> Bool[np.ndarray, " sticks"]:
         """Whether each stick begins at the very end of the one before it in its sample, without a slip."""
         same = np.diff(self.sample, prepend=-1) == 0
@@ -480,12 +487,11 @@ class StickStream(NamedTuple):
         return cls(sticks.count, last, sticks.numbers, slip, sticks.ending, *whose)
 
     @property
-    def begins_at_zero(self) -> Bool[np.ndarray, " samples"]:
-        """Whether each sample begins with a stick."""
-        begins = np.zeros(len(self.count), bool)
-        at_zero = np.flatnonzero(self.start == 0)
-        begins[self.owner[at_zero]] = True
-        return begins
+    def initial_rests(self) -> tuple[Bool[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+        """Whether each sample begins with a stick, and how long that lasts, s."""
+        begins, lasts = np.zeros(len(self.count), bool), np.zeros(len(self.count))
+        sums.compiled().initial_rests(self.start, self.end, self.owner, begins, lasts)
+        return begins, lasts
 
     def slip_after(self, t1: float) -> Float[np.ndarray, " samples"]:
         """Duration of the slip after each sample's last stick, s; 0 where it ends with a stick."""

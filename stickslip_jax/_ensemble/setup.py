@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from .._compiler.native import Layout, packed
+from .._compiler.native import Layout
 from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import (
     BLOCK,
@@ -587,7 +587,7 @@ class _Tasks(NamedTuple):
     def of(cls, setup: EnsembleSetup, samples: int, threads: int, chunk: int | None, is_recorded: bool) -> "_Tasks":
         if chunk is not None:
             chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
-        rows, useful = 32, samples if chunk is None else min(samples, chunk)
+        rows, useful = 64, samples if chunk is None else min(samples, chunk)
         size = partial(lane_size, dtype=setup.dtype, rows=rows, is_recorded=is_recorded)
         lanes = lanes_at_once(setup.engine.lanes, useful, lambda: size(setup.job(0, 1, 1)))
         if chunk is not None:
@@ -640,11 +640,14 @@ def _summarizer(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, None]:
         job = setup.job(first, -(-number // tasks.lanes), tasks.lanes * tasks.rows)
         results = summarize(job, lanes=tasks.lanes, rows=tasks.rows, dtype=setup.dtype)
-        return jax.tree.map(
-            lambda leaf: np.asarray(leaf).reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:]), results
-        ), None
+        return _in_a_row(results), None
 
     return run
+
+
+def _in_a_row(results: Any) -> Any:
+    """Results (rows, lanes) as those of samples, (samples,)."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:]), results)
 
 
 def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
@@ -652,36 +655,22 @@ def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
     of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * tasks.lanes)), setup.dtype
-    lane, track = np.arange(tasks.lanes)[:, None], np.arange(len(setup.tracks))
+    layout = Layout.of(jax.eval_shape(lambda job: job, setup.job(0, 1, tasks.lanes * tasks.rows)))
 
     def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, StickStream]:
         if not hasattr(of_thread, "sticks"):
             of_thread.sticks = StickCollector()
-        rows = -(-number // tasks.lanes)
-        job = jax.tree.map(jnp.asarray, setup.job(first, rows, tasks.lanes * tasks.rows))
-        now, task, layout = begin(job, lanes=tasks.lanes, dtype=dtype), packed(job), Layout.of(job)
-        of_thread.sticks.restart(number * len(track))
-        ended, unfinished = [], True
-        while unfinished:
-            now, buffer, progress = record(task, now, layout=layout, lanes=tasks.lanes, blocks=blocks, dtype=dtype)
-            progress = jax.tree.map(np.asarray, progress)
-            sample = progress.row[..., None] * tasks.lanes + lane
-            # The sticks of each track of a sample are collected as if they were those of a sample.
-            whose = (sample * len(track) + track).reshape(len(sample), -1)
-            of_thread.sticks.add(np.asarray(buffer.values), np.asarray(buffer.ending), whose)
-            over = progress.ended
-            ended.append((sample[over, 0], jax.tree.map(lambda column, over=over: column[over], progress.results)))
-            unfinished = np.any(progress.row[-1] + progress.ended[-1] < rows)
-        # Samples and their results come in the order in which they ended, and are put in that of their numbers.
-        sample = np.concatenate([numbers for numbers, _ in ended])
-
-        def in_order(*parts: np.ndarray) -> np.ndarray:
-            column = np.concatenate(parts)
-            ordered = np.zeros((tasks.rows * tasks.lanes, *column.shape[1:]), column.dtype)
-            ordered[sample] = column
-            return ordered
-
-        return jax.tree.map(in_order, *(results for _, results in ended)), of_thread.sticks.sticks
+        # While a thread is in the loops below, XLA's and Numba's, others can hold Python's lock.
+        job = setup.job(first, -(-number // tasks.lanes), tasks.lanes * tasks.rows)
+        task, now, results = begin(job, lanes=tasks.lanes, rows=tasks.rows, dtype=dtype)
+        of_thread.sticks.restart(number * len(setup.tracks))
+        goes_on = True
+        while goes_on:
+            now, results, buffer, whose, goes_on = record(
+                task, now, results, layout=layout, lanes=tasks.lanes, blocks=blocks, dtype=dtype
+            )
+            of_thread.sticks.add(*map(np.asarray, (*buffer, whose)))
+        return _in_a_row(results), of_thread.sticks.sticks
 
     return run
 

@@ -86,6 +86,27 @@ def put_in_order(first, owner, order, columns, ending, ordered, endings):
 
 @_loop
 @no_type_check
+def initial_rests(start, end, owner, begins, lasts):
+    """Of each sample whether it begins with a stick, and how long that lasts, (samples,)."""
+    for i in range(len(start)):
+        if start[i] == 0:
+            begins[np.uint64(owner[i])] = True
+            lasts[np.uint64(owner[i])] = end[i]
+
+
+@_loop
+@no_type_check
+def count_endings(start, ending, skip_rest, number):
+    """How many sticks end how, (endings,). `skip_rest`: whether to leave out the sticks that begin at 0."""
+    for code in range(len(number)):
+        found = 0
+        for i in range(len(start)):
+            found += (ending[i] == code) & ((start[i] != 0) | (not skip_rest))
+        number[code] = found
+
+
+@_loop
+@no_type_check
 def _fill(start, end, position, slip, others, skip_rest, first, size, rows):
     """Start, duration, position, `others` and preceding slip of each stick of a block; returns their number.
 

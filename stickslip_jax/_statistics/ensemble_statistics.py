@@ -494,7 +494,7 @@ class EnsembleStatistics(ByQuantity):
 
     def _that_have(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """The retained samples with a `number`-th stick, and in the sticks the place before the first one of each."""
-        skipped = self.numbering.skipped(self.sticks)
+        _, skipped = self.numbering.rest(self.sticks)
         has = np.flatnonzero(self.sticks.count - skipped >= number)
         return has, (self.sticks.first + skipped)[has] - 1
 

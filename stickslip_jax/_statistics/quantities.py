@@ -193,7 +193,7 @@ def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1
     d, compiled = _SLIP + 1, sums.compiled()
     skip_rest = bool(np.any(skipped))
     # A sample that begins with a stick has no slip there.
-    all_slips = skip_rest or not np.any(sticks.begins_at_zero)
+    all_slips = skip_rest or not np.any(sticks.initial_rests[0])
     columns = (
         sticks.start, sticks.end, sticks.position, sticks.slip, sticks.numbers[_OTHERS], skip_rest, all_slips
     )  # fmt: skip
@@ -317,25 +317,17 @@ class Numbering(NamedTuple):
 
     def order_of(self, sticks: FlatSticks) -> Int[np.ndarray, " sticks"]:
         """The number of each stick in its sample, from 1; 0 for one that is not numbered."""
-        before = sticks.first + self.skipped(sticks)
+        before = sticks.first + self.rest(sticks)[1]
         return np.arange(len(sticks.start)) - np.repeat(before, sticks.count) + 1
 
     def rest(
         self, sticks: FlatSticks | StickStream
     ) -> tuple[Float[np.ndarray, " samples"], Int[np.ndarray, " samples"]]:
         """Duration (s) and number (0 or 1) of the sticks of each sample that are not numbered."""
-        skipped = self.skipped(sticks)
-        time = np.zeros(len(skipped))
-        if np.any(skipped):
-            at_zero = np.flatnonzero(sticks.start == 0)
-            owner = sticks.owner if isinstance(sticks, StickStream) else sticks.sample
-            time[owner[at_zero]] = sticks.end[at_zero]
-        return time, skipped
-
-    def skipped(self, sticks: FlatSticks | StickStream) -> Int[np.ndarray, " samples"]:
-        """How many sticks of each sample come before its first numbered one: 0 or 1."""
-        begins = sticks.begins_at_zero
-        return np.zeros_like(begins, int) if self.count_initial_rest else begins.astype(int)
+        begins, lasts = sticks.initial_rests
+        if self.count_initial_rest:
+            begins, lasts = np.zeros_like(begins), np.zeros_like(lasts)
+        return lasts, begins.astype(int)
 
 
 class StickAccumulator(NamedTuple):
@@ -380,8 +372,8 @@ class StickAccumulator(NamedTuple):
         numbered = sticks.count - skipped
         has = numbered > 0
         own_mean = (fraction[has] * t1 - rest[has]) / numbered[has]
-        at_zero = np.flatnonzero(sticks.start == 0)[: int(np.sum(skipped))]
-        endings = [np.count_nonzero(sticks.ending == code) - np.sum(sticks.ending[at_zero] == code) for code in Ending]
+        endings = np.zeros(len(Ending), np.int64)
+        sums.compiled().count_endings(sticks.start, sticks.ending, bool(np.any(skipped)), endings)
         counts = (sticks.count, np.asarray(slips, np.int64))
         return cls(
             **sums_of_sticks(sticks, skipped, t1),
@@ -390,7 +382,7 @@ class StickAccumulator(NamedTuple):
             sample_bins=(*(DyadicCounts.of(one, BINS, finest=0) for one in counts), DyadicCounts.of(fraction, BINS)),
             own_mean=PowerSums.of(own_mean),
             own_mean_bins=DyadicCounts.of(own_mean, BINS),
-            endings=np.array(endings),
+            endings=endings,
         )
 
     def merge(self, other: "StickAccumulator") -> "StickAccumulator":

@@ -484,16 +484,27 @@ class Records(NamedTuple):
         )
 
 
-class Blocks(NamedTuple):
-    """A report of some blocks, arrays (blocks, lanes).
+class Opened(NamedTuple):
+    """A job to be recorded, and its lanes at the beginning, each `packed`; and room for its results, (rows, lanes)."""
 
-    - `row`: the row of samples that the lane was in; `job.used_rows` or more where the lane had no sample left.
-    - `ended`: whether its sample ended in the block. `results`: the results of the sample up to the end of the block.
+    job: tuple[Array, ...]
+    now: tuple[Array, ...]
+    results: Any
+
+
+class Recorded(NamedTuple):
+    """What some blocks have brought.
+
+    - `now`: the lanes, packed. `results`: those of all samples that have ended so far.
+    - `records`: the sticks. `whose`: (blocks, lanes), the sample in which each lane was, counted from the first of the
+      job; of several contacts its tracks, as if each were a sample. `goes_on`: whether a sample has not ended.
     """
 
-    row: AnyArray
-    ended: AnyArray
-    results: SampleTotals
+    now: tuple[Array, ...]
+    results: Any
+    records: Records
+    whose: IntArray
+    goes_on: BoolArray
 
 
 class Job(NamedTuple):
@@ -547,48 +558,46 @@ def summarize(job: Job, *, lanes: int, rows: int, dtype) -> Any:
 
     job = job.with_columns()
     now = lanes_at_start(job, lanes, dtype)
-    shapes = jax.eval_shape(partial(_results, job.engine), now)
-    results = jax.tree.map(lambda leaf: jnp.zeros((rows, *leaf.shape), leaf.dtype), shapes)
+    results = _no_results(job, now, rows)
     return lax.while_loop(lambda carry: jnp.any(carry[0].row < job.used_rows), advance, (now, results))[1]
 
 
-def open_lanes(job: Job, *, lanes: int, dtype) -> tuple[Array, ...]:
-    """All lanes at the beginning of their first sample, `packed` as `record` takes them."""
-    return packed(lanes_at_start(job, lanes, dtype))
+def open_lanes(job: Job, *, lanes: int, rows: int, dtype) -> Opened:
+    """All lanes at the beginning of their first sample; `job.used_rows` is at most `rows`."""
+    now = lanes_at_start(job, lanes, dtype)
+    return Opened(packed(job), packed(now), _no_results(job, now, rows))
 
 
 def record(
-    job: tuple[Array, ...], now: tuple[Array, ...], *, layout: Layout, lanes: int, blocks: int, dtype
-) -> tuple[tuple[Array, ...], Records, Blocks]:
+    job: tuple[Array, ...], now: tuple[Array, ...], results: Any, *, layout: Layout, lanes: int, blocks: int, dtype
+) -> Recorded:
     """Simulate the next `blocks` blocks, or fewer if the job is done before, and record every stick.
 
-    Takes the `packed` job with its `layout`, and the lanes that `open_lanes` or the previous call returned. Returns the
-    lanes for the next call, the records, and a report of each block.
+    Takes the job with its `layout`, and the lanes and results, as `open_lanes` or the previous call returned them.
     """
     task = unpacked(job, layout)
     start = partial(lanes_at_start, task, lanes, dtype)
     begun = unpacked(now, Layout.of(jax.eval_shape(start)))
+    tracks = task.engine.tracks or 1
 
-    def goes_on(carry):
-        block, now, _, _ = carry
-        return (block < blocks) & jnp.any(now.row < task.used_rows)
+    def unfinished(now):
+        return jnp.any(now.row < task.used_rows)
 
     def advance(carry):
-        block, now, records, reports = carry
+        block, now, results, records, whose = carry
         after, records = follow_block(task.engine, now, dtype, records, block * BLOCK)
-        following, ended, results = _following(task, now, after, dtype)
-        report = Blocks(now.row, ended, results)
-        return block + 1, following, records, jax.tree.map(lambda kept, new: _with(kept, new, block), reports, report)
+        following, ended, new = _following(task, now, after, dtype)
+        sample = (now.row * lanes + jnp.arange(lanes, dtype=jnp.int32))[:, None]
+        own = (sample * tracks + jnp.arange(tracks, dtype=jnp.int32)[None]).reshape(-1)
+        return block + 1, following, _note(results, now.row, ended, new), records, _with(whose, own, block)
 
-    def nothing(like, value=0):
-        return jnp.full((blocks, *like.shape), value, like.dtype)
-
-    results = jax.tree.map(nothing, jax.eval_shape(partial(_results, task.engine), begun))
-    reports = Blocks(nothing(begun.row, task.used_rows), jnp.zeros((blocks, lanes), bool), results)
-    slots, columns = blocks * BLOCK, lanes * (task.engine.tracks or 1)
+    slots, columns = blocks * BLOCK, lanes * tracks
     records = Records(jnp.zeros((slots, len(NUMBERS), columns), dtype), jnp.full((slots, columns), -1, jnp.int8))
-    _, following, records, reports = lax.while_loop(goes_on, advance, (jnp.int32(0), begun, records, reports))
-    return packed(following), records, reports
+    # Blocks that are not needed hold no stick, of whichever sample.
+    carry = jnp.int32(0), begun, results, records, jnp.full((blocks, columns), 2**31 - 1, jnp.int32)
+    carry = lax.while_loop(lambda carry: (carry[0] < blocks) & unfinished(carry[1]), advance, carry)
+    _, following, results, records, whose = carry
+    return Recorded(packed(following), results, records, whose, unfinished(following))
 
 
 def follow_block(
@@ -658,6 +667,11 @@ def _following(job: Job, before: Lanes, after: Lanes, dtype) -> tuple[Lanes, Boo
 
 def _results(engine: Engine, lanes: Lanes) -> Any:
     return jax.vmap(engine.results)(lanes.sample, lanes.motion)
+
+
+def _no_results(job: Job, now: Lanes, rows: int) -> Any:
+    shapes = jax.eval_shape(partial(_results, job.engine), now)
+    return jax.tree.map(lambda leaf: jnp.zeros((rows, *leaf.shape), leaf.dtype), shapes)
 
 
 def _with(kept: Array, new: Array, at: Array | int) -> Array:
