@@ -54,9 +54,11 @@ class PiecewiseConstantLaw(SegmentLaw):
     jumps = True
     takes_jumps = False
     has_exponential_gaps: ClassVar[bool] = False  # of mean 1 / rate, independent of all else
+    is_never_at_rest: ClassVar[bool] = False  # known to be so
     rests_on: ClassVar = {
         "all_intervals": ("next_interval",),
         "has_exponential_gaps": ("draw", "next_interval"),
+        "is_never_at_rest": ("begin", "next_interval"),
         "repeats_after": ("begin", "draw", "next_interval"),
     }
     only_with: ClassVar = {"next_segment": ("next_interval",)}
@@ -294,6 +296,7 @@ class SquareWave(PiecewiseConstantLaw):
 
     speed: Annotated[Number, Quantity("m/s", above=0)]
     period: Annotated[Number, Quantity("s", above=0)]
+    is_never_at_rest = True
 
     def begin(self, key_data, dtype):
         return -jnp.ones((), dtype)
@@ -335,6 +338,7 @@ class PoissonSwitching(PiecewiseConstantLaw):
     rate: Annotated[Number, Quantity("1/s", "mean number of switches per second", above=0)]
     first_sign: FirstSign = eqx.field(static=True, default="random")
     is_random = True
+    is_never_at_rest = True
     has_exponential_gaps = True
 
     def begin(self, key_data, dtype):

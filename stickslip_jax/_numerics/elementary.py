@@ -1,6 +1,7 @@
 """Elementary functions that vectorise: of angles and of random bits, and the motion of a damped linear oscillator."""
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -223,7 +224,7 @@ def _joined_words(words: KeyData, counter: Array) -> Array:
 
 def exponential(high: Array, low: Array, dtype) -> FloatArray:
     """Exponential deviates of mean 1 from random words: ``-log(u)``, u from `fine_uniform`."""
-    return -log(fine_uniform(high, low, dtype))
+    return -log(_STORED_UNIFORM[np.dtype(dtype)](high, low))
 
 
 def fine_uniform(high: Array, low: Array, dtype) -> FloatArray:
@@ -234,6 +235,13 @@ def fine_uniform(high: Array, low: Array, dtype) -> FloatArray:
         return one_to_two - (1 - 2.0**-53)
     one_to_two = jax.lax.bitcast_convert_type((high >> np.uint32(9)) | np.uint32(0x3F800000), jnp.float32)
     return one_to_two - np.float32(1 - 2.0**-24)
+
+
+# Stored, so that the bits are drawn in one loop and their logarithms are taken in another: each is a long chain of
+# operations that wait for one another, and a processor has only so many operations under way.
+_STORED_UNIFORM = {
+    np.dtype(dtype): computed_once(partial(fine_uniform, dtype=dtype)) for dtype in (np.float64, np.float32)
+}
 
 
 def uniform(words: Array, dtype) -> FloatArray:

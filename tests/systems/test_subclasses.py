@@ -210,6 +210,30 @@ def test_realisations_of_a_law():
     assert not law.has_exponential_gaps
 
 
+class Rests(ss.PoissonSwitching):
+    """Every other interval the base is at rest."""
+
+    def next_interval(self, memory, drawn, dtype):
+        return drawn * (1 / self.rate), jnp.where(memory > 0, memory * self.speed, 0), -memory
+
+
+def test_a_base_that_rests():
+    """Laws whose base never rests say so, and an ensemble does without what holds a mass on a base at rest. A class
+    of one's own that changes the intervals does not say it any more. Here the base rests first, and the mass inside the
+    stick band with it.
+    """
+    law, system = Rests(1.0, 1.0, first_sign="negative"), ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(1.0))
+    assert ss.PoissonSwitching(1.0, 1.0).is_never_at_rest
+    assert not law.is_never_at_rest
+    many = ss.simulate_ensemble(
+        system, law, t1=10.0, samples=64, key=jax.random.key(0), y0=(0.1, 0.0), keep="sticks", progress=False
+    )
+    first = ss.first_stick(many, count_initial_rest=True)
+    assert np.all(first.start == 0)
+    one = ss.simulate(system, many.realization(3)[1], t1=10.0, y0=(0.1, 0.0))
+    assert float(one.stick_time) == pytest.approx(float(many.totals.stick_time[3]), abs=1e-13)
+
+
 @pytest.mark.slow
 def test_derivative_by_the_rate_of_a_law():
     """Exponential gaps have a rule of their own, of no use to others: differences are the reference."""

@@ -287,14 +287,16 @@ it meets it, or else began; and whether the mass has arrived inside the stick ba
 
 
 def carry_across(
-    x: FloatArray, v: FloatArray, base: FloatArray, scales: Scales, span: FloatArray, began: FloatArray
-) -> IntervalPassage:
+    x: FloatArray, v: FloatArray, base: FloatArray, scales: Scales, span: FloatArray, began: FloatArray,
+    *, moving: bool = False,
+) -> IntervalPassage:  # fmt: skip
     """Carry the state ``(x, v)`` across an interval of the base velocity `base`, from `began` on for `span` (s).
 
     There is at most one stick: after a release the mass moves on a circle tangent to the base velocity from below.
+    `moving`: whether it is known that the base is not at rest, which saves a tenth of the work.
     """
     mirror, x, v, q, turned, span = mirrored(x, v, base, scales, span)
-    first = first_arc(x, v, q, turned, scales, span)
+    first = first_arc(x, v, q, turned, scales, span, moving=moving)
     given = first.side, first.H, first.time, first.arrives, q, turned, scales.deceleration, scales.spring, span
     last = _follow_crossings(*given)
     _, _, entered, arrived = last
@@ -400,10 +402,15 @@ def _rests(pull, v, base, scales):
 
 
 def first_arc(
-    x: FloatArray, v: FloatArray, q: FloatArray, turned: FloatArray, scales: Scales, span: FloatArray
-) -> FirstArc:
-    """The arc from the interval's first state; `turned`: ``omega q``."""
-    at_rest, side, A, v = _seen_from_center(x, v, q, scales)
+    x: FloatArray, v: FloatArray, q: FloatArray, turned: FloatArray, scales: Scales, span: FloatArray,
+    *, moving: bool = False,
+) -> FirstArc:  # fmt: skip
+    """The arc from the interval's first state; `turned`: ``omega q``; `moving`: whether that is known not to be 0."""
+    at_rest = None
+    if moving:
+        side, A = _seen_from_moving_center(x, v, q, scales)
+    else:
+        at_rest, side, A, v = _seen_from_center(x, v, q, scales)
     excess, reaches, H = _meeting(at_rest, A, v, q, turned, scales)
     time, moved, is_flat = _to_meeting(A, v, q, H, side, scales.spring)
     return FirstArc(side, A, v, excess, H, time, x + moved, is_flat, reaches & _is_within(time, span))
@@ -431,9 +438,17 @@ def _seen_from_center(x, v, q, scales):
 
 
 @computed_once
+def _seen_from_moving_center(x, v, q, scales):
+    alpha, pull = scales.deceleration, scales.spring.squared * x
+    side = jnp.where((v > q) | ((v == q) & (pull < -alpha)), -1, 1).astype(x.dtype)
+    return side, side * pull - alpha
+
+
+@computed_once
 def _meeting(at_rest, A, v, q, turned, scales):
     excess = excess_of(A, v, q, scales.spring)
-    reaches = at_rest | (excess > jnp.where(v < q, touch(A, turned, scales), 0))
+    reaches = excess > jnp.where(v < q, touch(A, turned, scales), 0)
+    reaches = reaches if at_rest is None else at_rest | reaches
     positive = excess > 0
     H = jnp.where(positive, jnp.sqrt(jnp.where(positive, excess, 1)), 0)
     return excess, reaches, H
@@ -549,15 +564,16 @@ def start_motion(scales: Scales, y0: tuple[Scalar, Scalar], quantities: tuple[st
 
 
 def cross_interval(
-    scales: Scales, motion: MassState, totals: Totals, duration: FloatArray, velocity: FloatArray
-) -> tuple[MassState, Totals, StickRecord, BoolArray]:
+    scales: Scales, motion: MassState, totals: Totals, duration: FloatArray, velocity: FloatArray,
+    *, moving: bool = False,
+) -> tuple[MassState, Totals, StickRecord, BoolArray]:  # fmt: skip
     """Cross one interval, cut at the horizon; returns the next state, the totals with its stick, its record, and
-    whether the mass met the base for no time.
+    whether the mass met the base for no time. `moving`: whether it is known that the base is not at rest.
     """
     t1 = scales.t1
     uncut = ~(motion.t + duration >= t1)  # a NaN duration is not cut: the time becomes NaN (`NOT_FINITE`)
     span = jnp.where(uncut, duration, t1 - motion.t)
-    passage = carry_across(motion.x, motion.v, velocity, scales, span, motion.t)
+    passage = carry_across(motion.x, motion.v, velocity, scales, span, motion.t, moving=moving)
     t_end = jnp.where(uncut, motion.t + duration, t1)
     stuck, released = passage.stuck, passage.released
     start = motion.t + passage.entered

@@ -94,7 +94,9 @@ class IntervalEngine(Engine[Scales, _Sample, _Lane, StickRecord, SampleTotals]):
     def step(self, shared: Scales, sample: _Sample, motion: _Lane, drawn: Any) -> tuple[_Lane, StickRecord]:
         duration, velocity, memory = self.law.next_interval(motion.memory, drawn, shared.t1.dtype)
         duration = jnp.where(duration >= shared.t1, shared.t1, duration)  # no infinity enters the arithmetic
-        moved, totals, stick, tie = cross_interval(shared, motion.motion, motion.totals, duration, velocity)
+        moved, totals, stick, tie = cross_interval(
+            shared, motion.motion, motion.totals, duration, velocity, moving=self.law.is_never_at_rest
+        )
         return _Lane(memory, moved, totals, motion.ties + tie), stick
 
     def watched(
