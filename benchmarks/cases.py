@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import stickslip_jax as ss
+from stickslip_jax._numerics.elementary import exponential, fine_uniform
 
 from . import compiled, derivatives
 from .baselines import scipy_lugre
+from .lock import held_share
 from .setups import (
     BELT,
     BESIDE_BRISTLES,
@@ -25,6 +27,7 @@ from .setups import (
     ON_HARMONIC,
     ONE_TRAJECTORY,
     RANDOM_PHASE,
+    RATE,
     REGULARIZED,
     SHAKEN,
     SPEED,
@@ -100,6 +103,62 @@ def _handed_on(sizes: Sizes) -> Run:
             sticks += 0 if many.flat_sticks is None else many.flat_sticks.start.size
         assert sticks > 0
         return Work(10 * part * INTERVALS)
+
+    return run
+
+
+# --- where the time of a base interval goes
+
+
+class CheapBits(ss.PoissonSwitching):
+    """Bits by two multiplications, which are not random enough, in place of those by Threefry."""
+
+    def draw(self, key_data: Any, number: Any, dtype: Any) -> Any:
+        return exponential(*_bits(key_data, number), dtype)
+
+
+class NoLogarithm(ss.PoissonSwitching):
+    """Cheap bits, and gaps of uniform distribution, of the same mean."""
+
+    def draw(self, key_data: Any, number: Any, dtype: Any) -> Any:
+        return 2 * fine_uniform(*_bits(key_data, number), dtype)
+
+
+def _bits(key_data: Any, number: Any) -> Any:
+    bits = (number * np.uint32(2654435761)) ^ key_data[0]
+    return bits * np.uint32(2246822519), bits ^ key_data[1]
+
+
+for _law in (CheapBits, NoLogarithm):  # compiled as the package's own laws are
+    _law.__module__ = ss.PoissonSwitching.__module__
+
+WITHOUT: dict[str, ss.PoissonSwitching] = {
+    "totals": LAW,
+    "totals, without Threefry": CheapBits(speed=SPEED, rate=RATE),
+    "totals, without random numbers": NoLogarithm(speed=SPEED, rate=RATE),
+}
+
+
+def _without(name: str, sizes: Sizes) -> Run:
+    """The conference paper's study on one thread, its random numbers by less and less work."""
+
+    def run(number: int) -> Work:
+        many = ss.simulate_ensemble(
+            system(), WITHOUT[name], t1=T1, samples=sizes.samples, key=jax.random.key(number), y0=START,
+            keep="totals", threads=1, progress=False,
+        )  # fmt: skip
+        assert many.finished == sizes.samples
+        return Work(sizes.samples * INTERVALS)
+
+    return run
+
+
+def _locked(keep: ss.Keep, sizes: Sizes) -> Run:
+    """Five times as many samples on one thread; the error is the share of the time under Python's lock."""
+
+    def run(number: int) -> Work:
+        many = sizes._replace(samples=5 * sizes.samples)
+        return Work(many.samples * INTERVALS, held_share(lambda: _ensemble(keep, 1, many)(number)))
 
     return run
 
@@ -451,6 +510,8 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
             found[f"{chain_name(blocks)}, {word}"] = partial(_blocks, blocks, threads)
     found |= {f"outputs: {name}": partial(_shaken, name) for name in OUTPUTS}
     found["every stick, handed on, 1 thread"] = _handed_on
+    found |= {f"part: {name}": partial(_without, name) for name in WITHOUT}
+    found |= {f"locked: {name}": partial(_locked, keep) for keep, name in KEPT}
     for name, function in COMPOSED.items():
         found[f"vmapped: {name}"] = partial(_composed, function)
     found["vmapped: harmonic base"] = _composed_harmonic

@@ -14,12 +14,14 @@ from . import (
     regularized,
     sensitivity,
     sequence,
+    shares,
     stepping,
     sweeps,
 )
 
 PARTS = {
     "intervals": intervals,
+    "shares": shares,
     "composed": composed,
     "derivatives": derivatives,
     "stepping": stepping,

@@ -313,6 +313,11 @@ class CompiledNatively(Generic[_Arguments, _Result]):
         self.usual = kept_jit(function, static_argnames=static_argnames, **options)
         self._refused: set[Hashable] = set()
 
+    def bound(self, arrays: tuple[Any, ...], static: dict[str, Any]) -> Callable[..., Any]:
+        """As `KeptJit.bound`, after a first call with such arguments."""
+        refused = jax.tree.structure((arrays, static)) in self._refused
+        return (self.usual if refused else self.native).bound(arrays, static)
+
     def __call__(self, *args: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
         kind = jax.tree.structure((args, named))
         if kind in self._refused:

@@ -108,6 +108,20 @@ class KeptJit(Generic[_Arguments, _Result]):
             return self.usual(*args, **named)
         return cast(_Result, jax.tree.unflatten(program.result, program.call(*leaves)))
 
+    def bound(self, arrays: tuple[Any, ...], static: dict[str, Any]) -> Callable[..., Any]:
+        """The function, for arrays like these and with these static arguments, outside of transformations.
+
+        What the arrays are is not looked at again: while Python does so, other threads wait.
+        """
+        leaves, tree = jax.tree.flatten(dict(zip(self.signature.parameters, arrays, strict=False)))
+        static_leaves, static_tree = jax.tree.flatten(static)
+        kinds = tuple(leaf.aval for leaf in leaves)
+        key = tree, static_tree, (*static_leaves,), (*map(type, static_leaves),), kinds, _state(jax.config)
+        program = self._found(key, leaves, tree, static)
+        if program is None:
+            return functools.partial(self.usual, **static)
+        return lambda *arrays: jax.tree.unflatten(program.result, program.call(*jax.tree.leaves(arrays)))
+
     def _known(self, key: Hashable) -> Any:
         generation = _this_generation()
         if self.generation != generation or len(self.programs) > _MOST_PROGRAMS:

@@ -49,7 +49,7 @@ class CompiledLanes(NamedTuple):
 
     summarize: Callable[..., Any]
     open: Callable[..., lanes.Opened]
-    record: Callable[..., lanes.Recorded]
+    record: Any
 
 
 def compiled_for(engine: Engine, *, with_records: bool = False) -> CompiledLanes:

@@ -656,6 +656,7 @@ def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
     blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * tasks.lanes)), setup.dtype
     layout = Layout.of(jax.eval_shape(lambda job: job, setup.job(0, 1, tasks.lanes * tasks.rows)))
+    options = {"layout": layout, "lanes": tasks.lanes, "blocks": blocks, "dtype": dtype}
 
     def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, StickStream]:
         if not hasattr(of_thread, "sticks"):
@@ -664,13 +665,13 @@ def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
         job = setup.job(first, -(-number // tasks.lanes), tasks.lanes * tasks.rows)
         task, now, results = begin(job, lanes=tasks.lanes, rows=tasks.rows, dtype=dtype)
         of_thread.sticks.restart(number * len(setup.tracks))
-        goes_on = True
-        while goes_on:
-            now, results, buffer, whose, goes_on = record(
-                task, now, results, layout=layout, lanes=tasks.lanes, blocks=blocks, dtype=dtype
-            )
-            of_thread.sticks.add(*map(np.asarray, (*buffer, whose)))
-        return _in_a_row(results), of_thread.sticks.sticks
+        found = record(task, now, results, **options)
+        follow = record.bound((task, now, results), options)
+        while True:
+            of_thread.sticks.add(*map(np.asarray, (*found.records, found.whose)))
+            if not found.goes_on:
+                return _in_a_row(found.results), of_thread.sticks.sticks
+            found = follow(task, found.now, found.results)
 
     return run
 

@@ -151,8 +151,12 @@ class DyadicCounts(NamedTuple):
             return self
         if self.low[0] > self.high[0]:
             return other
-        ends = zip(map(min, self.low, other.low), map(max, self.high, other.high), strict=True)
-        axes = [CommonBins.within(*pair, self.most, self.finest) for pair in ends]
+        low, high = tuple(map(min, self.low, other.low)), tuple(map(max, self.high, other.high))
+        if (low, high) == (self.low, self.high):  # as nearly always where parts are added: its bins hold all
+            sizes = self.counts.shape[-len(low) :]
+            axes = [CommonBins(*axis) for axis in zip(low, high, self.exponent, self.first, sizes, strict=True)]
+            return self._replace(counts=self.counts + other._on(axes))
+        axes = [CommonBins.within(*pair, self.most, self.finest) for pair in zip(low, high, strict=True)]
         return self.with_counts(axes, self._on(axes) + other._on(axes), self.most, self.finest)
 
     def in_bins(self, bins: CommonBins) -> np.ndarray:
