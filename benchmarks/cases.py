@@ -114,14 +114,16 @@ class CheapBits(ss.PoissonSwitching):
     """Bits by two multiplications, which are not random enough, in place of those by Threefry."""
 
     def draw(self, key_data: Any, number: Any, dtype: Any) -> Any:
-        return exponential(*_bits(key_data, number), dtype)
+        high, low = _bits(key_data, number)
+        return exponential(high, low, dtype)
 
 
 class NoLogarithm(ss.PoissonSwitching):
     """Cheap bits, and gaps of uniform distribution, of the same mean."""
 
     def draw(self, key_data: Any, number: Any, dtype: Any) -> Any:
-        return 2 * fine_uniform(*_bits(key_data, number), dtype)
+        high, low = _bits(key_data, number)
+        return 2 * fine_uniform(high, low, dtype)
 
 
 def _bits(key_data: Any, number: Any) -> Any:

@@ -2,6 +2,7 @@
 
 import math
 import re
+import time
 from functools import partial
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from benchmarks.baselines import (
     scipy_lugre,
 )
 from benchmarks.baselines.event_driver import switching_velocities
+from benchmarks.lock import held_share
 
 SLOTS, LANES = 400, 6
 
@@ -195,3 +197,11 @@ def test_prose_of_the_benchmarks_takes_its_numbers_from_the_tables():
     result = r"\d[\d.,]*\s+(?:times (?:here|as fast|faster)|minutes|ns\b|us\b|ms\b)|(?:reach(?:es|ed)|took) \d"
     # Not measured here: the time constant of a motor, and what JAX takes to hand over an array.
     assert re.findall(result, prose) == ["0.6 ms", "5 us"]
+
+
+def test_share_of_the_time_under_the_lock():
+    """Python that counts holds it, and one that sleeps does not."""
+    counting, sleeping = held_share(lambda: sum(range(20_000_000))), held_share(lambda: time.sleep(0.3))
+    if math.isnan(counting):
+        pytest.skip("the lock of this Python is not where it is looked for")
+    assert counting > 0.5 > sleeping
