@@ -77,9 +77,9 @@ _ARITHMETIC = {
 }
 _INSIDE = "cond custom_jvp_call custom_vmap_call jit pjit closed_call core_call remat2 checkpoint scan while".split()  # noqa: SIM905
 _OF_OWN = ("call_with_own_derivative", "tangent_of_call")  # `_numerics/derivatives.py`
-_LARGEST, _LARGEST_OF_LANES = 64, 2048
-"""Numbers in an array that is computed with, of one trajectory and of all that advance side by side. XLA divides larger
-ones among threads, and cannot put that into a native loop, nor sums over thousands."""
+_LARGEST = 64
+"""Numbers of one trajectory in an array that is computed with; XLA cannot put sums over thousands into a native loop.
+"""
 LANES = 256
 """Trajectories that advance side by side in a native loop: their arrays stay in the cache."""
 
@@ -139,18 +139,18 @@ _Axis: TypeAlias = int | None
 _KEPT = 512  # functions and their derivatives, so that those called outside ``jax.jit`` are not compiled again
 
 
-def native_call(closed: ClosedJaxpr, args: Sequence[_Leaf], lanes: int = 0) -> list[_Leaf]:
+def native_call(closed: ClosedJaxpr, args: Sequence[_Leaf], lanes: int = 0, most: int = 1) -> list[_Leaf]:
     """The results of `closed`. Works under jit, vmap and jvp, not in reverse mode, as the loops inside.
 
-    `lanes`: 0 for what is known to be compilable. Else the number of trajectories that it follows side by side: it is
-    compiled as usual where it, or a derivative of it, holds an operation that is not known to be `compilable`; and
-    ``jax.vmap`` makes blocks of it.
+    `lanes`: 0 for what is known to be compilable. Else the number of trajectories that it follows side by side, and it
+    is compiled as usual where it, or a derivative of it, holds an operation that is not known to be `compilable`.
+    ``jax.vmap`` makes blocks of `most` of them, if that is more than 1; else one call, which is then compiled as usual.
     """
-    return _call.bind(*args, closed=closed, lanes=lanes)
+    return _call.bind(*args, closed=closed, lanes=lanes, most=most)
 
 
-def _as_native(*args: _Leaf, closed: ClosedJaxpr, lanes: int) -> list[_Leaf]:
-    if lanes and _largest(closed.jaxpr) > (_LARGEST if lanes == 1 else _LARGEST_OF_LANES):
+def _as_native(*args: _Leaf, closed: ClosedJaxpr, lanes: int, most: int) -> list[_Leaf]:
+    if lanes and _largest(closed.jaxpr) > _LARGEST * lanes:
         return jaxpr_as_fun(closed)(*args)
 
     def reading_all(*args):
@@ -165,17 +165,17 @@ def _as_native(*args: _Leaf, closed: ClosedJaxpr, lanes: int) -> list[_Leaf]:
 
 
 @lru_cache(_KEPT)
-def _compiled(closed: ClosedJaxpr, lanes: int) -> Callable[..., list[_Leaf]]:
-    return jax.jit(lambda *args: native_call(closed, args, lanes))
+def _compiled(closed: ClosedJaxpr, lanes: int, most: int) -> Callable[..., list[_Leaf]]:
+    return jax.jit(lambda *args: native_call(closed, args, lanes, most))
 
 
 @_call.def_impl
-def _run(*args: _Leaf, closed: ClosedJaxpr, lanes: int) -> list[_Leaf]:
-    return _compiled(closed, lanes)(*args)
+def _run(*args: _Leaf, closed: ClosedJaxpr, **options: int) -> list[_Leaf]:
+    return _compiled(closed, **options)(*args)
 
 
 @_call.def_abstract_eval
-def _shapes(*_: _Leaf, closed: ClosedJaxpr, lanes: int) -> list[_Leaf]:
+def _shapes(*_: _Leaf, closed: ClosedJaxpr, **options: int) -> list[_Leaf]:
     return list(closed.out_avals)
 
 
@@ -208,12 +208,12 @@ def _with_tangents(closed: ClosedJaxpr, moved: tuple[bool, ...]) -> tuple[Closed
 
 
 def _jvp(
-    primals: Sequence[_Leaf], tangents: Sequence[_Leaf], *, closed: ClosedJaxpr, lanes: int
+    primals: Sequence[_Leaf], tangents: Sequence[_Leaf], *, closed: ClosedJaxpr, **options: int
 ) -> tuple[list[_Leaf], list[_Leaf]]:
     moved = tuple(type(tangent) is not ad.Zero for tangent in tangents)
     both, real = _with_tangents(closed, moved)
     moving = [tangent for tangent, m in zip(tangents, moved, strict=True) if m]
-    results = native_call(both, [*primals, *moving], lanes)
+    results = native_call(both, [*primals, *moving], **options)
     out, slopes = results[: len(real)], iter(results[len(real) :])
     return out, [
         next(slopes) if is_real else ad.Zero(aval.to_tangent_aval())
@@ -244,16 +244,17 @@ def _batched(closed: ClosedJaxpr, axes: tuple[_Axis, ...], size: int) -> tuple[C
 
 
 def _batch(
-    args: Sequence[_Leaf], axes: Sequence[_Axis], *, closed: ClosedJaxpr, lanes: int
+    args: Sequence[_Leaf], axes: Sequence[_Axis], *, closed: ClosedJaxpr, lanes: int, most: int
 ) -> tuple[list[_Leaf], tuple[_Axis, ...]]:
     mapped = [axis is not None for axis in axes]
     args = [jnp.moveaxis(arg, axis, 0) if axis else arg for arg, axis in zip(args, axes, strict=True)]
     size = next(arg.shape[0] for arg, m in zip(args, mapped, strict=True) if m)
-    width, largest = max(size, 1), _largest(closed.jaxpr) if lanes else math.inf
-    if largest <= _LARGEST * lanes:
-        width = block_width(size, max(1, min(LANES // lanes, int(_LARGEST_OF_LANES / largest))))
+    width = size
+    if most > 1 and _largest(closed.jaxpr) <= _LARGEST * lanes:
+        width = block_width(size, max(1, most // lanes))
+        lanes *= width
     batched, out_axes = _batched(closed, tuple(0 if m else None for m in mapped), width)
-    moved, run = of_moving(lambda *part: native_call(batched, part, lanes * width), args, mapped)
+    moved, run = of_moving(lambda *part: native_call(batched, part, lanes, most), args, mapped)
     if width >= size:
         return run(*moved), out_axes
     has_lanes = [axis is not None for axis in out_axes]
@@ -327,12 +328,16 @@ COMPILED_QUICKLY: dict[str, Any] = {} if PLAIN else {"xla_llvm_disable_expensive
 
 
 def native_loop(
-    function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), *, known_only: bool = False
+    function: Callable[_Arguments, _Result],
+    static_argnames: tuple[str, ...] = (),
+    *,
+    known_only: bool = False,
+    most: int = 1,
 ) -> Callable[_Arguments, _Result]:
     """`function`, a loop over small arrays, compiled into one native function of the CPU.
 
     One thread runs it. Works under jit, vmap and jvp, not in reverse mode; `static_argnames` as in ``jax.jit``, to be
-    given by name. `known_only`: for functions that hold a user's, see `native_call`.
+    given by name. `known_only`: for functions that hold a user's; it and `most` as in `native_call`.
     """
     compiled = jax.jit(function, static_argnames=static_argnames)
 
@@ -345,7 +350,7 @@ def native_loop(
         if len(arrays) != len(traced.jaxpr.in_avals):  # it encloses what JAX traces
             return function(*args, **options)
         return jax.tree.unflatten(
-            jax.tree.structure(traced.out_info), native_call(traced.jaxpr, arrays, int(known_only))
+            jax.tree.structure(traced.out_info), native_call(traced.jaxpr, arrays, int(known_only), most)
         )
 
     fixed = frozenset(static_argnames)

@@ -184,7 +184,7 @@ def _plain(what: What, given: Given) -> Any:
     if what == "final":
         return motion, totals
     if what == "sticks":
-        return closed_up(records)
+        return closed_up(records)[0]
     ties = jax.vmap(is_tie, (None, 0, 0, 0))(given.scales, began, given.durations, given.velocities)
     return IntervalBeginnings(began, jnp.sum(ties | brief, dtype=jnp.int32))
 
