@@ -185,7 +185,8 @@ def _orders(stuck: BoolArray, starts: FloatArray) -> IntArray:
     A record is made when a stick ends, so that nearly all are in order; and XLA sorts slowly on the CPU.
     """
     if native_loops_work():
-        return _inserted(stuck, starts, jnp.zeros(stuck.shape, jnp.int32))
+        ends = jnp.max(jnp.where(stuck, jnp.arange(1, stuck.shape[1] + 1, dtype=jnp.int32)[None], 0), axis=1, initial=0)
+        return _inserted(stuck, starts, ends, jnp.zeros(stuck.shape, jnp.int32))
     return jnp.argsort(jnp.where(stuck, starts, jnp.inf), axis=1, stable=True).astype(jnp.int32)
 
 
@@ -197,9 +198,8 @@ def _more_rows(size: int, mapped: list[bool], *given: AnyArray) -> tuple[IntArra
 
 
 @native_loop
-def _inserted(stuck: BoolArray, starts: FloatArray, orders: IntArray) -> IntArray:
-    """Insertion sort of each row."""
-    rows, records = stuck.shape
+def _inserted(stuck: BoolArray, starts: FloatArray, ends: IntArray, orders: IntArray) -> IntArray:
+    """Insertion sort of each row, up to the end of its sticks."""
 
     def put(orders, row, place, number):
         return lax.dynamic_update_slice(orders, jnp.reshape(number, (1, 1)), (row, place))
@@ -220,9 +220,9 @@ def _inserted(stuck: BoolArray, starts: FloatArray, orders: IntArray) -> IntArra
         return row, count + is_stick, put(orders, row, place, number)
 
     def order_row(row, orders):
-        return lax.fori_loop(jnp.int32(0), jnp.int32(records), insert, (row, jnp.int32(0), orders))[2]
+        return lax.fori_loop(jnp.int32(0), ends[row], insert, (row, jnp.int32(0), orders))[2]
 
-    return lax.fori_loop(jnp.int32(0), jnp.int32(rows), order_row, orders)
+    return lax.fori_loop(jnp.int32(0), jnp.int32(stuck.shape[0]), order_row, orders)
 
 
 def no_stick(dtype: Any, quantities: Iterable[str], shape: tuple[int, ...] = ()) -> StickRecord:
