@@ -1,38 +1,47 @@
-"""`simulate` under `jax.vmap`, sampling included, beside `simulate_ensemble`: on one core and on two."""
+"""`simulate` under `jax.vmap`, sampling included, beside `simulate_ensemble`: on one core and on two, in both
+precisions.
+"""
 
 from typing import Any
 
 from ..rounds import Rounds
+from ..setups import EVERY_STICK, MEAN, OWN_ENGINES, STICK_TIME
 from ..workers import Bench
 
-TOTALS, VALUE, HARMONIC = "totals", "vmapped: mean stick duration", "vmapped: harmonic base"
-STEPPED = "harmonic base of random phase"
-POISSON = (
-    "vmapped: stick time alone",
-    "vmapped: every stick, in order",
-    VALUE,
-    "vmapped: mean stick duration, value_and_grad",
-    "vmapped: mean stick duration, jvp",
-)
-BESIDE = {TOTALS: 'keep="totals"', STEPPED: 'keep="totals", harmonic base'}
+TOTALS = 'keep="totals"'
+DERIVATIVES = (f"{MEAN}, value_and_grad", f"{MEAN}, jvp")
+CLOSED_FORM = OWN_ENGINES[0]
 CORES = {"1 thread": "--one-core", "2 threads": ""}
+PRECISIONS = {"float64": "", "float32": "--float32"}
+
+
+def label(engine: str, program: str, precision: str) -> str:
+    """What a row is called."""
+    return f"{engine}, {precision}: {program}"
 
 
 def measure(bench: Bench) -> list[dict[str, Any]]:
     """A row for each case: on one core, and on all with as many threads of `simulate_ensemble`."""
     found: dict[str, dict[str, Any]] = {}
-    for threads, option in CORES.items():
-        worker = bench.worker(*filter(None, [option]), alone="composed")
-        cases = {**{case: f"{case}, {threads}" for case in BESIDE}, **{case: case for case in (*POISSON, HARMONIC)}}
-        rounds = Rounds([worker.program(case, label) for label, case in cases.items()], bench.rounds)
-        for program in rounds.programs:
-            label = program.label
-            row = found.setdefault(label, {"label": BESIDE.get(label, label), "compile_s": program.compile_seconds})
-            row[threads] = {
-                "seconds": rounds.seconds(label),
-                "times_totals": rounds.ratio(label, STEPPED if label in (STEPPED, HARMONIC) else TOTALS),
-                "times_value": rounds.ratio(label, VALUE) if label.startswith(f"{VALUE}, ") else None,
-            }
+    for precision, how in PRECISIONS.items():
+        for threads, option in CORES.items():
+            worker = bench.worker(*filter(None, [option, how]), alone="composed")
+            cases = {}
+            for engine in OWN_ENGINES:
+                cases[label(engine, TOTALS, precision)] = f"beside {engine}, {threads}"
+                more = (MEAN, *DERIVATIVES) if engine == CLOSED_FORM and precision == "float64" else ()
+                for program in (STICK_TIME, EVERY_STICK, *more):
+                    cases[label(engine, program, precision)] = f"vmapped {engine}: {program}"
+            rounds = Rounds([worker.program(case, name) for name, case in cases.items()], bench.rounds)
+            for program in rounds.programs:
+                name = program.label
+                row = found.setdefault(name, {"label": name, "compile_s": program.compile_seconds})
+                beside = name.split(": ")[0]
+                row[threads] = {
+                    "seconds": rounds.seconds(name),
+                    "times_totals": rounds.ratio(name, f"{beside}: {TOTALS}"),
+                    "times_value": rounds.ratio(name, f"{beside}: {MEAN}") if name.endswith(DERIVATIVES) else None,
+                }
     return list(found.values())
 
 

@@ -122,8 +122,7 @@ def _jaxprs_in(params: Any) -> Iterator[core.Jaxpr]:
 #
 # XLA (jaxlib 0.10.2) aborts the process if a native function does not read one of its arguments. That can happen to any
 # function under ``jax.jit``: JAX removes unused results, which every derivative of a derivative has, and what only they
-# needed. This primitive has no rule for removing anything, so that after all transformations every argument is read and
-# every result kept.
+# needed. The rule of this primitive removes results but no arguments, and all of these are read (`reading_all`).
 
 
 NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
@@ -266,7 +265,7 @@ def _batch(
 def block_width(size: int, most: int) -> int:
     """The number of lanes in blocks of `size` lanes that have at most so many: about the same in each."""
     blocks = -(-size // most)
-    return max(size, 1) if blocks <= 1 else min(most, 8 * -(-size // (8 * blocks)))
+    return size if blocks <= 1 else min(most, 8 * -(-size // (8 * blocks)))
 
 
 def in_blocks(run: Callable[[_Arrays], Any], arrays: _Arrays, width: int) -> Any:

@@ -272,7 +272,7 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
         lanes = given.durations.shape[0]
         if 0 < lanes <= LANES:
             return run_block(given)
-        return in_blocks(run_block, given, block_width(lanes, LANES))
+        return in_blocks(run_block, given, max(block_width(lanes, LANES), 1))
 
     mapped = custom_vmap(run)
 
