@@ -282,7 +282,7 @@ def in_blocks(run: Callable[[_Arrays], Any], arrays: _Arrays, width: int) -> Any
         run, jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((width, *leaf.shape[1:]), leaf.dtype), arrays)
     )
     buffer = jax.tree.map(lambda leaf: jnp.zeros((lanes, *leaf.shape[1:]), leaf.dtype), shapes)
-    return lax.fori_loop(0, -(-lanes // width), add_block, buffer)
+    return lax.fori_loop(0, -(-lanes // width), add_block, buffer) if lanes else buffer
 
 
 @lru_cache(_KEPT)
