@@ -2,11 +2,12 @@
 precisions.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from ..rounds import Rounds
+from ..rounds import Program, Rounds
 from ..setups import EVERY_STICK, MEAN, OWN_ENGINES, STICK_TIME
-from ..workers import Bench
+from ..workers import Bench, Worker
 
 TOTALS = 'keep="totals"'
 DERIVATIVES = (f"{MEAN}, value_and_grad", f"{MEAN}, jvp")
@@ -20,20 +21,27 @@ def label(engine: str, program: str, precision: str) -> str:
     return f"{engine}, {precision}: {program}"
 
 
+def _programs(worker: Worker, precision: str, threads: str) -> list[Program]:
+    """All of one precision, compiled."""
+    cases = {}
+    for engine in OWN_ENGINES:
+        cases[label(engine, TOTALS, precision)] = f"beside {engine}, {threads}"
+        more = (MEAN, *DERIVATIVES) if engine == CLOSED_FORM and precision == "float64" else ()
+        for program in (STICK_TIME, EVERY_STICK, *more):
+            cases[label(engine, program, precision)] = f"vmapped {engine}: {program}"
+    return [worker.program(case, name) for name, case in cases.items()]
+
+
 def measure(bench: Bench) -> list[dict[str, Any]]:
     """A row for each case: on one core, and on all with as many threads of `simulate_ensemble`."""
     found: dict[str, dict[str, Any]] = {}
-    for precision, how in PRECISIONS.items():
-        for threads, option in CORES.items():
-            worker = bench.worker(*filter(None, [option, how]), alone="composed")
-            cases = {}
-            for engine in OWN_ENGINES:
-                cases[label(engine, TOTALS, precision)] = f"beside {engine}, {threads}"
-                more = (MEAN, *DERIVATIVES) if engine == CLOSED_FORM and precision == "float64" else ()
-                for program in (STICK_TIME, EVERY_STICK, *more):
-                    cases[label(engine, program, precision)] = f"vmapped {engine}: {program}"
-            rounds = Rounds([worker.program(case, name) for name, case in cases.items()], bench.rounds)
-            for program in rounds.programs:
+    for threads, option in CORES.items():
+        workers = [bench.worker(*filter(None, [option, how]), alone="composed") for how in PRECISIONS.values()]
+        with ThreadPoolExecutor() as pool:  # both precisions are compiled at the same time
+            compiled = list(pool.map(_programs, workers, PRECISIONS, [threads] * len(PRECISIONS)))
+        for programs in compiled:
+            rounds = Rounds(programs, bench.rounds)
+            for program in programs:
                 name = program.label
                 row = found.setdefault(name, {"label": name, "compile_s": program.compile_seconds})
                 beside = name.split(": ")[0]
@@ -42,7 +50,8 @@ def measure(bench: Bench) -> list[dict[str, Any]]:
                     "times_totals": rounds.ratio(name, f"{beside}: {TOTALS}"),
                     "times_value": rounds.ratio(name, f"{beside}: {MEAN}") if name.endswith(DERIVATIVES) else None,
                 }
-    return list(found.values())
+    order = [f"{engine}, {precision}" for precision in PRECISIONS for engine in OWN_ENGINES]
+    return sorted(found.values(), key=lambda row: order.index(row["label"].split(": ")[0]))
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:

@@ -484,7 +484,7 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
         start = self.lane(smooth, _NO_KEY_DATA, dtype, **begun)
         return stopping_scan(one_step, start, int(self.most_steps), lambda lane, _: self.ended(lane, lane), self.idle)
 
-    def followed(self, dtype, most: int) -> tuple[StepsLane, tuple[StickRecord, Any]]:
+    def followed(self, dtype, most: int) -> Any:
         """`follow`, with derivatives by at most so many numbers computed along with it; under ``jax.vmap`` in native
         blocks where ensembles are followed so too.
         """
