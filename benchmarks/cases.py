@@ -19,19 +19,23 @@ from .setups import (
     BESIDE_BRISTLES,
     BUILDING,
     ENSEMBLES,
+    EVERY_STICK,
     HARMONIC,
     INNER_TOLERANCES,
     INTERVALS,
     LAW,
+    MEAN,
     ON_BRISTLES,
     ON_HARMONIC,
     ONE_TRAJECTORY,
+    OWN_ENGINES,
     RANDOM_PHASE,
     RATE,
     REGULARIZED,
     SHAKEN,
     SPEED,
     START,
+    STICK_TIME,
     T1,
     THREADS,
     TWO_BLOCKS,
@@ -168,47 +172,104 @@ def _locked(keep: ss.Keep, sizes: Sizes) -> Run:
 # --- `simulate` under vmap, sampling included
 
 
-def _one(key: Any, mu: Any) -> ss.Simulation:
-    return ss.simulate(system(mu), LAW.sample(key, t1=T1), t1=T1, y0=START)
+class Own(NamedTuple):
+    """Programs of one's own: `simulate` of a friction coefficient and one of the inputs, which `inputs` gives by the
+    round's number; and `together`, the same samples by `simulate_ensemble`, given that number and threads.
+    """
+
+    samples: int
+    work: float
+    simulate: Callable[[Any, Any], ss.Simulation]
+    inputs: Callable[[int], Any]
+    together: Callable[[int, int], Any]
+    mu: float = 1.0
 
 
-def _mean_stick_duration(mu: Any, keys: Any) -> Any:
-    sticks = jax.vmap(lambda key: _one(key, mu).sticks)(keys)
+def _own(engine: str, sizes: Sizes) -> Own:
+    samples = sizes.vmapped if engine == "Poisson switching" else sizes.vmapped_stepped
+    quiet = {"samples": samples, "keep": "totals", "progress": False}
+    if engine == "two blocks":
+        t1, still = sizes.blocks_t1, (0.0, 0.0)
+
+        def blocks_together(number: int, threads: int) -> Any:
+            y0 = (*starts(number, 2, samples), *still)
+            return ss.simulate_contacts(TWO_BLOCKS, BELT, t1=t1, y0=y0, threads=threads, **quiet)
+
+        return Own(
+            samples, samples * t1,
+            lambda mu, x: ss.simulate(TWO_BLOCKS, BELT, t1=t1, y0=(x[0], x[1], *still)),
+            lambda number: jnp.asarray(starts(number, 2, samples).T),
+            blocks_together,
+        )  # fmt: skip
+    of_engine = {
+        "Poisson switching": ("closed form: Poisson switching", system(), LAW, sizes.switched_t1),
+        "harmonic base": ("time steps: harmonic base", system(), RANDOM_PHASE, sizes.stepped_t1),
+        "motor and cart": ("time steps: motor and cart", None, None, sizes.cart_t1),
+        "a user's system": (
+            "time steps: a user's system",
+            derivatives.HardeningSpring(1.0),
+            RANDOM_PHASE,
+            sizes.stepped_t1,
+        ),
+    }
+    case, moved, law, t1 = of_engine[engine]
+    cart = ss.papers.motor_cart(0.2)
+    y0 = START if moved else cart.y0
+
+    def together(number: int, threads: int) -> Any:
+        key = jax.random.key(number)
+        return ss.simulate_ensemble(
+            moved or cart.system, law or cart.law, t1=t1, y0=y0, key=key, threads=threads, **quiet
+        )
+
+    return Own(
+        samples, samples * t1, derivatives.ENGINES[case](sizes),
+        lambda number: jax.random.split(jax.random.key(number), samples), together, derivatives.FRICTION.get(case, 1.0),
+    )  # fmt: skip
+
+
+def _stick_times(own: Own, mu: Any, inputs: Any) -> Any:
+    return jax.vmap(lambda given: own.simulate(mu, given).stick_time)(inputs)
+
+
+def _all_sticks(own: Own, mu: Any, inputs: Any) -> Any:
+    return jax.vmap(lambda given: own.simulate(mu, given).sticks)(inputs)
+
+
+def _mean_stick_duration(own: Own, mu: Any, inputs: Any) -> Any:
+    sticks = _all_sticks(own, mu, inputs)
     return jnp.where(sticks.mask, sticks.duration, 0.0).sum() / sticks.mask.sum()
 
 
-COMPOSED: dict[str, Callable[[Any, Any], Any]] = {
-    "stick time alone": lambda mu, keys: jax.vmap(lambda key: _one(key, mu).stick_time)(keys),
-    "every stick, in order": lambda mu, keys: jax.vmap(lambda key: _one(key, mu).sticks)(keys),
-    "mean stick duration": _mean_stick_duration,
-    "mean stick duration, value_and_grad": jax.value_and_grad(_mean_stick_duration),
-    "mean stick duration, jvp": lambda mu, keys: jax.jvp(lambda m: _mean_stick_duration(m, keys), (mu,), (1.0,)),
+PROGRAMS: dict[str, Callable[[Own, Any, Any], Any]] = {
+    STICK_TIME: _stick_times,
+    EVERY_STICK: _all_sticks,
+    MEAN: _mean_stick_duration,
+    f"{MEAN}, value_and_grad": jax.value_and_grad(_mean_stick_duration, argnums=1),
+    f"{MEAN}, jvp": lambda own, mu, inputs: jax.jvp(
+        lambda mu: _mean_stick_duration(own, mu, inputs), (mu,), (jnp.ones_like(mu),)
+    ),
 }
 
 
-def _composed(function: Callable[[Any, Any], Any], sizes: Sizes) -> Run:
-    compiled_function = jax.jit(function)
+def _composed(engine: str, name: str, sizes: Sizes) -> Run:
+    own = _own(engine, sizes)
+    program = jax.jit(partial(PROGRAMS[name], own))
 
     def run(number: int) -> Work:
-        keys = jax.random.split(jax.random.key(number), sizes.vmapped)
-        jax.block_until_ready(compiled_function(1.0, keys))
-        return Work(sizes.vmapped * INTERVALS)
+        jax.block_until_ready(program(jnp.asarray(own.mu), own.inputs(number)))
+        return Work(own.work)
 
     return run
 
 
-def _composed_harmonic(sizes: Sizes) -> Run:
-    """A smooth base, followed in time steps."""
-    t1 = sizes.stepped_t1
-
-    @jax.jit
-    @jax.vmap
-    def stick_time(key: Any) -> Any:
-        return ss.simulate(system(), RANDOM_PHASE.sample(key), t1=t1, y0=START).stick_time
+def _beside(engine: str, threads: int, sizes: Sizes) -> Run:
+    """The ensemble of as many samples."""
+    own = _own(engine, sizes)
 
     def run(number: int) -> Work:
-        jax.block_until_ready(stick_time(jax.random.split(jax.random.key(number), sizes.vmapped_stepped)))
-        return Work(sizes.vmapped_stepped * t1)
+        own.together(number, threads)
+        return Work(own.work)
 
     return run
 
@@ -514,9 +575,8 @@ def _all() -> dict[str, Callable[[Sizes], Run]]:
     found["every stick, handed on, 1 thread"] = _handed_on
     found |= {f"part: {name}": partial(_without, name) for name in WITHOUT}
     found |= {f"locked: {name}": partial(_locked, keep) for keep, name in KEPT}
-    for name, function in COMPOSED.items():
-        found[f"vmapped: {name}"] = partial(_composed, function)
-    found["vmapped: harmonic base"] = _composed_harmonic
+    found |= {f"vmapped {of}: {name}": partial(_composed, of, name) for of in OWN_ENGINES for name in PROGRAMS}
+    found |= {f"beside {of}, {THREADS[i]}": partial(_beside, of, i + 1) for of in OWN_ENGINES for i in range(2)}
     found |= {diagram_name(size): partial(_diagram, size) for size in (*TINY.diagrams, *FULL.diagrams)}
     found |= {basin_name(size): partial(_basins, size) for size in (*TINY.basins, *FULL.basins)}
     for name in ONE_TRAJECTORY:

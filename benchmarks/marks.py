@@ -3,6 +3,7 @@
 from typing import Any
 
 from .parts import composed, intervals, motor_cart
+from .setups import EVERY_STICK, OWN_ENGINES, STICK_TIME
 
 ENGINE = "stickslip_jax, "
 NEEDED = {"intervals", "composed", "motor cart", "sensitivity"}
@@ -27,13 +28,19 @@ def table(parts: dict[str, list[dict[str, Any]]]) -> list[str]:
     for name, asked in (("full statistics", "2.0"), ("every stick", "2.0"), ("totals, uncertain", "1.5")):
         both = [rows[f"{ENGINE}{name}, {threads}"]["times_totals"] for threads in composed.CORES]
         add(f"{name}, times totals; one and two threads", asked, *both)
-    for case, key, asked in (
-        ("vmapped: stick time alone", "times_totals", "3"),
-        ("vmapped: every stick, in order", "times_totals", "6"),
-        ("vmapped: mean stick duration, value_and_grad", "times_value", "3"),
-    ):
-        both = [vmapped[case][threads][key] for threads in composed.CORES]
-        add(f"{case}, {key.replace('_', ' ')}; one and two cores", asked, *both)
+    for program, asked in ((STICK_TIME, "1.5"), (EVERY_STICK, "3")):
+        for engine in OWN_ENGINES:
+            kinds = [vmapped[composed.label(engine, program, precision)] for precision in composed.PRECISIONS]
+            reached = [row[threads]["times_totals"] for row in kinds for threads in composed.CORES]
+            add(
+                f"vmapped {engine}: {program}, times totals; float64, float32, each on one and two cores",
+                asked,
+                *reached,
+            )
+    for derivative in composed.DERIVATIVES:
+        row = vmapped[composed.label(composed.CLOSED_FORM, derivative, "float64")]
+        both = [row[threads]["times_value"] for threads in composed.CORES]
+        add(f"vmapped {composed.CLOSED_FORM}: {derivative}, times the value; one and two cores", "3", *both)
     carts = {row["label"]: row["speed"] for row in parts["motor cart"]}
     both = [carts[f"{ENGINE}totals, {threads}"] for threads in composed.CORES]
     add(f"motor and cart, totals, times as fast as {motor_cart.BESIDE}; one and two threads", "10", *both)

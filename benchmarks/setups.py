@@ -54,6 +54,10 @@ ENSEMBLES: dict[str, Callable[[Sizes], tuple[Any, Any, Any]]] = {
 ONE_TRAJECTORY = ("under jax.jit", "value and gradient, under jax.jit", "as it is called")
 """Ways to simulate one."""
 
+OWN_ENGINES = ("Poisson switching", "harmonic base", "motor and cart", "two blocks", "a user's system")
+STICK_TIME, EVERY_STICK, MEAN = "stick time", "every stick, in order", "mean stick duration"
+"""Programs of one's own: the engines that they use, and what they return."""
+
 THREADS = ("1 thread", "2 threads")
 BELT = ss.Constant(0.2)
 TWO_BLOCKS = ss.LinearStructure(

@@ -47,7 +47,7 @@ class Sizes(NamedTuple):
 FULL = Sizes(
     samples=40_000,
     vmapped=5_000,
-    vmapped_stepped=500,
+    vmapped_stepped=2_000,
     stepped=1_000,
     stepped_t1=50.0,
     carts=10_000,

@@ -55,7 +55,8 @@ def main() -> None:
     options.add_argument("--tiny", action="store_true", help="as little work as possible")
     chosen = options.parse_args()
     if chosen.one_core and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+        # Two workers may compile at the same time, one in each precision.
+        os.sched_setaffinity(0, {(max if chosen.float32 else min)(os.sched_getaffinity(0))})
     jax.config.update("jax_enable_x64", not chosen.float32)
     if not chosen.tiny:  # compilations are timed
         jax.config.update("jax_enable_compilation_cache", False)

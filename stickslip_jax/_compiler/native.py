@@ -28,6 +28,7 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
+from jax.interpreters import partial_eval as pe
 
 from .programs import kept_jit
 
@@ -77,26 +78,33 @@ _ARITHMETIC = {
 _INSIDE = "cond custom_jvp_call custom_vmap_call jit pjit closed_call core_call remat2 checkpoint scan while".split()  # noqa: SIM905
 _OF_OWN = ("call_with_own_derivative", "tangent_of_call")  # `_numerics/derivatives.py`
 _LARGEST = 64
-"""Numbers in an array that is computed with. The usual kernels are faster with more, as where many trajectories advance
-side by side; and XLA cannot put sums over thousands into a native loop."""
+"""Numbers of one trajectory in an array that is computed with; XLA cannot put sums over thousands into a native loop.
+"""
+LANES = 256
+"""Trajectories that advance side by side in a native loop: their arrays stay in the cache."""
 
 
 def compilable(jaxpr: core.Jaxpr) -> bool:
-    """Whether XLA is known to compile `jaxpr` into a native loop."""
-    return all(map(_is_known, jaxpr.eqns))
+    """Whether XLA is known to compile `jaxpr`, of one trajectory, into a native loop."""
+    return _largest(jaxpr) <= _LARGEST
 
 
-def _is_known(equation: core.JaxprEqn) -> bool:
+def _largest(jaxpr: core.Jaxpr) -> float:
+    """Numbers in the largest array that is computed with; infinity where some operation is not known."""
+    return max(map(_size, jaxpr.eqns), default=1)
+
+
+def _size(equation: core.JaxprEqn) -> float:
     name = equation.primitive.name
     if name in _INSIDE:
-        return all(map(compilable, _jaxprs_in(list(equation.params.values()))))
+        return max(map(_largest, _jaxprs_in(list(equation.params.values()))), default=1)
     if name in _OF_OWN:
         run = partial(equation.primitive.impl, **equation.params)
-        return compilable(jax.make_jaxpr(run)(*(atom.aval for atom in equation.invars)).jaxpr)
+        return _largest(jax.make_jaxpr(run)(*(atom.aval for atom in equation.invars)).jaxpr)
     if name in _MOVING:
-        return True
+        return 1
     sizes = [math.prod(getattr(atom.aval, "shape", ())) for atom in (*equation.invars, *equation.outvars)]
-    return name in _ARITHMETIC and max(sizes) <= _LARGEST
+    return max(sizes) if name in _ARITHMETIC else math.inf
 
 
 def _jaxprs_in(params: Any) -> Iterator[core.Jaxpr]:
@@ -114,14 +122,14 @@ def _jaxprs_in(params: Any) -> Iterator[core.Jaxpr]:
 #
 # XLA (jaxlib 0.10.2) aborts the process if a native function does not read one of its arguments. That can happen to any
 # function under ``jax.jit``: JAX removes unused results, which every derivative of a derivative has, and what only they
-# needed. This primitive has no rule for removing anything, so that after all transformations every argument is read and
-# every result kept.
+# needed. The rule of this primitive removes results but no arguments, and all of these are read (`reading_all`).
 
 
 NATIVE = {"inlineable": "false", "xla_cpu_small_call": "true"}
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
+_Arrays = TypeVar("_Arrays")
 
 _call = Primitive("native_call")
 _call.multiple_results = True
@@ -130,17 +138,18 @@ _Axis: TypeAlias = int | None
 _KEPT = 512  # functions and their derivatives, so that those called outside ``jax.jit`` are not compiled again
 
 
-def native_call(closed: ClosedJaxpr, args: Sequence[_Leaf], known_only: bool = False) -> list[_Leaf]:
+def native_call(closed: ClosedJaxpr, args: Sequence[_Leaf], lanes: int = 0, most: int = 1) -> list[_Leaf]:
     """The results of `closed`. Works under jit, vmap and jvp, not in reverse mode, as the loops inside.
 
-    `known_only`: compiled as usual where it, or a derivative of it, holds an operation that is not known to be
-    `compilable`.
+    `lanes`: 0 for what is known to be compilable. Else the number of trajectories that it follows side by side, and it
+    is compiled as usual where it, or a derivative of it, holds an operation that is not known to be `compilable`.
+    ``jax.vmap`` makes blocks of `most` of them, if that is more than 1; else one call, which is then compiled as usual.
     """
-    return _call.bind(*args, closed=closed, known_only=known_only)
+    return _call.bind(*args, closed=closed, lanes=lanes, most=most)
 
 
-def _as_native(*args: _Leaf, closed: ClosedJaxpr, known_only: bool) -> list[_Leaf]:
-    if known_only and not compilable(closed.jaxpr):
+def _as_native(*args: _Leaf, closed: ClosedJaxpr, lanes: int, most: int) -> list[_Leaf]:
+    if lanes and _largest(closed.jaxpr) > _LARGEST * lanes:
         return jaxpr_as_fun(closed)(*args)
 
     def reading_all(*args):
@@ -155,17 +164,17 @@ def _as_native(*args: _Leaf, closed: ClosedJaxpr, known_only: bool) -> list[_Lea
 
 
 @lru_cache(_KEPT)
-def _compiled(closed: ClosedJaxpr, known_only: bool) -> Callable[..., list[_Leaf]]:
-    return jax.jit(lambda *args: native_call(closed, args, known_only))
+def _compiled(closed: ClosedJaxpr, lanes: int, most: int) -> Callable[..., list[_Leaf]]:
+    return jax.jit(lambda *args: native_call(closed, args, lanes, most))
 
 
 @_call.def_impl
-def _run(*args: _Leaf, closed: ClosedJaxpr, known_only: bool) -> list[_Leaf]:
-    return _compiled(closed, known_only)(*args)
+def _run(*args: _Leaf, closed: ClosedJaxpr, **options: int) -> list[_Leaf]:
+    return _compiled(closed, **options)(*args)
 
 
 @_call.def_abstract_eval
-def _shapes(*_: _Leaf, closed: ClosedJaxpr, known_only: bool) -> list[_Leaf]:
+def _shapes(*_: _Leaf, closed: ClosedJaxpr, **options: int) -> list[_Leaf]:
     return list(closed.out_avals)
 
 
@@ -198,12 +207,12 @@ def _with_tangents(closed: ClosedJaxpr, moved: tuple[bool, ...]) -> tuple[Closed
 
 
 def _jvp(
-    primals: Sequence[_Leaf], tangents: Sequence[_Leaf], *, closed: ClosedJaxpr, known_only: bool
+    primals: Sequence[_Leaf], tangents: Sequence[_Leaf], *, closed: ClosedJaxpr, **options: int
 ) -> tuple[list[_Leaf], list[_Leaf]]:
     moved = tuple(type(tangent) is not ad.Zero for tangent in tangents)
     both, real = _with_tangents(closed, moved)
     moving = [tangent for tangent, m in zip(tangents, moved, strict=True) if m]
-    results = native_call(both, [*primals, *moving], known_only)
+    results = native_call(both, [*primals, *moving], **options)
     out, slopes = results[: len(real)], iter(results[len(real) :])
     return out, [
         next(slopes) if is_real else ad.Zero(aval.to_tangent_aval())
@@ -234,13 +243,65 @@ def _batched(closed: ClosedJaxpr, axes: tuple[_Axis, ...], size: int) -> tuple[C
 
 
 def _batch(
-    args: Sequence[_Leaf], axes: Sequence[_Axis], *, closed: ClosedJaxpr, known_only: bool
+    args: Sequence[_Leaf], axes: Sequence[_Axis], *, closed: ClosedJaxpr, lanes: int, most: int
 ) -> tuple[list[_Leaf], tuple[_Axis, ...]]:
-    size = next(arg.shape[axis] for arg, axis in zip(args, axes, strict=True) if axis is not None)
-    batched, out_axes = _batched(closed, tuple(axes), size)
-    return native_call(batched, args, known_only), out_axes
+    mapped = [axis is not None for axis in axes]
+    args = [jnp.moveaxis(arg, axis, 0) if axis else arg for arg, axis in zip(args, axes, strict=True)]
+    size = next(arg.shape[0] for arg, m in zip(args, mapped, strict=True) if m)
+    width = size
+    if most > 1 and _largest(closed.jaxpr) <= _LARGEST * lanes:
+        width = block_width(size, max(1, most // lanes))
+        lanes *= width
+    batched, out_axes = _batched(closed, tuple(0 if m else None for m in mapped), width)
+    moved, run = of_moving(lambda *part: native_call(batched, part, lanes, most), args, mapped)
+    if width >= size:
+        return run(*moved), out_axes
+    has_lanes = [axis is not None for axis in out_axes]
+    each = iter(in_blocks(lambda part: [new for new, m in zip(run(*part), has_lanes, strict=True) if m], moved, width))
+    others = [None] * len(out_axes) if all(has_lanes) else run(*(arg[:width] for arg in moved))
+    return [next(each) if m else one for m, one in zip(has_lanes, others, strict=True)], out_axes
 
 
+def block_width(size: int, most: int) -> int:
+    """The number of lanes in blocks of `size` lanes that have at most so many: about the same in each."""
+    blocks = -(-size // most)
+    return size if blocks <= 1 else min(most, 8 * -(-size // (8 * blocks)))
+
+
+def in_blocks(run: Callable[[_Arrays], Any], arrays: _Arrays, width: int) -> Any:
+    """`run`, from arrays (lanes, ...) to arrays (lanes, ...), block by block of `width` lanes."""
+    lanes = jax.tree.leaves(arrays)[0].shape[0]
+
+    def add_block(number, results):
+        # The last block starts among lanes of the block before, whose results come out the same again.
+        first = jnp.minimum(number * width, lanes - width)
+        block = run(jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, first, width), arrays))
+        return jax.tree.map(lambda old, new: lax.dynamic_update_slice_in_dim(old, new, first, 0), results, block)
+
+    shapes = jax.eval_shape(
+        run, jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((width, *leaf.shape[1:]), leaf.dtype), arrays)
+    )
+    buffer = jax.tree.map(lambda leaf: jnp.zeros((lanes, *leaf.shape[1:]), leaf.dtype), shapes)
+    return lax.fori_loop(0, -(-lanes // width), add_block, buffer) if lanes else buffer
+
+
+@lru_cache(_KEPT)
+def _of_used(closed: ClosedJaxpr, used: tuple[bool, ...]) -> ClosedJaxpr:
+    return ClosedJaxpr(pe.dce_jaxpr(closed.jaxpr, used, instantiate=True)[0], closed.consts)
+
+
+def _without_unused(used: list[bool], equation: core.JaxprEqn) -> tuple[list[bool], core.JaxprEqn | None]:
+    """Results that nobody uses are not computed, but every argument is still one."""
+    if not any(used):
+        return [False] * len(equation.invars), None
+    closed = _of_used(equation.params["closed"], tuple(used))
+    outvars = [variable for variable, u in zip(equation.outvars, used, strict=True) if u]
+    return [True] * len(equation.invars), equation.replace(
+        outvars=outvars, params={**equation.params, "closed": closed}
+    )
+
+
+pe.dce_rules[_call] = _without_unused
 ad.primitive_jvps[_call] = _jvp
 batching.primitive_batchers[_call] = _batch
 mlir.register_lowering(_call, mlir.lower_fun(_as_native, multiple_results=True))
@@ -266,12 +327,16 @@ COMPILED_QUICKLY: dict[str, Any] = {} if PLAIN else {"xla_llvm_disable_expensive
 
 
 def native_loop(
-    function: Callable[_Arguments, _Result], static_argnames: tuple[str, ...] = (), *, known_only: bool = False
+    function: Callable[_Arguments, _Result],
+    static_argnames: tuple[str, ...] = (),
+    *,
+    known_only: bool = False,
+    most: int = 1,
 ) -> Callable[_Arguments, _Result]:
     """`function`, a loop over small arrays, compiled into one native function of the CPU.
 
     One thread runs it. Works under jit, vmap and jvp, not in reverse mode; `static_argnames` as in ``jax.jit``, to be
-    given by name. `known_only`: for functions that hold a user's, see `native_call`.
+    given by name. `known_only`: for functions that hold a user's; it and `most` as in `native_call`.
     """
     compiled = jax.jit(function, static_argnames=static_argnames)
 
@@ -283,7 +348,9 @@ def native_loop(
         arrays = jax.tree.leaves((args, {name: option for name, option in options.items() if name not in fixed}))
         if len(arrays) != len(traced.jaxpr.in_avals):  # it encloses what JAX traces
             return function(*args, **options)
-        return jax.tree.unflatten(jax.tree.structure(traced.out_info), native_call(traced.jaxpr, arrays, known_only))
+        return jax.tree.unflatten(
+            jax.tree.structure(traced.out_info), native_call(traced.jaxpr, arrays, int(known_only), most)
+        )
 
     fixed = frozenset(static_argnames)
     return call

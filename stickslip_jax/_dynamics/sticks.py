@@ -1,6 +1,7 @@
 """Sticks of trajectories and the slips between them: what is recorded of each, in which order, and as tables."""
 
 import abc
+import dataclasses
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -11,8 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.custom_batching import custom_vmap
 from jaxtyping import Bool, Float, Int, Real
 
+from .._compiler.native import native_loop, native_loops_work
 from .._compiler.programs import kept_jit
 from .._foundation import checks
 from .._foundation.extras import Entries, flags, require, variable
@@ -162,16 +165,64 @@ def count_slips(totals: Totals, at_start: BoolArray) -> IntArray:
     return totals.sticks + 1 - at_start.astype(jnp.int32) - totals.censored
 
 
-def closed_up(records: StickRecord) -> StickRecord:
-    """The records (intervals,) of one trajectory with the sticks moved to the front; differentiable, fixed size.
+def closed_up(records: StickRecord) -> tuple[StickRecord, IntArray]:
+    """The records (records,) of one trajectory with the sticks moved to the front, in the order of their starts, and
+    which records these are; differentiable, fixed size.
 
     The other slots hold NaN, and -1 as ending.
     """
     stuck = records.ending >= 0
-    (order,) = jnp.nonzero(stuck, size=stuck.shape[0], fill_value=0)
+    order = _orders(stuck[None], lax.stop_gradient(records.start)[None])[0]
     is_stick = jnp.arange(stuck.shape[0]) < stuck.sum()
     ordered = jax.tree.map(lambda column: jnp.where(is_stick, column[order], jnp.nan), records._replace(ending=None))
-    return ordered._replace(ending=jnp.where(is_stick, records.ending[order], -1))
+    return ordered._replace(ending=jnp.where(is_stick, records.ending[order], -1)), order
+
+
+@custom_vmap
+def _orders(stuck: BoolArray, starts: FloatArray) -> IntArray:
+    """Of each row (rows, records) the indices of the sticks in the order of their starts, those of others after them.
+
+    A record is made when a stick ends, so that nearly all are in order; and XLA sorts slowly on the CPU.
+    """
+    if native_loops_work():
+        ends = jnp.max(jnp.where(stuck, jnp.arange(1, stuck.shape[1] + 1, dtype=jnp.int32)[None], 0), axis=1, initial=0)
+        return _inserted(stuck, starts, ends, jnp.zeros(stuck.shape, jnp.int32))
+    return jnp.argsort(jnp.where(stuck, starts, jnp.inf), axis=1, stable=True).astype(jnp.int32)
+
+
+@_orders.def_vmap
+def _more_rows(size: int, mapped: list[bool], *given: AnyArray) -> tuple[IntArray, bool]:
+    each = [one if m else jnp.broadcast_to(one, (size, *one.shape)) for one, m in zip(given, mapped, strict=True)]
+    shape = each[0].shape
+    return _orders(*(one.reshape(-1, shape[-1]) for one in each)).reshape(shape), True
+
+
+@native_loop
+def _inserted(stuck: BoolArray, starts: FloatArray, ends: IntArray, orders: IntArray) -> IntArray:
+    """Insertion sort of each row, up to the end of its sticks."""
+
+    def put(orders, row, place, number):
+        return lax.dynamic_update_slice(orders, jnp.reshape(number, (1, 1)), (row, place))
+
+    def insert(number, carry):
+        row, count, orders = carry
+        is_stick, start = stuck[row, number], starts[row, number]
+
+        def is_later(at):
+            place, orders = at
+            return is_stick & (place > 0) & (starts[row, orders[row, jnp.maximum(place - 1, 0)]] > start)
+
+        def moved_on(at):
+            place, orders = at
+            return place - 1, put(orders, row, place, orders[row, place - 1])
+
+        place, orders = lax.while_loop(is_later, moved_on, (count, orders))
+        return row, count + is_stick, put(orders, row, place, number)
+
+    def order_row(row, orders):
+        return lax.fori_loop(jnp.int32(0), ends[row], insert, (row, jnp.int32(0), orders))[2]
+
+    return lax.fori_loop(jnp.int32(0), jnp.int32(stuck.shape[0]), order_row, orders)
 
 
 def no_stick(dtype: Any, quantities: Iterable[str], shape: tuple[int, ...] = ()) -> StickRecord:
@@ -258,15 +309,10 @@ def sticks_in_order(records: StickRecord) -> Sticks:
     size.
     """
     if records.ending.ndim == 1:
-        return sticks_of(closed_up(records))
-    number = jnp.broadcast_to(jnp.arange(records.ending.shape[1], dtype=jnp.int32), records.ending.shape)
-    flat, number = jax.tree.map(lambda column: column.reshape(-1), (records, number))
-    is_stick = flat.ending >= 0
-    # A record is made when a stick ends; sticks are in the order of their starts.
-    order = jnp.argsort(jnp.where(is_stick, lax.stop_gradient(flat.start), jnp.inf), stable=True)
-    flat, number, is_stick = jax.tree.map(lambda column: column[order], (flat, number, is_stick))
-    columns = {name: jnp.where(is_stick, values, jnp.nan) for name, values in flat.columns.items()}
-    return Sticks(**columns, ending=flat.ending, mask=is_stick, contact=jnp.where(is_stick, number, -1))
+        return sticks_of(closed_up(records)[0])
+    ordered, order = closed_up(jax.tree.map(lambda column: column.reshape(-1), records))
+    sticks, contacts = sticks_of(ordered), records.ending.shape[1]
+    return dataclasses.replace(sticks, contact=jnp.where(sticks.mask, order % contacts, -1))
 
 
 def of_contact(sticks: Sticks, contact: int) -> Sticks:

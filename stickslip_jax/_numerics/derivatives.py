@@ -222,25 +222,27 @@ def with_slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> 
 # multiplies by them.
 
 
-def with_slopes(function: Callable[..., Any], *args: Any, most: int) -> Any:
+def with_slopes(function: Callable[..., Any], *args: Any, most: int, lanes: int = 1) -> Any:
     """``function(*args)``, arrays in any structure, whose derivatives by at most so many scalars are computed along
     with it; derivatives by more, or by arrays, go back over the steps.
 
-    They are the derivatives of JAX, of every order and in every mode; only the way to the first one differs.
+    They are the derivatives of JAX, of every order and in every mode; only the way to the first one differs. Under
+    ``jax.vmap`` so many `lanes` are followed side by side in a native loop, if that is more than 1.
     """
     # Whole numbers too: what is enclosed here and traced would be a constant, which JAX cannot lower.
     flat, leaves, restored = flattened(function, args, {}, eqx.is_array)
     # What `function` encloses may carry derivatives too: friction curves are functions that users write.
     closed, enclosed = jax.closure_convert(flat, *leaves)
-    return restored(_with_rule(closed, most)(*leaves, *enclosed))
+    return restored(_with_rule(closed, most, lanes)(*leaves, *enclosed))
 
 
-def _with_rule(function: Callable[..., Any], most: int) -> Callable[..., Any]:
+def _with_rule(function: Callable[..., Any], most: int, lanes: int = 1) -> Callable[..., Any]:
     """`function` with the rule for its derivatives; both are native loops, but for the way back over the steps.
 
-    `most`: by how many numbers derivatives are computed by their slopes, and not as JAX does by itself.
+    `most`: by how many numbers derivatives are computed by their slopes, and not as JAX does by itself. `lanes`, as in
+    `with_slopes`, are for the function alone: XLA may divide an operation with slopes among threads.
     """
-    call = jax.custom_jvp(native_loop(function, known_only=True))
+    call = jax.custom_jvp(native_loop(function, known_only=True, most=lanes))
 
     def rule(primals, tangents):
         moves = [not isinstance(tangent, SymbolicZero) for tangent in tangents]

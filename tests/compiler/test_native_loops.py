@@ -198,3 +198,40 @@ def test_what_a_native_loop_encloses_may_be_traced():
         return native_loop(lambda x: lax.fori_loop(0, 3, lambda _, y: factor * y, x), known_only=True)(1.5)
 
     np.testing.assert_allclose(jax.vmap(total)(jnp.array([2.0, 3.0])), [12.0, 40.5])
+
+
+def test_trajectories_advance_in_blocks_of_lanes():
+    """Of at most four here: a power in three steps, the way to it, and a number that no lane changes."""
+
+    def motion(factor, start):
+        def step(y, _):
+            return factor * y, factor * y
+
+        return *lax.scan(step, start, None, length=3), 2 * factor
+
+    call, factor, powers = native_loop(motion, known_only=True, most=4), jnp.asarray(1.5), 1.5 ** np.arange(1, 4)
+    for size in (0, 1, 4, 5, 11):
+        starts = np.arange(float(size))
+        for transform in (jax.vmap, lambda f, *axes: jax.jit(jax.vmap(f, *axes))):
+            ends, ways, twice = transform(call, (None, 0), (0, 1, None))(factor, jnp.asarray(starts))
+            np.testing.assert_allclose(ends, powers[-1] * starts, rtol=1e-15)
+            np.testing.assert_allclose(ways, powers[:, None] * starts[None], rtol=1e-15)
+            assert float(twice) == 3.0
+        alone = jax.jit(lambda starts: jax.vmap(call, (None, 0))(factor, starts)[0])(jnp.asarray(starts))
+        np.testing.assert_allclose(alone, powers[-1] * starts, rtol=1e-15)  # the way is not computed
+    table = np.arange(33.0).reshape(3, 11)
+    ends = jax.vmap(jax.vmap(lambda x: call(factor, x)[0]), 1)(jnp.asarray(table))
+    np.testing.assert_allclose(ends, powers[-1] * table.T, rtol=1e-15)
+    slopes = jax.jvp(lambda f: jax.vmap(lambda x: call(f, x)[0])(jnp.asarray(table[1])), (factor,), (1.0,))[1]
+    np.testing.assert_allclose(slopes, 3 * 1.5**2 * table[1], rtol=1e-15)
+    slopes = jax.vmap(lambda f: jax.vmap(jax.jacfwd(lambda x: call(f, x)[0]))(jnp.asarray(table[1])))(jnp.ones(6))
+    np.testing.assert_allclose(slopes, 1.0, rtol=1e-15)
+
+
+def test_in_lanes_too_only_what_is_known_is_native():
+    def loop(x):
+        return lax.fori_loop(0, 4, lambda _, y: jnp.sort(y) * 0.5, x)
+
+    table = np.random.default_rng(0).normal(size=(9, 8))
+    found = jax.jit(jax.vmap(native_loop(loop, known_only=True, most=4)))(jnp.asarray(table))
+    np.testing.assert_allclose(found, np.sort(table) / 16, rtol=1e-15)

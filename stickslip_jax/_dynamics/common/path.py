@@ -23,9 +23,9 @@ from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal, SourceVoltage
 from ..._excitation.segments import SegmentLaw, SegmentState, added, first_segment, following_segment, is_invalid
 from ..._foundation.types import AnyInteger, BoolArray, FloatArray, IntArray, Number, Scalar, Status
-from ..._numerics.derivatives import NotKnown, values_of, with_slope
+from ..._numerics.derivatives import NotKnown, values_of, with_slope, with_slopes
 from ..._systems.switched_model import Along, Form, Segments, State
-from ..._systems.system import System
+from ..._systems.system import System, is_built_in
 from ..sticks import StickRecord, Sticks, Totals, count_slips, sticks_in_order
 from .lanes import SIGNS, Asked, End, Engine, SampleTotals, Sums, Work, values_of_forms
 
@@ -483,6 +483,13 @@ class StepsEngine(Engine[StepsShared, Signal | None, StepsLane, StickRecord, Sam
 
         start = self.lane(smooth, _NO_KEY_DATA, dtype, **begun)
         return stopping_scan(one_step, start, int(self.most_steps), lambda lane, _: self.ended(lane, lane), self.idle)
+
+    def followed(self, dtype, most: int) -> Any:
+        """`follow`, with derivatives by at most so many numbers computed along with it; under ``jax.vmap`` in native
+        blocks where ensembles are followed so too.
+        """
+        lanes = self.lanes if is_built_in(self) and self.compiles_natively else 1
+        return with_slopes(lambda engine: engine.follow(dtype), self, most=most, lanes=lanes)
 
     def begin(self, key_data: tuple[Array, Array], dtype) -> tuple[Signal | None, StepsLane]:
         realized = self.excitation.realized(key_data, dtype)

@@ -15,7 +15,7 @@ from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
-from ..._compiler.native import computed_once, native_loop, native_loops_work
+from ..._compiler.native import LANES, block_width, computed_once, in_blocks, native_loop, native_loops_work
 from ..._compiler.programs import kept_jit
 from ..._excitation.motion import Signal
 from ..._excitation.piecewise_constant import PiecewiseConstantLaw, VelocitySteps
@@ -136,7 +136,6 @@ def is_over(motion: MassState, before: MassState, t1: Scalar) -> BoolArray:
 # What of it is asked for is one of three, so that results that are not used cost nothing.
 
 
-_LANES = 256  # of a block
 What = Literal["final", "sticks", "beginnings"]
 _ASKED: dict[What, tuple[str, ...]] = {"final": (), "sticks": ALL, "beginnings": (LAST_LEFT,)}  # quantities of a stick
 
@@ -187,7 +186,7 @@ def _plain(what: What, given: Given) -> Any:
     if what == "final":
         return motion, totals
     if what == "sticks":
-        return closed_up(records)
+        return closed_up(records)[0]
     ties = jax.vmap(is_tie, (None, 0, 0, 0))(given.scales, began, given.durations, given.velocities)
     return IntervalBeginnings(began, jnp.sum(ties | brief, dtype=jnp.int32))
 
@@ -273,21 +272,9 @@ def _for_any_batch(run_block: Callable[[Given], Any]) -> Callable[[Given], Any]:
 
     def run(given: Given) -> Any:
         lanes = given.durations.shape[0]
-        blocks = -(-lanes // _LANES)
-        if blocks == 1:
+        if 0 < lanes <= LANES:
             return run_block(given)
-        width = 8 * -(-lanes // (8 * max(blocks, 1)))
-
-        def add_block(number, results):
-            # The last block starts among lanes of the block before, whose results come out the same again.
-            first = jnp.minimum(number * width, lanes - width)
-            block = run_block(jax.tree.map(lambda leaf: lax.dynamic_slice_in_dim(leaf, first, width), given))
-            return jax.tree.map(lambda old, new: lax.dynamic_update_slice_in_dim(old, new, first, 0), results, block)
-
-        some = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((max(width, 1), *leaf.shape[1:]), leaf.dtype), given)
-        shapes = jax.eval_shape(run_block, some)
-        buffer = jax.tree.map(lambda leaf: jnp.zeros((lanes, *leaf.shape[1:]), leaf.dtype), shapes)
-        return lax.fori_loop(0, blocks, add_block, buffer) if lanes else buffer
+        return in_blocks(run_block, given, max(block_width(lanes, LANES), 1))
 
     mapped = custom_vmap(run)
 

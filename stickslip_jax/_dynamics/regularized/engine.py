@@ -19,7 +19,7 @@ from ..._foundation import checks
 from ..._foundation import lazy_diffrax as diffrax
 from ..._foundation.fields import with_fields
 from ..._foundation.types import BoolArray, FloatArray, IntArray, Number, Scalar, Status
-from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, with_slopes, without_derivatives
+from ..._numerics.derivatives import NotKnown, largest, smallest, with_slope, without_derivatives
 from ..._numerics.matrices import any_of
 from ..._systems.switched_model import Along, Form, Segments, State, chosen_state, of_form
 from ..._systems.system import System
@@ -554,7 +554,7 @@ def _follow(
         else:
             plain = dataclasses.replace(plain, atol=None)
             engine = FixedEngine(system, excitation, t1, y0, method.step, steps, plain, quantities=ALL)
-        lane, kept = with_slopes(lambda engine: engine.follow(t1.dtype), engine, most=_MOST_SLOPES)
+        lane, kept = engine.followed(t1.dtype, _MOST_SLOPES)
         detector, status = lane.detector, engine.status(lane)
         end = lane.steps, lane.t, engine.numbers(excitation.signal, lane)
     records, passages = kept

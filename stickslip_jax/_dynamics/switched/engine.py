@@ -21,7 +21,7 @@ from ..._excitation.excitation import Excitation
 from ..._excitation.motion import Signal
 from ..._excitation.segments import SegmentState, segment_at
 from ..._foundation.types import BoolArray, BoolScalar, FloatArray, FloatScalar, IntArray, Number, Scalar
-from ..._numerics.derivatives import NotKnown, OwnDerivative, largest, smallest, with_slopes, without_derivatives
+from ..._numerics.derivatives import NotKnown, OwnDerivative, largest, smallest, without_derivatives
 from ..._numerics.matrices import MANY, any_of, largest_of, stacked, sum_of
 from ..._numerics.steps import look_ahead
 from ..._systems.switched_model import (
@@ -797,4 +797,4 @@ def follow_steps(system: System, base: Any, method: Exact, t1: Scalar, y0: tuple
 @kept_jit(static_argnames=("steps", "dtype"))
 def _follow_steps(system, excitation, solver, t1, y0, step, *, steps, dtype) -> Run:
     engine = SwitchedEngine(system, excitation, t1, y0, step, steps, solver, quantities=ALL)
-    return engine.run(*with_slopes(lambda engine: engine.follow(dtype), engine, most=_MOST_SLOPES))
+    return engine.run(*engine.followed(dtype, _MOST_SLOPES))
