@@ -39,6 +39,7 @@ from .setups import (
     T1,
     THREADS,
     TWO_BLOCKS,
+    WIDE,
     basin_name,
     chain,
     chain_name,
@@ -243,6 +244,7 @@ def _mean_stick_duration(own: Own, mu: Any, inputs: Any) -> Any:
 
 PROGRAMS: dict[str, Callable[[Own, Any, Any], Any]] = {
     STICK_TIME: _stick_times,
+    WIDE: _stick_times,
     EVERY_STICK: _all_sticks,
     MEAN: _mean_stick_duration,
     f"{MEAN}, value_and_grad": jax.value_and_grad(_mean_stick_duration, argnums=1),
@@ -254,7 +256,8 @@ PROGRAMS: dict[str, Callable[[Own, Any, Any], Any]] = {
 
 def _composed(engine: str, name: str, sizes: Sizes) -> Run:
     own = _own(engine, sizes)
-    program = jax.jit(partial(PROGRAMS[name], own))
+    options = {"xla_cpu_prefer_vector_width": 512} if name == WIDE else None
+    program = jax.jit(partial(PROGRAMS[name], own), compiler_options=options)
 
     def run(number: int) -> Work:
         jax.block_until_ready(program(jnp.asarray(own.mu), own.inputs(number)))

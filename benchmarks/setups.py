@@ -55,7 +55,8 @@ ONE_TRAJECTORY = ("under jax.jit", "value and gradient, under jax.jit", "as it i
 """Ways to simulate one."""
 
 OWN_ENGINES = ("Poisson switching", "harmonic base", "motor and cart", "two blocks", "a user's system")
-STICK_TIME, EVERY_STICK, MEAN = "stick time", "every stick, in order", "mean stick duration"
+STICK_TIME, WIDE = "stick time", "stick time, wide vectors"
+EVERY_STICK, MEAN = "every stick, in order", "mean stick duration"
 """Programs of one's own: the engines that they use, and what they return."""
 
 THREADS = ("1 thread", "2 threads")

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from ..rounds import Program, Rounds
-from ..setups import EVERY_STICK, MEAN, OWN_ENGINES, STICK_TIME
+from ..setups import EVERY_STICK, MEAN, OWN_ENGINES, STICK_TIME, WIDE
 from ..workers import Bench, Worker
 
 TOTALS = 'keep="totals"'
@@ -26,7 +26,7 @@ def _programs(worker: Worker, precision: str, threads: str) -> list[Program]:
     cases = {}
     for engine in OWN_ENGINES:
         cases[label(engine, TOTALS, precision)] = f"beside {engine}, {threads}"
-        more = (MEAN, *DERIVATIVES) if engine == CLOSED_FORM and precision == "float64" else ()
+        more = (WIDE, MEAN, *DERIVATIVES) if engine == CLOSED_FORM and precision == "float64" else ()
         for program in (STICK_TIME, EVERY_STICK, *more):
             cases[label(engine, program, precision)] = f"vmapped {engine}: {program}"
     return [worker.program(case, name) for name, case in cases.items()]
