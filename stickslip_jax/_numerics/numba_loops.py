@@ -267,6 +267,18 @@ def numbered(start, end, position, others, owner, order, skipped, columns, numbe
                 first_two[0, to], first_two[1, to] = earlier[whose], duration
 
 
+def by_order(of_sticks: Any, skipped: Any, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `numbered` finds of the first `most` sticks of each sample: columns, numbers, durations of the first two.
+
+    `of_sticks`: the first six arguments of `numbered`.
+    """
+    samples = len(skipped)
+    columns, found = np.empty((3 + len(of_sticks[3]), most, samples)), np.zeros(most, np.int64)
+    earlier, pair = np.empty(samples), np.empty((2, samples))
+    numbered(*of_sticks, skipped, columns, found, earlier, pair)
+    return columns, found, pair[:, : found[1]]
+
+
 @_loop
 @no_type_check
 def survey_orders(columns, number, low, high, total):
