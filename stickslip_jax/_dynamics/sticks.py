@@ -575,7 +575,7 @@ class DeviceSticks(NamedTuple):
 
     def folded(self, period: float) -> "DeviceSticks":
         """The same with positions modulo `period`, in ``[0, period)``."""
-        return self._replace(numbers=device_loops.folded(self.numbers, period, NUMBERS.index("position")))
+        return self._replace(numbers=device_loops.folded(self.numbers, period, row=NUMBERS.index("position")))
 
     def only(self, kept: Bool[np.ndarray, " samples"]) -> "DeviceSticks":
         """The same without the sticks of the samples that are not `kept`."""
@@ -590,8 +590,8 @@ class DeviceSticks(NamedTuple):
     def of_track(self, track: int, tracks: int) -> "DeviceSticks":
         """Those of one track, as of a `StickStream`."""
         of_it = self._of(np.arange(len(self.count)) % tracks == track)
-        columns = (column[track::tracks] for column in self[:3])
-        return DeviceSticks(*columns, of_it, *self[4:6], self.owner // tracks, self.order)
+        columns = self.count[track::tracks], self.last[track::tracks], self.rest[track::tracks]
+        return DeviceSticks(*columns, of_it, self.slip, self.ending, self.owner // tracks, self.order)
 
     def _of(self, samples: Bool[np.ndarray, " samples"]) -> Float[jax.Array, "columns slots"]:
         """The numbers of the sticks of these `samples`, with empty slots in place of the others."""

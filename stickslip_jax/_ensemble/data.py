@@ -525,7 +525,10 @@ class EnsembleAccumulator:
 
     def found(self) -> Fields:
         """The fields of an `Ensemble` that come from the parts, by name."""
-        is_full, kept = self.keep == "sticks", [part.sticks for part in self._kept if part.sticks is not None]
+        is_full, kept = (
+            self.keep == "sticks",
+            [part.sticks for part in self._kept if isinstance(part.sticks, FlatSticks)],
+        )
         sticks = FlatSticks.joined(kept) if kept else None
         totals = None
         if self._totals is not None:

@@ -44,7 +44,15 @@ from .._excitation.excitation import is_random, key_data_for, law_of
 from .._excitation.motion import Signal
 from .._foundation import checks
 from .._foundation.extras import progress_bar
-from .._foundation.processes import LANES, blocks_at_once, fewer_lanes, is_wide, lanes_at_once, usual_threads
+from .._foundation.processes import (
+    LANES,
+    as_many_as_fit,
+    blocks_at_once,
+    fewer_lanes,
+    is_wide,
+    lanes_at_once,
+    usual_threads,
+)
 from .._foundation.types import AnyArray, DType, FloatArray, Number, Scalar, Status
 from .._numerics import device_loops
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
@@ -404,7 +412,10 @@ class OutputRunner:
         self, first: int, samples: int, threads: int = 1, advance: Callable[[int], object] = lambda number: None
     ) -> Values:
         """The outputs of samples ``first .. first + samples - 1``; of so many more it tells that they are done."""
-        lanes, end = self._lanes, first + samples
+        return as_many_as_fit(partial(self._values, first, samples, threads, advance), self._lanes)
+
+    def _values(self, first: int, samples: int, threads: int, advance: Callable[[int], object], lanes: int) -> Values:
+        self._lanes, end = lanes, first + samples
         begins = range(first - first % lanes, end, lanes)
         with ThreadPoolExecutor(max(1, min(threads, len(begins)))) as pool:
             batches, done = [], 0
@@ -710,7 +721,7 @@ def _device_recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
         rows = -(-number // lanes)
         job = jax.tree.map(jnp.asarray, setup.job(first, rows, lanes * tasks.rows))
         now, task, layout = begin(job, lanes=lanes, dtype=dtype), packed(job), Layout.of(job)
-        seen, parts, unfinished = None, [], True
+        seen, parts, unfinished = None, list[Any](), True
         while unfinished:
             now, (values, ending), blocks_done = record(
                 task, now, layout=layout, lanes=lanes, blocks=blocks, dtype=dtype
@@ -727,8 +738,8 @@ def _device_recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
         columns = parts[0]
         if len(parts) > 1:
             columns = device_loops.joined(parts, size=device_loops.rounded(sum(len(part[1]) for part in parts)))
-        of_samples = (np.asarray(column)[: number * tracks] for column in (seen.count, seen.last, seen.rest))
-        return jax.tree.map(np.asarray, seen.results), DeviceSticks(*of_samples, *columns)
+        count, last, rest = (np.asarray(column)[: number * tracks] for column in (seen.count, seen.last, seen.rest))
+        return jax.tree.map(np.asarray, seen.results), DeviceSticks(count, last, rest, *columns)
 
     return run
 

@@ -70,7 +70,7 @@ def free_memory() -> float:
     if here.platform == "cpu":
         return available_memory()
     known = here.memory_stats() or {}
-    return known.get("bytes_limit", float("inf")) - known.get("bytes_in_use", 0)
+    return float(known.get("bytes_limit", float("inf")) - known.get("bytes_in_use", 0))
 
 
 def lanes_at_once(usual: int, useful: int, size: Callable[[], float]) -> int:
