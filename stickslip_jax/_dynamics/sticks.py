@@ -309,7 +309,7 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
     return Slips(fill(start), fill(end), fill(is_last, False), mask)
 
 
-def named_column(sticks: Any, name: str) -> np.ndarray:
+def named_column(sticks: Any, name: str) -> Any:
     """The column `name` of `sticks`, which hold their `NUMBERS` in one array (columns, sticks)."""
     if name not in NUMBERS:
         raise AttributeError(f"{type(sticks).__name__!r} object has no attribute {name!r}", name=name, obj=sticks)

@@ -304,7 +304,7 @@ class SensitivityProblem(NamedTuple):
         each, numbers = 2 * (1 + len(self.parameters)), 1.0 * _NUMBERS_OF_STEP * self.dtype.itemsize
 
         def size() -> float:
-            return each * lane_size(self.job(self.engine(), 0, 1), self.dtype, rows=ROWS, is_recorded=False)
+            return 1.0 * each * lane_size(self.job(self.engine(), 0, 1), self.dtype, rows=ROWS, is_recorded=False)
 
         def recorded_size() -> float:
             return each * numbers * (BLOCK if isinstance(self.method, Regularized) else self.steps)
