@@ -19,13 +19,16 @@ BLOCKS = ss.block_row(2, mass=1.0, between=4.0, to_ground=2.0, normal_force=1.0,
 POISSON = ss.PoissonSwitching(1.0, 1.0)
 SHAKEN = ss.RandomPhase(ss.Harmonic(1.0, ss.Uniform(1.0, 2.5)))
 CASES = {
-    "closed form": dict(y0=(0.0, 1.0)),
-    "initial rest": dict(y0=(0.0, 0.0), law=ss.PoissonSwitching(0.2, 1.0)),
-    "initial rest, counted": dict(y0=(0.0, 0.0), law=ss.PoissonSwitching(0.2, 1.0), count_initial_rest=True),
-    "unfinished": dict(law=SHAKEN, t1=20.0, y0=(0.0, 1.0), method=ss.Exact(max_steps=310)),
-    "cart": dict(
-        system=ss.MotorCart(mu=0.3), law=ss.RandomPhase(ss.SourceVoltage(1.0, 0.5, 10.0)), t1=2.0, samples=300
-    ),
+    "closed form": {"y0": (0.0, 1.0)},
+    "initial rest": {"y0": (0.0, 0.0), "law": ss.PoissonSwitching(0.2, 1.0)},
+    "initial rest, counted": {"y0": (0.0, 0.0), "law": ss.PoissonSwitching(0.2, 1.0), "count_initial_rest": True},
+    "unfinished": {"law": SHAKEN, "t1": 20.0, "y0": (0.0, 1.0), "method": ss.Exact(max_steps=120)},
+    "cart": {
+        "system": ss.MotorCart(mu=0.3),
+        "law": ss.RandomPhase(ss.SourceVoltage(1.0, 0.5, 10.0)),
+        "t1": 2.0,
+        "samples": 300,
+    },
 }
 SLOW = {"cart"}
 
