@@ -328,6 +328,12 @@ def with_columns(sticks: _Held, **columns: np.ndarray) -> _Held:
     return held._replace(numbers=numbers)
 
 
+def within_period(positions: np.ndarray, period: float) -> np.ndarray:
+    """The positions modulo `period`, in ``[0, period)``."""
+    folded = np.mod(positions, positions.dtype.type(period))
+    return np.where(folded < period, folded, 0)  # a tiny negative position is rounded up to the period
+
+
 class FlatSticks(NamedTuple):
     """The sticks of many samples one after the other (the "contiguous ragged" arrays of the CF conventions).
 
@@ -495,10 +501,11 @@ class StickStream(NamedTuple):
         counted = self.ending[self.start != 0] if skip_rest else self.ending
         return np.array([np.count_nonzero(counted == code) for code in Ending])
 
-    @staticmethod
-    def loops() -> Any:
-        """What counts and sums them."""
-        return sums.compiled()
+    loops = staticmethod(sums.compiled)  # what counts and sums them
+
+    def folded(self, period: float) -> "StickStream":
+        """The same with positions modulo `period`, in ``[0, period)``."""
+        return with_columns(self, position=within_period(self.position, period))
 
     def slip_after(self, t1: float) -> Float[np.ndarray, " samples"]:
         """Duration of the slip after each sample's last stick, s; 0 where it ends with a stick."""
@@ -568,10 +575,7 @@ class DeviceSticks(NamedTuple):
         codes = np.array([*Ending], np.int8)
         return np.asarray(device_loops.endings(self.start, self.ending, skip_rest, codes), np.int64)
 
-    @staticmethod
-    def loops() -> Any:
-        """What counts and sums them."""
-        return device_loops
+    loops = staticmethod(lambda: device_loops)  # what counts and sums them
 
     def folded(self, period: float) -> "DeviceSticks":
         """The same with positions modulo `period`, in ``[0, period)``."""

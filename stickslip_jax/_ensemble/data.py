@@ -15,16 +15,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.sticks import (
-    NUMBERS,
-    DeviceSticks,
-    FlatSlips,
-    FlatSticks,
-    StickCollector,
-    StickStream,
-    slips_among,
-    with_columns,
-)
+from .._dynamics.sticks import NUMBERS, DeviceSticks, FlatSlips, FlatSticks, StickCollector, StickStream, slips_among
 from .._excitation.excitation import law_of
 from .._foundation.processes import available_memory
 from .._foundation.types import DType, Number, Status
@@ -392,20 +383,11 @@ class EnsemblePart(NamedTuple):
         finished = np.equal(results.status, Status.FINISHED)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
         done = StickStream.of(sticks) if isinstance(sticks, FlatSticks) else sticks
-        if period is not None:
-            is_here = isinstance(done, StickStream)
-            done = with_columns(done, position=within_period(done.position, period)) if is_here else done.folded(period)
-        whole = np.all(finished)
+        done, whole = done if period is None else done.folded(period), np.all(finished)
         done = done if whole else done.only(finished)
         counted = done if whole else done.of_samples(finished)
         accumulator = StickAccumulator.of(counted, stick_time, slips, t1, numbering)
         return cls(results, done.in_order() if keep_sticks else None, accumulator, numbering.rest(done))
-
-
-def within_period(positions: np.ndarray, period: float) -> np.ndarray:
-    """The positions modulo `period`, in ``[0, period)``."""
-    folded = np.mod(positions, positions.dtype.type(period))
-    return np.where(folded < period, folded, 0)  # a tiny negative position is rounded up to the period
 
 
 def prepare(dtype: DType) -> None:

@@ -722,16 +722,12 @@ def _device_recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
         job = jax.tree.map(jnp.asarray, setup.job(first, rows, lanes * tasks.rows))
         now, task, layout = begin(job, lanes=lanes, dtype=dtype), packed(job), Layout.of(job)
         seen, parts, unfinished = None, list[Any](), True
+        sizes = np.int32(number * tracks), np.int32(rows)
         while unfinished:
-            now, (values, ending), blocks_done = record(
-                task, now, layout=layout, lanes=lanes, blocks=blocks, dtype=dtype
-            )
+            now, (values, ending), report = record(task, now, layout=layout, lanes=lanes, blocks=blocks, dtype=dtype)
             if seen is None:
-                room = lanes * tasks.rows * tracks
-                seen = device_loops.nothing_seen(lanes * tracks, room, blocks_done.results, dtype)
-            *found, told, seen = device_loops.look(
-                values, ending, *blocks_done, np.int32(number * tracks), np.int32(rows), seen
-            )
+                seen = device_loops.nothing_seen(lanes * tracks, lanes * tasks.rows * tracks, report.results, dtype)
+            *found, told, seen = device_loops.look(values, ending, *report, *sizes, seen)
             sticks, unfinished = map(int, np.asarray(told))
             parts.append(device_loops.gather(values, ending, *found, size=device_loops.rounded(sticks)))
         assert seen is not None

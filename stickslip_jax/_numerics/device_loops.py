@@ -84,17 +84,13 @@ def look(values: Any, ending: Any, row: Any, ended: Any, results: Any, samples: 
 
     slip = jnp.where(order > 0, start - end_at(earlier), start)
     so_far = found[slots // blocks - 1 :: slots // blocks] - base
-    place, at_once = jnp.where(is_stick, each, NOWHERE), is_stick & (start == 0)
+    place = jnp.where(is_stick, each, NOWHERE)
     done = jnp.where(ended, row * np.int32(lanes) + jnp.arange(lanes, dtype=jnp.int32)[None], NOWHERE)
-    now = Seen(
-        sample[-1],
-        so_far[-1],
-        end_at(latest[-1:])[0],
-        seen.count.at[jnp.where(sample < samples, sample, NOWHERE)].max(so_far, mode="drop"),
-        seen.last.at[place].max(end, mode="drop"),
-        seen.rest.at[jnp.where(at_once, place, NOWHERE)].set(end, mode="drop"),
-        jax.tree.map(lambda kept, new: kept.at[done].set(new, mode="drop"), seen.results, results),
-    )
+    count = seen.count.at[jnp.where(sample < samples, sample, NOWHERE)].max(so_far, mode="drop")
+    last = seen.last.at[place].max(end, mode="drop")
+    rest = seen.rest.at[jnp.where(is_stick & (start == 0), place, NOWHERE)].set(end, mode="drop")
+    kept = jax.tree.map(lambda old, new: old.at[done].set(new, mode="drop"), seen.results, results)
+    now = Seen(sample[-1], so_far[-1], end_at(latest[-1:])[0], count, last, rest, kept)
     told = jnp.stack([found[-1].sum(dtype=jnp.int32), jnp.any(row[-1] + ended[-1] < rows).astype(jnp.int32)])
     return order, slip, sample, told, now
 
@@ -170,16 +166,13 @@ def _rows(start: Any, end: Any, position: Any, slip: Any, others: Any, skip_rest
 
 def _looked(rows: Any, counts: Any) -> Any:
     """Number, extremes and sum of each row, along its last axis."""
-    found = [
-        (
-            jnp.sum(counted, axis=-1),
-            jnp.min(row, axis=-1, initial=jnp.inf, where=counted),
-            jnp.max(row, axis=-1, initial=-jnp.inf, where=counted),
-            jnp.sum(row, axis=-1, where=counted),
-        )
-        for row, counted in zip(rows, counts, strict=True)
-    ]
-    return [jnp.stack(column, axis=-1) for column in zip(*found, strict=True)]
+    each = list(zip(rows, counts, strict=True))
+
+    def found(reduced, **options):
+        return jnp.stack([reduced(row, axis=-1, where=counted, **options) for row, counted in each], axis=-1)
+
+    number = jnp.stack([jnp.sum(counted, axis=-1) for _, counted in each], axis=-1)
+    return [number, found(jnp.min, initial=jnp.inf), found(jnp.max, initial=-jnp.inf), found(jnp.sum)]
 
 
 def _summed(rows: Any, counts: Any, mean: Any, paired: int) -> Any:
@@ -213,9 +206,8 @@ def _survey(*columns: Any) -> Any:
 
 
 @kept_jit(static_argnames="size")
-def _count(
-    columns: Any, mean: Any, scale: Any, bin_of: Any, shift: Any, pair_bin_of: Any, pairs: Any, *, size: int
-) -> Any:
+def _count(columns: Any, of_bins: Any, *, size: int) -> Any:
+    mean, scale, bin_of, shift, pair_bin_of, pairs = of_bins
     rows, counts = _rows(*columns)
     places = [jnp.floor(row * scale[a]).astype(int) for a, row in enumerate(rows)]
 
@@ -230,10 +222,9 @@ def _count(
 
 
 @kept_jit(static_argnames=("most", "samples"))
-def _numbered(
-    start: Any, end: Any, position: Any, others: Any, owner: Any, order: Any, skipped: Any, *, most: int, samples: int
-) -> Any:
-    rows, _ = _rows(start, end, position, jnp.zeros_like(start), others, jnp.zeros((), bool), jnp.zeros((), bool))
+def _numbered(of_sticks: Any, skipped: Any, *, most: int, samples: int) -> Any:
+    start, end, position, others, owner, order = of_sticks
+    rows, _ = _rows(start, end, position, start, others, False, False)
     which = order - jnp.where(start < 0, 0, skipped[jnp.where(start < 0, 0, owner)])
     there = (start >= 0) & (which >= 0) & (which < most)
     at = jnp.where(there, which, NOWHERE), jnp.where(there, owner, NOWHERE)
@@ -270,7 +261,7 @@ def count(*columns: Any) -> None:
     """As `numba_loops.count`."""
     *of_bins, counts, scatter, third = columns[7:]
     with jax.enable_x64(True):
-        _into(_count(columns[:7], *of_bins, size=rounded(len(counts))), (counts, scatter, third))
+        _into(_count(columns[:7], of_bins, size=rounded(len(counts))), (counts, scatter, third))
 
 
 def by_order(of_sticks: Any, skipped: Any, most: int) -> Any:
@@ -278,7 +269,7 @@ def by_order(of_sticks: Any, skipped: Any, most: int) -> Any:
     samples = rounded(len(skipped))
     skipped = np.pad(np.asarray(skipped, np.int32), (0, samples - len(skipped)))
     with jax.enable_x64(True):
-        columns, found = _numbered(*of_sticks, skipped, most=most, samples=samples)
+        columns, found = _numbered(of_sticks, skipped, most=most, samples=samples)
         pair = np.asarray(columns[1, :2])
     return columns, np.asarray(found), pair[:, ~np.isnan(pair[1])]
 
