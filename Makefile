@@ -20,7 +20,7 @@ MEASURED := $(filter-out tests/package/%,$(FAST)) $(addprefix tests/,numerics ex
 	study/test_study.py)
 SMOKE := benchmarks/.build/smoke
 
-.PHONY: study test test-fast test-plain test-wheel test-browser coverage check-slow docs docs-smoke site check-site notebooks mutations lint format bench bench-smoke versions clean
+.PHONY: study test test-fast test-plain test-device bench-device test-wheel test-browser coverage check-slow docs docs-smoke site check-site notebooks mutations lint format bench bench-smoke versions clean
 
 study: $(STUDY)
 	$(BIN)/stickslip study --out $(OUT) --force
@@ -36,6 +36,16 @@ test-fast: $(READY)
 # The same without what the package asks of the compiler beyond jax.jit (docs/compiler.md): slower.
 test-plain: export STICKSLIP_PLAIN_JAX = 1
 test-plain: test-fast
+
+# The quick tests on the device that JAX finds (docs/devices.md). On a CPU alone: in the layout for many lanes, without what
+# only CPUs can do. FOLDERS="tests/ensemble" is some of them.
+FOLDERS ?= tests
+DEVICE = $$($(BIN)/python -c 'import jax; print(jax.devices()[0].platform)')
+test-device: $(READY)
+	@if test "$(DEVICE)" = cpu; then echo "There is no device but the CPU: the layout for many lanes is tried on it, with STICKSLIP_LANES=4096."; \
+	else echo "On $$($(BIN)/python -c 'import jax; print(jax.devices()[0].device_kind)')."; fi
+	test "$(DEVICE)" != cpu || export STICKSLIP_LANES=4096 STICKSLIP_PLAIN_JAX=1; \
+		STICKSLIP_TESTED_DEVICE=1 $(BIN)/python -m pytest -n auto --dist worksteal $(FOLDERS)
 
 # The wheel without extras, in an environment of its own: all public names, a call of each kind, every figure, and what
 # each missing extra says. A few minutes.
@@ -107,6 +117,10 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks --rounds $(ROUNDS) $(if $(ONLY),--only '$(ONLY)') || failed=1; \
 		$(BIN)/python -m benchmarks.table && test -z "$$failed"
 
+# Ensembles, statistics, sensitivities on the device that JAX finds; its rows go into benchmarks/README.md. Ten minutes.
+bench-device: $(READY)
+	$(BIN)/python -m benchmarks.device
+
 # Every program of the benchmarks once, as small as possible, and the tables written into a copy.
 bench-smoke: export JAX_COMPILATION_CACHE_DIR = $(CURDIR)/$(SMOKE)
 bench-smoke: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS = 0.1
@@ -115,6 +129,7 @@ bench-smoke: $(READY)
 	cp benchmarks/README.md $(SMOKE).md
 	$(BIN)/python -m benchmarks --tiny --rounds 1 --out $(SMOKE).json
 	$(BIN)/python -m benchmarks.table $(SMOKE).json --into $(SMOKE).md
+	STICKSLIP_LANES=1024 $(BIN)/python -m benchmarks.device --tiny --rounds 1 --into $(SMOKE).md
 
 $(STUDY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; set PYTHON=/path/to/python")'

@@ -64,11 +64,28 @@ def _programs_of_changed_code_are_not_kept(request):
         os.environ[_programs.VARIABLE] = chosen
 
 
+# What `make test-device` leaves out (docs/devices.md), by the beginning of the test's name, and why.
+CPUS_ALONE = {
+    "compiler/": "native loops, options of the compiler and kept programs are those of CPUs",
+    "package/": "the package's shape, its pages and its processes are the same on any device, and tested on CPUs",
+    "browser/": "pages in a browser compute nothing on the device",
+    "ensemble/test_native.py": "native loops are those of CPUs",
+    "ensemble/test_devices.py": "compares the layout of CPUs with that of a device that it makes up",
+    "ensemble/test_many_lanes.py": "compares the layout of CPUs with that of many lanes",
+    "ensemble/test_ensemble.py::test_one_compilation": "counts the native loops of CPUs",
+    "sweep/test_executors.py": "processes would share one device",
+}
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     """Of a test that is `slow_for` some of its cases, these are slow; `slow_but_for` them, all others."""
     unused = {}
     for item in items:
+        name = f"{item.path.relative_to(Path(__file__).parent).as_posix()}::{item.name}"
+        why = [reason for begin, reason in CPUS_ALONE.items() if name.startswith(begin)]
+        if why and os.environ.get("STICKSLIP_TESTED_DEVICE"):
+            item.add_marker(pytest.mark.skip(reason=why[0]))
         for marker in (one for one in item.iter_markers() if one.name in ("slow_for", "slow_but_for")):
             case, asked = item.callspec.id, unused.setdefault(item.nodeid.partition("[")[0], set(marker.args))
             asked.discard(case)

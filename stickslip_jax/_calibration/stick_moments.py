@@ -11,11 +11,12 @@ from jaxtyping import Array, Float
 from .._dynamics.common.method import Exact, Regularized
 from .._ensemble.ensemble import Ensemble
 from .._foundation import checks
+from .._foundation.processes import as_many_as_fit
 from .._foundation.types import InitialState, Scalar, Status
 from .._sensitivity import estimate
 from .._sensitivity.call import cheaper, products_among, source_of
 from .._sensitivity.estimate import Estimator
-from .._sensitivity.estimators import differenced, parts_of_sequences, run_chunks
+from .._sensitivity.estimators import Accumulator, differenced, parts_of_sequences, run_chunks
 from .._sensitivity.problem import buffer_sizes_for, problem_of, relative_bandwidth_of, require_correctable
 from .._sensitivity.statistic import (
     BufferSizes,
@@ -280,15 +281,20 @@ class Simulator:
             if any(size > room for size, room in zip(needed, self.fewest, strict=True)):
                 self.fewest = tuple(2 ** math.ceil(math.log2(1.2 * size + 1)) for size in needed)
             pilot = pilot._replace(fewest=BufferSizes(*self.fewest))
-        kinds, sources, widest = problem.kinds(), [], relative_bandwidth_of(problem, pilot)
-        for kind in kinds:
-            if (self.estimator or cheaper(kind)) == "finite-difference":
-                sources.append(differenced(kind, pilot, np.array([max(widest, _STEP)]), with_pathwise=False))
-            else:
-                closed = kind.in_closed_form()
-                require_correctable(closed)
-                sources.append(source_of(closed, pilot, widest))
-        accumulated = run_chunks(sources, problem.samples, problem.threads)
+        kinds, widest = problem.kinds(), relative_bandwidth_of(problem, pilot)
+
+        def of_lanes(lanes: int) -> Accumulator:
+            sources = []
+            for kind in (one.of_lanes(lanes) for one in kinds):
+                if (self.estimator or cheaper(kind)) == "finite-difference":
+                    sources.append(differenced(kind, pilot, np.array([max(widest, _STEP)]), with_pathwise=False))
+                else:
+                    closed = kind.in_closed_form()
+                    require_correctable(closed)
+                    sources.append(source_of(closed, pilot, widest))
+            return run_chunks(sources, problem.samples, problem.threads)
+
+        accumulated = as_many_as_fit(of_lanes, problem.lanes)
         self.products = frozenset(products_among(problem, accumulated))
 
         # The moments, their derivatives, and the covariance of all (delta method): `influence` holds, for each half of

@@ -14,6 +14,7 @@ from .._compiler.programs import kept_jit
 from .._excitation.excitation import BaseMotion, excitation_of, merged
 from .._excitation.piecewise_constant import PiecewiseConstantLaw
 from .._foundation import checks
+from .._foundation.processes import is_wide
 from .._foundation.types import AnyArray, DType, Number, Scalar
 from .._numerics.derivatives import largest
 from .._numerics.matrices import MANY, stacked
@@ -54,9 +55,9 @@ class CompiledLanes(NamedTuple):
 
 def compiled_for(engine: Engine, *, with_records: bool = False) -> CompiledLanes:
     """The compiled functions for jobs of `engine`; `with_records`: whether every sample has a base motion of its own as
-    arrays, which are too large for native loops.
+    arrays, which are too large for native loops. So are those of many lanes, whose device knows no options of a CPU.
     """
-    return _COMPILED[is_built_in(engine) and engine.compiles_natively and not with_records]
+    return _COMPILED[is_built_in(engine) and engine.compiles_natively and not with_records and not is_wide()]
 
 
 def _compiled(is_built_in: bool) -> CompiledLanes:

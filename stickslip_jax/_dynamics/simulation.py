@@ -19,6 +19,7 @@ from .._excitation.excitation import BaseMotion
 from .._foundation import checks, html
 from .._foundation.extras import flags, labeled_dataset, variable
 from .._foundation.fields import WithMethods, in_one_line, with_fields
+from .._foundation.files import Columns, table_of, write_table
 from .._foundation.types import AnyArray, FloatArray, IntArray, Scalar, Status
 from .._numerics.matrices import MANY, stacked
 from .._systems.switched_model import Form, OneContactModel, is_observed, of_form, require_energy_model
@@ -30,7 +31,6 @@ from .energies import Energies, energies, forces, forces_of_contacts, rule_for
 from .interval.engine import IntervalPath
 from .sticks import (
     NUMBERS,
-    Columns,
     FlatSticks,
     Slips,
     Sticks,
@@ -41,8 +41,6 @@ from .sticks import (
     slips_between,
     stick_columns,
     stick_variables,
-    table_of,
-    write_table,
 )
 from .switched.engine import MOST_STEPS, StepPath, follow_steps
 from .switched.inside import halves_for

@@ -2,10 +2,8 @@
 
 import abc
 import dataclasses
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,15 +16,11 @@ from jaxtyping import Bool, Float, Int, Real
 from .._compiler.native import native_loop, native_loops_work
 from .._compiler.programs import kept_jit
 from .._foundation import checks
-from .._foundation.extras import Entries, flags, require, variable
-from .._foundation.files import file_for_user, file_to_write
+from .._foundation.extras import Entries, flags, variable
+from .._foundation.files import Columns
 from .._foundation.types import AnyArray, BoolArray, Ending, FloatArray, IntArray
-from .._numerics import sums
+from .._numerics import device_loops, sums
 from .._systems.system import Coordinate
-
-if TYPE_CHECKING:
-    import pandas
-
 
 # What is recorded of each stick besides its times, its position and how it ended: a class for each such number.
 #
@@ -361,7 +355,7 @@ def slips_between(sticks: Sticks, t1: Real[AnyArray, "*batch"] | float) -> Slips
     return Slips(fill(start), fill(end), fill(is_last, False), mask)
 
 
-def named_column(sticks: Any, name: str) -> np.ndarray:
+def named_column(sticks: Any, name: str) -> Any:
     """The column `name` of `sticks`, which hold their `NUMBERS` in one array (columns, sticks)."""
     if name not in NUMBERS:
         raise AttributeError(f"{type(sticks).__name__!r} object has no attribute {name!r}", name=name, obj=sticks)
@@ -378,6 +372,12 @@ def with_columns(sticks: _Held, **columns: np.ndarray) -> _Held:
     for name, values in columns.items():
         numbers[NUMBERS.index(name)] = values
     return held._replace(numbers=numbers)
+
+
+def within_period(positions: np.ndarray, period: float) -> np.ndarray:
+    """The positions modulo `period`, in ``[0, period)``."""
+    folded = np.mod(positions, positions.dtype.type(period))
+    return np.where(folded < period, folded, 0)  # a tiny negative position is rounded up to the period
 
 
 class FlatSticks(NamedTuple):
@@ -434,13 +434,6 @@ class FlatSticks(NamedTuple):
         return begins
 
     @property
-    def initial_rests(self) -> tuple[Bool[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
-        """Whether each sample begins with a stick, and how long that lasts, s."""
-        begins, lasts = self.begins_at_zero, np.zeros(len(self.count))
-        lasts[begins] = self.end[self.first[begins]]
-        return begins, lasts
-
-    @property
     def touches(self) -> Bool[np.ndarray, " sticks"]:
         """Whether each stick begins at the very end of the one before it in its sample, without a slip."""
         same = np.diff(self.sample, prepend=-1) == 0
@@ -461,6 +454,12 @@ class FlatSticks(NamedTuple):
             return self
         kept = np.repeat(chosen, self.count)
         return FlatSticks(self.count[chosen], self.numbers[:, kept], self.ending[kept])
+
+    def rest_times(self) -> Float[np.ndarray, " samples"]:
+        """How long each sample rests from t = 0 on, s."""
+        time, begins = np.zeros(len(self.count)), self.begins_at_zero
+        time[begins] = self.end[self.first[begins]]
+        return time
 
     def head(self, samples: int) -> "FlatSticks":
         """The sticks of the first `samples` samples."""
@@ -533,11 +532,27 @@ class StickStream(NamedTuple):
         return cls(sticks.count, last, sticks.numbers, slip, sticks.ending, *whose)
 
     @property
-    def initial_rests(self) -> tuple[Bool[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
-        """Whether each sample begins with a stick, and how long that lasts, s."""
-        begins, lasts = np.zeros(len(self.count), bool), np.zeros(len(self.count))
-        sums.compiled().initial_rests(self.start, self.end, self.owner, begins, lasts)
-        return begins, lasts
+    def begins_at_zero(self) -> Bool[np.ndarray, " samples"]:
+        """Whether each sample begins with a stick."""
+        return self.rest_times() > 0
+
+    def rest_times(self) -> Float[np.ndarray, " samples"]:
+        """How long each sample rests from t = 0 on, s."""
+        times = np.zeros(len(self.count))
+        self.loops().rest_times(self.start, self.end, self.owner, times)
+        return times
+
+    def endings(self, skip_rest: bool) -> Int[np.ndarray, " endings"]:
+        """How many sticks have each `Ending`; `skip_rest`: without those that begin at t = 0."""
+        number = np.zeros(len(Ending), np.int64)
+        self.loops().count_endings(self.start, self.ending, skip_rest, number)
+        return number
+
+    loops = staticmethod(sums.compiled)  # what counts and sums them
+
+    def folded(self, period: float) -> "StickStream":
+        """The same with positions modulo `period`, in ``[0, period)``."""
+        return with_columns(self, position=within_period(self.position, period))
 
     def slip_after(self, t1: float) -> Float[np.ndarray, " samples"]:
         """Duration of the slip after each sample's last stick, s; 0 where it ends with a stick."""
@@ -548,6 +563,11 @@ class StickStream(NamedTuple):
         inside = kept[self.owner]
         count, last = np.where(kept, self.count, 0), np.where(kept, self.last, 0)
         return StickStream(count, last, *(column[..., inside] for column in self[2:]))
+
+    def of_samples(self, kept: Bool[np.ndarray, " samples"]) -> "StickStream":
+        """The same of the samples that are `kept` alone, numbered anew; the others have no sticks."""
+        number = (np.cumsum(kept) - 1).astype(np.int32)
+        return self._replace(count=self.count[kept], last=self.last[kept], owner=number[self.owner])
 
     def of_track(self, track: int, tracks: int) -> "StickStream":
         """The sticks of one track of systems with several contacts, collected as if each track were a sample.
@@ -566,6 +586,80 @@ class StickStream(NamedTuple):
         columns = (tuple(self.numbers), self.ending, tuple(numbers), ending)
         sums.compiled().put_in_order(first, self.owner, self.order, *columns)
         return FlatSticks(self.count, numbers, ending)
+
+
+class DeviceSticks(NamedTuple):
+    """The sticks of many samples, as in a `StickStream`, in arrays of JAX with empty slots, which start below 0.
+
+    `rest`: how long each sample rests from t = 0 on, s. What has an entry for each sample is on the host.
+    """
+
+    count: Int[np.ndarray, " samples"]  # pyright: ignore[reportIncompatibleMethodOverride] - as in the others
+    last: Float[np.ndarray, " samples"]
+    rest: Float[np.ndarray, " samples"]
+    numbers: Float[jax.Array, "columns slots"]
+    slip: Float[jax.Array, " slots"]
+    ending: Int[jax.Array, " slots"]
+    owner: Int[jax.Array, " slots"]
+    order: Int[jax.Array, " slots"]
+
+    def __getattr__(self, name: str) -> Any:
+        return named_column(self, name)
+
+    slip_after = StickStream.slip_after
+
+    @property
+    def begins_at_zero(self) -> Bool[np.ndarray, " samples"]:
+        """Whether each sample begins with a stick."""
+        return self.rest > 0
+
+    def rest_times(self) -> Float[np.ndarray, " samples"]:
+        """How long each sample rests from t = 0 on, s."""
+        return self.rest.astype(np.float64)
+
+    def endings(self, skip_rest: bool) -> Int[np.ndarray, " endings"]:
+        """How many sticks have each `Ending`; `skip_rest`: without those that begin at t = 0."""
+        codes = np.array([*Ending], np.int8)
+        return np.asarray(device_loops.endings(self.start, self.ending, skip_rest, codes), np.int64)
+
+    loops = staticmethod(lambda: device_loops)  # what counts and sums them
+
+    def folded(self, period: float) -> "DeviceSticks":
+        """The same with positions modulo `period`, in ``[0, period)``."""
+        return self._replace(numbers=device_loops.folded(self.numbers, period, row=NUMBERS.index("position")))
+
+    def only(self, kept: Bool[np.ndarray, " samples"]) -> "DeviceSticks":
+        """The same without the sticks of the samples that are not `kept`."""
+        count, last, rest = (np.where(kept, column, 0) for column in self[:3])
+        return self._replace(count=count, last=last, rest=rest, numbers=self._of(kept))
+
+    def of_samples(self, kept: Bool[np.ndarray, " samples"]) -> "DeviceSticks":
+        """The same of the samples that are `kept` alone, numbered anew; the others have no sticks."""
+        number = jnp.asarray(np.cumsum(kept) - 1, jnp.int32)
+        return self._replace(**{n: getattr(self, n)[kept] for n in ("count", "last", "rest")}, owner=number[self.owner])
+
+    def of_track(self, track: int, tracks: int) -> "DeviceSticks":
+        """Those of one track, as of a `StickStream`."""
+        of_it = self._of(np.arange(len(self.count)) % tracks == track)
+        columns = self.count[track::tracks], self.last[track::tracks], self.rest[track::tracks]
+        return DeviceSticks(*columns, of_it, self.slip, self.ending, self.owner // tracks, self.order)
+
+    def _of(self, samples: Bool[np.ndarray, " samples"]) -> Float[jax.Array, "columns slots"]:
+        """The numbers of the sticks of these `samples`, with empty slots in place of the others."""
+        room = device_loops.rounded(len(samples))
+        return device_loops.chosen(self.numbers, np.pad(samples, (0, room - len(samples))), self.owner)
+
+    def in_order(self) -> "DeviceSticks":
+        """Itself: `head` puts them in order."""
+        return self
+
+    def head(self, samples: int) -> FlatSticks:
+        """The sticks of the first `samples` samples, in order, on the host."""
+        count, number = self.count[:samples], int(self.count[:samples].sum())
+        first = np.pad(np.cumsum(count) - count, (0, device_loops.rounded(samples) - samples)).astype(np.int32)
+        columns, size = (self.numbers, self.ending, self.owner, self.order), device_loops.rounded(number)
+        numbers, ending = device_loops.put_in_order(*columns, first, np.int32(samples), size=size)
+        return FlatSticks(count.astype(np.int64), np.asarray(numbers)[:, :number], np.asarray(ending)[:number])
 
 
 class StickCollector:
@@ -684,10 +778,6 @@ def slips_among(sticks: FlatSticks, t1: float, finished: Bool[np.ndarray, " samp
 # Sticks as columns of a table and as labelled arrays, and tables in files: of one trajectory and of many alike.
 
 
-Columns = dict[str, np.ndarray]
-"""Columns of a table by name; the names include the units."""
-
-
 def time_columns(start: np.ndarray, end: np.ndarray) -> Columns:
     """When sticks or slips begin and end, and how long they last."""
     return {"start_s": start, "end_s": end, "duration_s": end - start}
@@ -747,26 +837,3 @@ def shown_counts(counts: Sequence[int]) -> str:
     if len(counts) <= _MOST_SHOWN:
         return ", ".join(f"{count:,}" for count in counts)
     return f"{min(counts):,} to {max(counts):,}, in all {sum(counts):,}"
-
-
-def table_of(columns: Columns) -> "pandas.DataFrame":
-    """The columns as a table of pandas. Raises ImportError without the extra ``tables``."""
-    require("Tables need", "tables", "pandas")
-    import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
-
-    return pd.DataFrame(columns)
-
-
-def write_table(columns: Columns, path: str | os.PathLike[str], overwrite: bool) -> Path:
-    """Write the columns to `path`, in the format of its ending. Raises the errors of `Ensemble.write_sticks`."""
-    path = file_to_write(path, (".csv", ".parquet"), overwrite=overwrite)
-    is_csv = path.suffix.lower() == ".csv"
-    if not is_csv:
-        require("Parquet files need", "tables", "pandas", "pyarrow")
-    table = table_of(columns)
-    with file_for_user(path) as file:
-        if is_csv:
-            table.to_csv(file, index=False, mode="wb")
-        else:
-            table.to_parquet(file, engine="pyarrow", index=False, write_page_checksum=True)
-    return path

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._dynamics.common.lanes import SampleTotals
 from .._dynamics.common.method import Exact, Regularized
-from .._dynamics.sticks import NUMBERS, FlatSlips, FlatSticks, StickCollector, StickStream, slips_among, with_columns
+from .._dynamics.sticks import NUMBERS, DeviceSticks, FlatSlips, FlatSticks, StickCollector, StickStream, slips_among
 from .._excitation.excitation import law_of
 from .._foundation.processes import available_memory
 from .._foundation.types import DType, Number, Status
@@ -366,13 +366,13 @@ class EnsemblePart(NamedTuple):
     """A part of the ensemble: results of consecutive samples, their sticks, and the sums over these sticks."""
 
     results: SampleTotals
-    sticks: FlatSticks | None = None
+    sticks: FlatSticks | DeviceSticks | None = None
     accumulator: StickAccumulator | None = None
     rest: tuple[np.ndarray, ...] = ()  # `Numbering.rest` of each sample; empty: not known
 
     @classmethod
     def of(
-        cls, results: SampleTotals, sticks: StickStream | FlatSticks, t1: float, numbering: Numbering,
+        cls, results: SampleTotals, sticks: StickStream | DeviceSticks | FlatSticks, t1: float, numbering: Numbering,
         keep_sticks: bool, period: float | None = None,
     ) -> "EnsemblePart":  # fmt: skip
         """The part made from the results and the sticks of consecutive samples, simulated up to `t1` (s).
@@ -382,21 +382,12 @@ class EnsemblePart(NamedTuple):
         """
         finished = np.equal(results.status, Status.FINISHED)
         stick_time, slips = (np.asarray(column)[finished] for column in (results.stick_time, results.slips))
-        done, found = StickStream.of(sticks) if isinstance(sticks, FlatSticks) else sticks, None
-        if period is not None:
-            done = with_columns(done, position=within_period(done.position, period))
-        if not np.all(finished):
-            found = done.only(finished).in_order()
-            done = StickStream.of(found.only(finished))
-        accumulator = StickAccumulator.of(done, stick_time, slips, t1, numbering)
-        kept = (found or done.in_order()) if keep_sticks else None
-        return cls(results, kept, accumulator, numbering.rest(found or done))
-
-
-def within_period(positions: np.ndarray, period: float) -> np.ndarray:
-    """The positions modulo `period`, in ``[0, period)``."""
-    folded = np.mod(positions, positions.dtype.type(period))
-    return np.where(folded < period, folded, 0)  # a tiny negative position is rounded up to the period
+        done = StickStream.of(sticks) if isinstance(sticks, FlatSticks) else sticks
+        done, whole = done if period is None else done.folded(period), np.all(finished)
+        done = done if whole else done.only(finished)
+        counted = done if whole else done.of_samples(finished)
+        accumulator = StickAccumulator.of(counted, stick_time, slips, t1, numbering)
+        return cls(results, done.in_order() if keep_sticks else None, accumulator, numbering.rest(done))
 
 
 def prepare(dtype: DType) -> None:
@@ -487,13 +478,16 @@ class EnsembleAccumulator:
         elif self._totals is not None:
             self._totals.append(totals)
 
-    def _keep(self, part: EnsemblePart, sticks: FlatSticks, unfinished: int = 0, is_whole: bool = True) -> None:
+    def _keep(
+        self, part: EnsemblePart, sticks: FlatSticks | DeviceSticks, unfinished: int = 0, is_whole: bool = True
+    ) -> None:
         """Keep the `sticks` of a part, or those of as many of its first samples as there is space for.
 
         `unfinished`: of samples that are not in it and take space. `is_whole`: whether it has all that finished.
         """
         if self.keep == "sticks":
-            self._kept.append(part._replace(sticks=sticks))
+            here = sticks if isinstance(sticks, FlatSticks) else sticks.head(len(sticks.count))
+            self._kept.append(part._replace(sticks=here))
             _check_memory(self._kept, self.samples)
         elif self._space > 0:
             # A sample takes the space of its sticks and one more, so that samples without sticks are limited too.
@@ -503,13 +497,20 @@ class EnsembleAccumulator:
             results = SampleTotals(*(column[:fits].copy() for column in part.results))
             rest = tuple(column[:fits].copy() for column in part.rest)
             fit_all = fits == len(sticks.count)
-            self._kept.append(EnsemblePart(results, sticks if fit_all else sticks.head(fits), rest=rest))
-            left = self._space - len(sticks.start) - fits - unfinished if fit_all and is_whole else 0
+            self._kept.append(
+                EnsemblePart(
+                    results, sticks if fit_all and isinstance(sticks, FlatSticks) else sticks.head(fits), rest=rest
+                )
+            )
+            left = self._space - int(sticks.count.sum()) - fits - unfinished if fit_all and is_whole else 0
             self._space = max(left, int(self._retained_samples < FEWEST))
 
     def found(self) -> Fields:
         """The fields of an `Ensemble` that come from the parts, by name."""
-        is_full, kept = self.keep == "sticks", [part.sticks for part in self._kept if part.sticks is not None]
+        is_full, kept = (
+            self.keep == "sticks",
+            [part.sticks for part in self._kept if isinstance(part.sticks, FlatSticks)],
+        )
         sticks = FlatSticks.joined(kept) if kept else None
         totals = None
         if self._totals is not None:

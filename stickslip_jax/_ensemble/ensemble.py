@@ -18,12 +18,12 @@ from jaxtyping import Array
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.simulate import Output, Outputs, checked_outputs
 from .._dynamics.simulation import Simulation
-from .._dynamics.sticks import Slips, Sticks, in_slots, shown_counts, stick_columns, time_columns, write_table
+from .._dynamics.sticks import Slips, Sticks, in_slots, shown_counts, stick_columns, time_columns
 from .._excitation.excitation import BaseMotion, is_random
 from .._foundation import checks, html
 from .._foundation.extras import require
 from .._foundation.fields import in_one_line
-from .._foundation.files import file_for_user, file_to_write
+from .._foundation.files import file_for_user, file_to_write, write_table
 from .._foundation.types import InitialState, Status
 from .._numerics.sums import DyadicCounts, Moments, PowerSums
 from .._statistics.distribution import BINS, Clusters, Distribution

@@ -1,7 +1,6 @@
 """The checked arguments of an ensemble; its samples simulated in chunks and threads; the user's outputs of them."""
 
 import dataclasses
-import itertools
 import threading
 import time
 from collections import deque
@@ -16,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from .._compiler.native import Layout
+from .._compiler.native import LANES, Layout
 from .._compiler.programs import kept_jit
 from .._dynamics.common.lanes import (
     BLOCK,
@@ -39,14 +38,22 @@ from .._dynamics.engine_choice import compiled_for, engines_of_all, lanes_for, s
 from .._dynamics.regularized.lanes import RegularizedEngine
 from .._dynamics.simulate import Output, simulate
 from .._dynamics.simulation import Simulation
-from .._dynamics.sticks import ALL, StickCollector, Sticks, StickStream, start_totals
+from .._dynamics.sticks import ALL, DeviceSticks, StickCollector, Sticks, StickStream, start_totals
 from .._dynamics.switched.inside import halves_for
 from .._excitation.excitation import is_random, key_data_for, law_of
 from .._excitation.motion import Signal
 from .._foundation import checks
 from .._foundation.extras import progress_bar
-from .._foundation.processes import device, lanes_at_once, usual_threads
+from .._foundation.processes import (
+    as_many_as_fit,
+    blocks_at_once,
+    fewer_lanes,
+    is_wide,
+    lanes_at_once,
+    usual_threads,
+)
 from .._foundation.types import AnyArray, DType, FloatArray, Number, Scalar, Status
+from .._numerics import device_loops
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
 from .._systems.switched_model import Form, Segments, State, is_observed
@@ -213,7 +220,8 @@ Values = dict[str, np.ndarray]
 """Numbers of consecutive samples by the name of the output, (samples,); NaN for those that did not finish."""
 
 
-_AT_ONCE = 1024  # samples
+_AT_ONCE = 1024  # samples on a CPU
+_SIZE = 2**14  # bytes that a sample's functions may take
 _FEW_SAMPLES = 64
 
 
@@ -325,11 +333,12 @@ class AtEnd:
         """The outputs of so many samples `first`, ``first + 1``, ..., of which `results` are the first ones."""
         (*_, status, near_grazing_count), end, extremes, sums = results
         known, found = (np.stack([status, near_grazing_count], axis=-1), end, extremes, sums), []
-        for begin in range(0, max(samples, 1), _AT_ONCE):
-            number = max(min(_AT_ONCE, samples - begin), 1)
+        at_once = lanes_at_once(_AT_ONCE, samples, lambda: _SIZE)
+        for begin in range(0, max(samples, 1), at_once):
+            number = max(min(at_once, samples - begin), 1)
             key_data, *of_samples = self.setup.arguments(first + begin, number)
             # Always as many at once: functions that are compiled for other sizes may round otherwise.
-            here = np.minimum(np.arange(_AT_ONCE), number - 1)
+            here = np.minimum(np.arange(at_once), number - 1)
             given = jax.tree.map(lambda column, here=here: column[here], of_samples)
             ends = jax.tree.map(lambda column, here=begin + here: column[here], known)
             found.append(self._run(key_data, *given, *ends))
@@ -368,8 +377,8 @@ class AtEnd:
 # otherwise, so the numbers of a sample depend on its key and number only.
 
 
-_LANES, _FEWEST = 256, 8
-_MEMORY = 2**27  # bytes of the recorded trajectories of a batch
+_FEWEST = 8
+_MEMORY = 2**27  # bytes of the recorded trajectories of a batch on a CPU
 _EAGER_LANES = 64
 
 
@@ -393,7 +402,8 @@ class OutputRunner:
             self._begun[0] = self._batch(0)
             return
         size = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(shapes))
-        fits = max(_FEWEST, min(_LANES, _MEMORY // max(size, 1)))
+        fits = min(LANES, _MEMORY // max(size, 1))
+        fits = max(_FEWEST, lanes_at_once(fits, max(setup.inputs.samples, 1), lambda: 2.0 * max(size, 1)))
         self._lanes, self._run = 1 << (fits.bit_length() - 1), kept_jit(self._at_once)
         jax.eval_shape(numbers, *one)
 
@@ -401,7 +411,10 @@ class OutputRunner:
         self, first: int, samples: int, threads: int = 1, advance: Callable[[int], object] = lambda number: None
     ) -> Values:
         """The outputs of samples ``first .. first + samples - 1``; of so many more it tells that they are done."""
-        lanes, end = self._lanes, first + samples
+        return as_many_as_fit(partial(self._values, first, samples, threads, advance), self._lanes)
+
+    def _values(self, first: int, samples: int, threads: int, advance: Callable[[int], object], lanes: int) -> Values:
+        self._lanes, end = lanes, first + samples
         begins = range(first - first % lanes, end, lanes)
         with ThreadPoolExecutor(max(1, min(threads, len(begins)))) as pool:
             batches, done = [], 0
@@ -493,11 +506,11 @@ _Parts = tuple[tuple[EnsemblePart, ...], Values]
 """Of the same samples: the part of each track, and outputs."""
 _Simulate = Callable[[int, int], _Parts]
 """Of samples ``first .. first + number - 1``: their parts."""
-_Run = Callable[[int, int], tuple[SampleTotals | WatchedTotals, StickStream | None]]
+_Run = Callable[[int, int], tuple[SampleTotals | WatchedTotals, StickStream | DeviceSticks | None]]
 """Of the same samples: their results, and, unless only these are kept, their sticks, each track as a sample."""
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _MANY_NUMBERS = 100  # of a state
-_RECORDED_AT_ONCE = 2**17  # intervals per call that keeps sticks: few calls, with records that stay in the cache
+_ROWS, _WIDE_ROWS = 64, 2  # of a task; where its sticks stay on the device
 
 
 def found_by(
@@ -513,16 +526,20 @@ def found_by(
     is_recorded = accumulators[0].keep != "totals"
     tasks, started = _Tasks.of(setup, samples, threads, chunk, is_recorded), time.perf_counter()
     at_end = AtEnd(setup, outputs)
-    simulate = _simulator(at_end, tasks, accumulators)
-    # Compiled before the threads start, so that not each of them compiles the same code.
-    with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
-        prepared = pool.submit(prepare, setup.dtype) if is_recorded else None
-        simulate(0, 0)
-        if prepared is not None:
-            prepared.result()
+    if is_wide():
+        parts = _one_by_one(at_end, tasks, accumulators, first, samples)
+    else:
+        simulate = _simulator(at_end, tasks, accumulators)
+        # Compiled before the threads start, so that not each of them compiles the same code.
+        with ThreadPoolExecutor(1) as pool:  # Numba compiles while XLA does
+            prepared = pool.submit(prepare, setup.dtype) if is_recorded else None
+            simulate(0, 0)
+            if prepared is not None:
+                prepared.result()
+        parts = _in_order(simulate, tasks, first, samples)
     compiled = time.perf_counter()
     with progress_bar(progress, samples) as bar:
-        found = _add_all(accumulators, _in_order(simulate, tasks, first, samples), bar.advance)
+        found = _add_all(accumulators, parts, bar.advance)
     with progress_bar(progress if at_end.others else False, samples, "sample recorded") as bar:
         _add_outputs(accumulators, first, tuple(outputs), found, at_end.others, threads, bar.advance)
     shared = {
@@ -537,11 +554,11 @@ def found_here(
     setup: EnsembleSetup, first: int, accumulator: EnsembleAccumulator, outputs: Mapping[str, Output]
 ) -> Fields:
     """As `found_by`, simulated in this thread."""
-    tasks = _Tasks.of(setup, _ONE_SIZE, 1, _ONE_SIZE, accumulator.keep != "totals")
     started, samples = time.perf_counter(), accumulator.missing
+    size = _ONE_SIZE if not is_wide() else max(_ONE_SIZE, 1 << (samples - 1).bit_length())
+    tasks = _Tasks.of(setup, size, 1, size, accumulator.keep != "totals")
     at_end = AtEnd(setup, outputs)
-    simulate = _simulator(at_end, tasks, (accumulator,))
-    found = _add_all((accumulator,), itertools.starmap(simulate, tasks.of_samples(first, samples)))
+    found = _add_all((accumulator,), _one_by_one(at_end, tasks, (accumulator,), first, samples))
     _add_outputs((accumulator,), first, tuple(outputs), found, at_end.others)
     spent = time.perf_counter() - started
     return accumulator.found() | {"threads": 1, "compile_seconds": 0.0, "run_seconds": spent}
@@ -587,21 +604,28 @@ class _Tasks(NamedTuple):
     def of(cls, setup: EnsembleSetup, samples: int, threads: int, chunk: int | None, is_recorded: bool) -> "_Tasks":
         if chunk is not None:
             chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
-        rows, useful = 64, samples if chunk is None else min(samples, chunk)
+        rows, useful = _ROWS, samples if chunk is None else min(samples, chunk)
         size = partial(lane_size, dtype=setup.dtype, rows=rows, is_recorded=is_recorded)
         lanes = lanes_at_once(setup.engine.lanes, useful, lambda: size(setup.job(0, 1, 1)))
+        if is_wide():
+            # Without rows that are not needed; sticks stay on the device until the task is done.
+            threads, rows = 1, min(_WIDE_ROWS if is_recorded else _ROWS, -(-useful // lanes))
         if chunk is not None:
             # Lanes beyond the samples are wasted, but up to 4096 let different numbers of samples share a compilation.
             chunk = min(chunk, max(samples, 4096))
             # And of fewer than are computed with at once the numbers are rounded otherwise.
             lanes = min(lanes, max(_FEWEST, 1 << (chunk - 1).bit_length()))
             return cls(lanes, -(-chunk // lanes), chunk, threads)
-        if len(setup.inputs.model.y0) > _MANY_NUMBERS and device().platform == "cpu":
+        if len(setup.inputs.model.y0) > _MANY_NUMBERS and not is_wide():
             # A lane is long enough to keep the processor busy: none is wasted.
             lanes = min(lanes, max(_FEWEST, 1 << (-(-samples // threads) - 1).bit_length()))
         # Small runs are divided into smaller tasks, so that every thread has work.
-        fair = -(-samples // (4 * threads * lanes)) * lanes
+        fair = lanes * rows if is_wide() else -(-samples // (4 * threads * lanes)) * lanes
         return cls(lanes, rows, min(fair, lanes * rows), threads)
+
+    def of_lanes(self, lanes: int) -> "_Tasks":
+        """Smaller tasks, of fewer lanes."""
+        return self._replace(lanes=lanes, samples_per_task=min(self.samples_per_task, lanes * self.rows))
 
     def of_samples(self, first: int, samples: int) -> list[tuple[int, int]]:
         """The first sample of each task and their number, for samples `first`, ``first + 1``, ..."""
@@ -612,7 +636,8 @@ class _Tasks(NamedTuple):
 def _simulator(at_end: AtEnd, tasks: _Tasks, accumulators: Sequence[EnsembleAccumulator]) -> _Simulate:
     """A function that simulates samples ``first .. first + number - 1`` and records what the `accumulators` keep."""
     setup, keeps_sticks = at_end.setup, accumulators[0].keep != "totals"
-    run = _recorder(setup, tasks) if keeps_sticks else _summarizer(setup, tasks)
+    recorder = _device_recorder if is_wide() else _recorder
+    run = recorder(setup, tasks) if keeps_sticks else _summarizer(setup, tasks)
 
     def simulate(first: int, number: int) -> _Parts:
         results, sticks = run(first, number)
@@ -650,20 +675,25 @@ def _in_a_row(results: Any) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:]), results)
 
 
+def _record_options(setup: EnsembleSetup, tasks: _Tasks) -> dict[str, Any]:
+    """What is static in calls of `record`."""
+    layout = Layout.of(jax.eval_shape(lambda job: job, setup.job(0, 1, tasks.lanes * tasks.rows)))
+    blocks = blocks_at_once(tasks.lanes, BLOCK)
+    return {"layout": layout, "lanes": tasks.lanes, "blocks": blocks, "dtype": setup.dtype}
+
+
 def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     """Simulates samples, with every stick recorded."""
     _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
     of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
-    blocks, dtype = max(1, _RECORDED_AT_ONCE // (BLOCK * tasks.lanes)), setup.dtype
-    layout = Layout.of(jax.eval_shape(lambda job: job, setup.job(0, 1, tasks.lanes * tasks.rows)))
-    options = {"layout": layout, "lanes": tasks.lanes, "blocks": blocks, "dtype": dtype}
+    options = _record_options(setup, tasks)
 
     def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, StickStream]:
         if not hasattr(of_thread, "sticks"):
             of_thread.sticks = StickCollector()
         # While a thread is in the loops below, XLA's and Numba's, others can hold Python's lock.
         job = setup.job(first, -(-number // tasks.lanes), tasks.lanes * tasks.rows)
-        task, now, results = begin(job, lanes=tasks.lanes, rows=tasks.rows, dtype=dtype)
+        task, now, results = begin(job, lanes=tasks.lanes, rows=tasks.rows, dtype=setup.dtype)
         of_thread.sticks.restart(number * len(setup.tracks))
         found = record(task, now, results, **options)
         follow = record.bound((task, now, results), options)
@@ -674,6 +704,48 @@ def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
             found = follow(task, found.now, found.results)
 
     return run
+
+
+def _device_recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
+    """As `_recorder`, but sticks are collected on the device, and stay there."""
+    _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
+    lanes, dtype, tracks = tasks.lanes, setup.dtype, len(setup.tracks)
+    options = _record_options(setup, tasks)
+
+    def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, DeviceSticks]:
+        job = setup.job(first, -(-number // lanes), lanes * tasks.rows)
+        task, now, results = begin(job, lanes=lanes, rows=tasks.rows, dtype=dtype)
+        seen = device_loops.nothing_seen(lanes * tracks, lanes * tasks.rows * tracks, dtype)
+        parts, goes_on = list[Any](), True
+        while goes_on:
+            now, results, (values, ending), whose, unfinished = record(task, now, results, **options)
+            *found, told, seen = device_loops.look(values, ending, whose, np.int32(number * tracks), unfinished, seen)
+            sticks, goes_on = map(int, np.asarray(told))
+            parts.append(device_loops.gather(values, ending, *found, whose, size=device_loops.rounded(sticks)))
+        columns = parts[0]
+        if len(parts) > 1:
+            columns = device_loops.joined(parts, size=device_loops.rounded(sum(len(part[1]) for part in parts)))
+        count, last, rest = (np.asarray(column)[: number * tracks] for column in (seen.count, seen.last, seen.rest))
+        return _in_a_row(results), DeviceSticks(count, last, rest, *columns)
+
+    return run
+
+
+def _one_by_one(
+    at_end: AtEnd, tasks: _Tasks, accumulators: Sequence[EnsembleAccumulator], first: int, samples: int
+) -> Iterator[_Parts]:
+    """Simulate all tasks in this thread, smaller ones where memory does not suffice, and yield their parts."""
+    simulate, end = _simulator(at_end, tasks, accumulators), first + samples
+    while first < end:
+        number = min(tasks.samples_per_task, end - first)
+        try:
+            parts = simulate(first, number)
+        except jax.errors.JaxRuntimeError as error:
+            tasks = tasks.of_lanes(fewer_lanes(error, tasks.lanes))
+            simulate = _simulator(at_end, tasks, accumulators)
+            continue
+        yield parts
+        first += number
 
 
 def _in_order(simulate: _Simulate, tasks: _Tasks, first: int, samples: int) -> Iterator[_Parts]:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .._dynamics.sticks import table_of
 from .._excitation.recorded import GroundAcceleration
 from .._excitation.suites import RecordSuite
 from .._foundation import checks
+from .._foundation.files import table_of
 from .._foundation.types import Number
 from .._systems.slopes import rigid_block
 from .._systems.system import System

@@ -10,12 +10,16 @@ import uuid
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
 from . import checks
+from .extras import require
 from .processes import available_memory
+
+if TYPE_CHECKING:
+    import pandas
 
 _UNFINISHED = ".unfinished"
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)  # opening a named pipe does not wait for its other end
@@ -225,3 +229,33 @@ def remove_unfinished(folder: Path) -> None:
     for path in folder.glob(f"*{_UNFINISHED}"):
         if finished_name(path.name):
             path.unlink(missing_ok=True)
+
+
+# Tables of pandas, and in files.
+
+
+Columns = dict[str, np.ndarray]
+"""Columns of a table by name; the names include the units."""
+
+
+def table_of(columns: Columns) -> "pandas.DataFrame":
+    """The columns as a table of pandas. Raises ImportError without the extra ``tables``."""
+    require("Tables need", "tables", "pandas")
+    import pandas as pd  # noqa: PLC0415 - an extra, loaded when asked for
+
+    return pd.DataFrame(columns)
+
+
+def write_table(columns: Columns, path: str | os.PathLike[str], overwrite: bool) -> Path:
+    """Write the columns to `path`, in the format of its ending. Raises the errors of `Ensemble.write_sticks`."""
+    path = file_to_write(path, (".csv", ".parquet"), overwrite=overwrite)
+    is_csv = path.suffix.lower() == ".csv"
+    if not is_csv:
+        require("Parquet files need", "tables", "pandas", "pyarrow")
+    table = table_of(columns)
+    with file_for_user(path) as file:
+        if is_csv:
+            table.to_csv(file, index=False, mode="wb")
+        else:
+            table.to_parquet(file, engine="pyarrow", index=False, write_page_checksum=True)
+    return path

@@ -86,12 +86,11 @@ def put_in_order(first, owner, order, columns, ending, ordered, endings):
 
 @_loop
 @no_type_check
-def initial_rests(start, end, owner, begins, lasts):
-    """Of each sample whether it begins with a stick, and how long that lasts, (samples,)."""
+def rest_times(start, end, owner, times):
+    """How long each sample rests from t = 0 on, (samples,)."""
     for i in range(len(start)):
         if start[i] == 0:
-            begins[np.uint64(owner[i])] = True
-            lasts[np.uint64(owner[i])] = end[i]
+            times[np.uint64(owner[i])] = end[i]
 
 
 @_loop
@@ -286,6 +285,18 @@ def numbered(start, end, position, others, owner, order, skipped, columns, numbe
                 earlier[whose] = duration
             elif which == 1:
                 first_two[0, to], first_two[1, to] = earlier[whose], duration
+
+
+def by_order(of_sticks: Any, skipped: Any, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `numbered` finds of the first `most` sticks of each sample: columns, numbers, durations of the first two.
+
+    `of_sticks`: the first six arguments of `numbered`.
+    """
+    samples = len(skipped)
+    columns, found = np.empty((3 + len(of_sticks[3]), most, samples)), np.zeros(most, np.int64)
+    earlier, pair = np.empty(samples), np.empty((2, samples))
+    numbered(*of_sticks, skipped, columns, found, earlier, pair)
+    return columns, found, pair[:, : found[1]]
 
 
 @_loop

@@ -13,6 +13,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from .._compiler.native import LANES
 from .._dynamics.common.lanes import Job, summarize, with_leaves
 from .._dynamics.common.method import EXACT, Exact, Regularized
 from .._dynamics.simulate import simulate
@@ -20,6 +21,7 @@ from .._ensemble.setup import EnsembleSetup
 from .._excitation.excitation import BaseMotion, is_random
 from .._excitation.segments import SegmentLaw
 from .._foundation import checks
+from .._foundation.processes import as_many_as_fit, is_wide
 from .._foundation.types import FloatArray, InitialState, Status
 from .._statistics.quantities import Numbering
 from .._systems.system import System
@@ -30,10 +32,10 @@ from .counting import recording
 from .estimate import Estimator, Sensitivities, Sensitivity, results_of
 from .estimators import Accumulator, Source, counted, counting_engine, differenced, recorded, run_chunks, score_leaves
 from .problem import (
-    LANES,
     Pilot,
     SensitivityProblem,
     buffer_sizes_for,
+    in_rows,
     problem_of,
     relative_bandwidth_of,
     require_correctable,
@@ -181,17 +183,23 @@ def sensitivity(
     if chosen is None:
         chosen = "corrected" if all(cheaper(kind) == "corrected" for kind in kinds) else "finite-difference"
     widest = relative_bandwidth_of(problem, pilot) if relative_bandwidth is None else float(relative_bandwidth)
+    # The given step, or the wider of two that agree.
+    choices = [estimate.OUTPUT if kind.is_output else estimate.PAIRED for kind in kinds]
+    steps = [widest * np.array(choice) if step is None else np.array([step]) for choice in choices]
     if chosen == "corrected":
         kinds = [kind.in_closed_form() for kind in kinds]
         for kind in kinds:
             require_correctable(kind)
-        sources = [source_of(kind, pilot, widest) for kind in kinds]
-    else:
-        # The given step, or the wider of two that agree.
-        choices = [estimate.OUTPUT if kind.is_output else estimate.PAIRED for kind in kinds]
-        steps = [widest * np.array(choice) if step is None else np.array([step]) for choice in choices]
-        sources = [differenced(kind, pilot, of, with_pathwise=False) for kind, of in zip(kinds, steps, strict=True)]
-    accumulated = run_chunks(sources, problem.samples, problem.threads)
+
+    def of_lanes(lanes: int) -> tuple[list[Source], Accumulator]:
+        each = [kind.of_lanes(lanes) for kind in kinds]
+        if chosen == "corrected":
+            sources = [source_of(kind, pilot, widest) for kind in each]
+        else:
+            sources = [differenced(kind, pilot, of, with_pathwise=False) for kind, of in zip(each, steps, strict=True)]
+        return sources, run_chunks(sources, problem.samples, problem.threads)
+
+    sources, accumulated = as_many_as_fit(of_lanes, problem.lanes)
     grazing = warn_if_grazing(kinds[0]) if chosen == "corrected" else ()
     widths = [source.widths for source, kind in zip(sources, kinds, strict=True) for _ in kind.statistics]
     found = results_of(problem, accumulated, widths, elasticity, chosen, grazing)
@@ -309,10 +317,10 @@ def output_means(problem: SensitivityProblem, samples: int) -> Callable[[Array],
     key = jax.random.wrap_key_data(problem.key_data)
     options = (problem.samples, 0, key, None, method, "totals", Numbering(1, True))
     inputs = EnsembleSetup.checked(model, problem.t1, *options).inputs
-    rows = -(-samples // _OUTPUT_LANES)
-    columns = tuple(jnp.asarray(column) for column in inputs.drawn(0, rows * _OUTPUT_LANES, problem.dtype))
-    numbers = jnp.asarray(inputs.realization_numbers(0, rows * _OUTPUT_LANES))
-    bases = inputs.realizations(0, rows * _OUTPUT_LANES, problem.t1)
+    rows, lanes = in_rows(samples, _OUTPUT_LANES, problem.recorded_lanes if is_wide() else _OUTPUT_LANES)
+    columns = tuple(jnp.asarray(column) for column in inputs.drawn(0, samples, problem.dtype))
+    numbers = jnp.asarray(inputs.realization_numbers(0, samples))
+    bases = inputs.realizations(0, samples, problem.t1)
     paths = tuple(parameter.path for parameter in problem.parameters)
     if isinstance(method, Exact) and not problem.by_intervals:
         method = Exact(max_steps=_SPARE * problem.steps)  # a number that does not depend on the parameters
@@ -330,9 +338,7 @@ def output_means(problem: SensitivityProblem, samples: int) -> Callable[[Array],
         return jnp.stack([value, finished.astype(value.dtype)])
 
     def means(values: Array) -> Float[Array, "2"]:
-        batches = jax.tree.map(
-            lambda leaf: leaf.reshape(rows, _OUTPUT_LANES, *leaf.shape[1:]), (columns, numbers, bases)
-        )
+        batches = jax.tree.map(lambda leaf: leaf.reshape(rows, lanes, *leaf.shape[1:]), (columns, numbers, bases))
         each = lax.map(lambda batch: jax.vmap(partial(sample, values))(*batch), batches)
         return jnp.sum(each, axis=(0, 1))
 
@@ -385,12 +391,12 @@ def differentiable(
     if isinstance(statistic, (list, tuple)):
         raise checks.refused("statistic", "be one statistic (sensitivity takes several)", statistic)
     problem, pilot = problem_of(statistic, system, law, wrt, t1, samples, key, y0)
-    rows, bandwidth = -(-problem.samples // LANES), relative_bandwidth_of(problem, pilot)
+    number, bandwidth = -(-problem.samples // LANES) * LANES, relative_bandwidth_of(problem, pilot)
     if problem.is_output:
-        means = output_means(problem, rows * LANES)
+        means = output_means(problem, number)
     else:
         require_correctable(problem)
-        means = (_counted if problem.is_counted else _recorded)(problem, pilot, bandwidth, rows)
+        means = (_counted if problem.is_counted else _recorded)(problem, pilot, bandwidth, number)
     ratio = _ratio(means, bandwidth if problem.is_paired or problem.is_output else None)
     number = len(problem.parameters)
 
@@ -446,19 +452,19 @@ def _ratio(means: _Means, step: float | None) -> Callable[[Float[Array, " values
     return ratio
 
 
-def _counted(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
+def _counted(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, samples: int) -> _Means:
     """Means by the engines that count sticks."""
     # One window, the widest: comparing several is not possible inside a compiled function.
     engine = counting_engine(problem, pilot, np.array([] if problem.is_paired else [bandwidth]))
     weights = jnp.asarray(problem.totals[0].weights(problem.t1), problem.dtype)
     leaves, by = problem.leaves, score_leaves(problem, engine)
-    varying = problem.varying_leaves(0, rows * LANES)
+    varying, (rows, lanes) = problem.varying_leaves(0, samples), in_rows(samples, LANES, problem.lanes)
 
     def means(values: Array, varied: Array | None = None) -> Array:
         # The likelihood knows a rate beside the law's, and the derivative is by that one.
         here = with_leaves(with_leaves(engine, leaves, values), by, values if varied is None else varied)
         job = Job(here, problem.key_data, np.uint32(0), np.int32(rows), varying)
-        counted = summarize(job, lanes=LANES, rows=rows, dtype=problem.dtype)
+        counted = summarize(job, lanes=lanes, rows=rows, dtype=problem.dtype)
         done = counted.status == Status.FINISHED
         sticks = sum(counted.sums.event_parts, jnp.asarray(counted.sticks, problem.dtype))
         totals = [jnp.where(done, jnp.asarray(leaf), 0) for leaf in (counted.stick_time, sticks, done)]
@@ -467,21 +473,22 @@ def _counted(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: 
     return means
 
 
-def _recorded(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows: int) -> _Means:
+def _recorded(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, samples: int) -> _Means:
     """Means by recorded stick sequences."""
     engine, leaves, buffer = problem.engine(), problem.leaves, buffer_sizes_for(problem, pilot)
     buffer = BufferSizes(2 * buffer.blocks, 2 * buffer.slots, 0 if problem.is_paired else 2 * buffer.candidates)
     bandwidths = np.array([bandwidth])
-    varying = tuple(jnp.asarray(column) for column in problem.varying_leaves(0, rows * LANES))
+    varying = tuple(jnp.asarray(column) for column in problem.varying_leaves(0, samples))
+    rows, lanes = in_rows(samples, LANES, problem.recorded_lanes if is_wide() else LANES)
 
     def means(values: Array, varied: Array | None = None) -> Array:
         here = with_leaves(engine, leaves, values if varied is None else varied)
         here = wrapped(here, partial(recording, first=problem.first_segment))
 
         def chunk(first):
-            mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, LANES), varying)
+            mine = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, lanes), varying)
             job = Job(here, problem.key_data, first, np.int32(1), mine)
-            recorded = record_sequences(job, lanes=LANES, buffer=buffer, dtype=problem.dtype)
+            recorded = record_sequences(job, lanes=lanes, buffer=buffer, dtype=problem.dtype)
             features = features_of(problem.statistics[0], recorded, bandwidths)
             status, sticks, candidates = recorded.counts
             done = (status == Status.FINISHED)[:, None]
@@ -489,7 +496,7 @@ def _recorded(problem: SensitivityProblem, pilot: Pilot, bandwidth: float, rows:
             parts = jnp.where(done, features.parts + features.event_parts[:, 0], 0)
             return jnp.where(lost, jnp.nan, jnp.sum(parts, axis=0))
 
-        firsts = jnp.arange(rows, dtype=jnp.uint32) * np.uint32(LANES)
+        firsts = jnp.arange(rows, dtype=jnp.uint32) * np.uint32(lanes)
         return jnp.sum(lax.map(chunk, firsts), axis=0)
 
     return means

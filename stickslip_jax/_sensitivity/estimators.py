@@ -21,6 +21,7 @@ from .._dynamics.sticks import FlatSticks
 from .._ensemble.data import RETAINED
 from .._ensemble.ensemble import simulate_batch
 from .._ensemble.setup import EnsembleSetup, OutputRunner
+from .._foundation.processes import is_wide
 from .._foundation.types import AnyArray, DType, IntArray, Status
 from .._numerics.sums import Moments
 from .._statistics.quantities import Numbering
@@ -29,7 +30,7 @@ from .._uncertainty.inputs import StochasticModel
 from .._uncertainty.numbers import check_numbers, with_numbers
 from .boundaries import BoundarySums, FirstSegment
 from .counting import IntervalCounting, Likelihood, StepCounting, recording
-from .problem import LANES, ROWS, Pilot, SensitivityProblem, buffer_sizes_for
+from .problem import Pilot, SensitivityProblem, buffer_sizes_for
 from .statistic import (
     BufferSizes,
     Features,
@@ -247,11 +248,12 @@ def counted(problem: SensitivityProblem, pilot: Pilot, bandwidths: np.ndarray, *
     passes = -(-len(leaves) // together)
     chosen = np.minimum(np.arange(passes * together, dtype=np.int32), len(leaves) - 1).reshape(passes, together)
     # Of several contacts LLVM (jaxlib 0.10) takes many minutes for the machine code of a native loop.
-    count = count_chunk[is_built_in(engine) and problem.system.tracks.contacts is None]
+    count = count_chunk[is_built_in(engine) and problem.system.tracks.contacts is None and not is_wide()]
+    lanes, most = problem.lanes, problem.rows
 
     def rows(first: int, number: int) -> list[Rows]:
-        job = problem.job(engine, first, LANES * ROWS, -(-number // LANES))
-        found = [count(job, part, leaves=leaves, lanes=LANES, rows=ROWS, dtype=problem.dtype) for part in chosen]
+        job = problem.job(engine, first, lanes * most, -(-number // lanes))
+        found = [count(job, part, leaves=leaves, lanes=lanes, rows=most, dtype=problem.dtype) for part in chosen]
         totals, _, status = found[0]  # the same in all
         slopes = jax.tree.map(lambda *each: np.concatenate(each)[: len(leaves)], *(one[1] for one in found))
         d_time, (d_events, d_window) = jax.tree.map(lambda leaf: flat(leaf, number), slopes)
@@ -484,7 +486,8 @@ def _values_of_ensemble(problem: SensitivityProblem, model: StochasticModel) -> 
 
 def _values_of_engine(problem: SensitivityProblem, pilot: Pilot, engine: Engine, first: int, number: int) -> _Values:
     """The values of samples `first` to ``first + number - 1`` of an engine."""
-    samples, rows = (LANES * ROWS, -(-number // LANES)) if problem.is_counted else (problem.sequence_lanes, 1)
+    lanes, most = problem.lanes, problem.rows
+    samples, rows = (lanes * most, -(-number // lanes)) if problem.is_counted else (problem.sequence_lanes, 1)
     job = problem.job(engine, first, samples, rows)
     if isinstance(engine, RandomEngine):
         # With its random numbers drawn, both ends of a difference are compiled once.
@@ -492,7 +495,7 @@ def _values_of_engine(problem: SensitivityProblem, pilot: Pilot, engine: Engine,
     if problem.is_counted:
         with_records = problem.random is not None and problem.random.inputs.has_sampled_law
         summarize = compiled_for(job.engine, with_records=with_records).summarize
-        totals = summarize(job, lanes=LANES, rows=ROWS, dtype=problem.dtype)
+        totals = summarize(job, lanes=lanes, rows=most, dtype=problem.dtype)
         return _values_of_totals(problem, jax.tree.map(lambda leaf: flat(leaf, number), totals))
     # Only the sticks are asked for, and nothing about what has a density.
     job = job._replace(engine=wrapped(job.engine, partial(recording, first=FirstSegment(False, False))))

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._compiler.native import LANES
 from .._compiler.programs import kept_jit
-from .._dynamics.common.lanes import BLOCK, Engine, Job, with_leaves
+from .._dynamics.common.lanes import BLOCK, Engine, Job, lane_size, with_leaves
 from .._dynamics.common.method import EXACT, Arguments, Exact, Regularized, check_method, state_of
 from .._dynamics.engine_choice import engine_for, engines_of_all, sample_engines
 from .._dynamics.interval.arcs import Scales
@@ -23,7 +24,7 @@ from .._excitation.motion import RandomSignal
 from .._excitation.piecewise_constant import PiecewiseConstantLaw, PoissonSwitching
 from .._excitation.segments import SegmentLaw
 from .._foundation import checks
-from .._foundation.processes import cores
+from .._foundation.processes import is_wide, lanes_at_once, usual_threads
 from .._foundation.types import AnyArray, DType, InitialState, Scalar
 from .._numerics.elementary import random_words
 from .._numerics.matrices import MANY, WRITTEN_OUT
@@ -36,7 +37,9 @@ from .statistic import AnyStatistic, BufferSizes, OfOutput, OfTotals, RandomEngi
 # A sensitivity problem: statistic, motion and parameters, and the results of its pilot simulation.
 
 
-LANES, ROWS = 256, 32  # of tasks that find totals
+ROWS = 32  # of tasks that find totals
+SEQUENCE_LANES, _FEWEST = 512, 64  # of tasks that record sticks, on a CPU
+_NUMBERS_OF_STEP = 40  # about so many are recorded of a step
 _IN_MATRICES = ("on_base", "series_stiffness")
 
 
@@ -74,7 +77,8 @@ class SensitivityProblem(NamedTuple):
 
     What it says of its statistics holds if they are of one kind (`kinds`).
     `system`, `law`, `y0`: those of the first sample. `random`: the numbers that differ from sample to sample; None if
-    there are none. `model`: with all distributions and arrays, for what ensembles simulate.
+    there are none. `model`: with all distributions and arrays, for what ensembles simulate. `lanes`, `recorded_lanes`:
+    how many trajectories are followed at a time, where totals are found and where sticks are recorded.
     """
 
     statistics: tuple[StickStatistic, ...]
@@ -91,6 +95,8 @@ class SensitivityProblem(NamedTuple):
     dtype: DType
     model: StochasticModel
     random: RandomInputs | None = None
+    lanes: int = LANES
+    recorded_lanes: int = SEQUENCE_LANES
 
     def only(self, statistic: StickStatistic) -> "SensitivityProblem":
         """The problem of one statistic."""
@@ -282,17 +288,52 @@ class SensitivityProblem(NamedTuple):
     @property
     def per_task(self) -> int:
         """The largest number of samples of a task that finds totals, as in `_ensemble/setup.py`."""
-        return min(-(-self._share // LANES) * LANES, LANES * ROWS)
+        return min(-(-self._share // LANES) * LANES, self.lanes * self.rows)
+
+    @property
+    def rows(self) -> int:
+        """The number of rows of a task that finds totals: always the same on a CPU, else no more than needed."""
+        return min(ROWS, -(-self._share // self.lanes)) if is_wide() else ROWS
+
+    def of_lanes(self, lanes: int) -> "SensitivityProblem":
+        """The same with fewer lanes."""
+        return self._replace(lanes=lanes, recorded_lanes=max(_FEWEST, self.recorded_lanes * lanes // self.lanes))
+
+    def laid_out(self) -> "SensitivityProblem":
+        """The same with as many lanes as the device takes."""
+        # A tangent of everything for each parameter, and what is compared with it.
+        each, numbers = 2 * (1 + len(self.parameters)), 1.0 * _NUMBERS_OF_STEP * self.dtype.itemsize
+
+        def size() -> float:
+            return 1.0 * each * lane_size(self.job(self.engine(), 0, 1), self.dtype, rows=ROWS, is_recorded=False)
+
+        def recorded_size() -> float:
+            return each * numbers * (BLOCK if isinstance(self.method, Regularized) else self.steps)
+
+        return self._replace(
+            lanes=lanes_at_once(LANES, self._share, size),
+            recorded_lanes=lanes_at_once(SEQUENCE_LANES, self._share, recorded_size),
+        )
 
     @property
     def sequence_lanes(self) -> int:
         """The number of lanes of a chunk that records sticks."""
-        return min(512, max(64, 1 << (self._share - 1).bit_length()))
+        return min(self.recorded_lanes, max(_FEWEST, 1 << (self._share - 1).bit_length()))
 
     @property
     def _share(self) -> int:
         share = -(-self.samples // self.threads)
         return share if self.chunk is None else min(share, self.chunk)
+
+
+def in_rows(samples: int, usual: int, most: int) -> tuple[int, int]:
+    """How many rows of how many lanes `samples` fill, a multiple of the `usual` number of lanes; at most `most` lanes.
+
+    They are filled exactly, so that as many samples are simulated whatever the device.
+    """
+    units = samples // usual
+    together = max(d for d in range(1, max(1, min(units, most // usual)) + 1) if units % d == 0)
+    return units // together, together * usual
 
 
 def buffer_sizes_for(problem: SensitivityProblem, pilot: Pilot) -> BufferSizes:
@@ -327,7 +368,7 @@ def problem_of(
     """The checked problem, and the pilot simulation of its motion. Raises ValueError for invalid arguments."""
     checks.require_threads_of_jax()
     statistics = statistics_of(statistic)
-    threads = cores() if threads is None else checks.whole_number("threads", threads)
+    threads = usual_threads() if threads is None else checks.whole_number("threads", threads)
     size = None if chunk is None else checks.whole_number("chunk", chunk)
     check_method(method)
     number = checks.whole_number("samples", samples, minimum=2, maximum=2**31)
@@ -365,7 +406,7 @@ def problem_of(
         statistics, first.system, base, float(t1), first.y0, method, key_data, parameters, number, threads, size,
         dtype, inputs.model,
     )  # fmt: skip
-    return problem if smoothed else problem.with_inputs(inputs), pilot
+    return (problem if smoothed else problem.with_inputs(inputs)).laid_out(), pilot
 
 
 def _first_segment(base: BaseMotion, dtype: DType) -> FirstSegment:

@@ -8,10 +8,8 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._dynamics.sticks import NUMBERS, FlatSticks, StickStream
+from .._dynamics.sticks import NUMBERS, DeviceSticks, FlatSticks, StickStream
 from .._foundation import checks
-from .._foundation.types import Ending
-from .._numerics import sums
 from .._numerics.sums import CommonBins, DyadicCounts, PowerSums
 from .distribution import BINS, BINS_OF_PAIRS
 from .estimate import EnsembleLike, require_ensemble
@@ -177,11 +175,13 @@ BINS_BY_ORDER = 1024
 
 _NAMES = tuple(quantity.name for quantity in STICK_QUANTITIES)
 _SLIP = len(_NAMES)  # the column of slips, after those of the sticks
-_OTHERS = [NUMBERS.index(name) for name in _NAMES[3:]]  # rows of `StickStream.numbers`
+_OTHERS = np.array([NUMBERS.index(name) for name in _NAMES[3:]], int)  # rows of `StickStream.numbers`
 _X, _Y = ([_NAMES.index(pair[axis]) for pair in STREAMED_PAIRS] for axis in (0, 1))
 
 
-def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1: float) -> dict[str, Any]:
+def sums_of_sticks(
+    sticks: StickStream | DeviceSticks, skipped: Int[np.ndarray, " samples"], t1: float
+) -> dict[str, Any]:
     """Sums and histograms of the numbered sticks of finished samples, simulated up to `t1`, s, and of all slips.
 
     By their names in the `StickAccumulator`. `skipped`: how many sticks of each sample come before its first numbered
@@ -190,10 +190,10 @@ def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1
     Raises:
         ValueError: Where a number of a stick is NaN: the loops check no bounds, and it would have no bin.
     """
-    d, compiled = _SLIP + 1, sums.compiled()
+    d, compiled = _SLIP + 1, sticks.loops()
     skip_rest = bool(np.any(skipped))
     # A sample that begins with a stick has no slip there.
-    all_slips = skip_rest or not np.any(sticks.initial_rests[0])
+    all_slips = skip_rest or not np.any(sticks.begins_at_zero)
     columns = (
         sticks.start, sticks.end, sticks.position, sticks.slip, sticks.numbers[_OTHERS], skip_rest, all_slips
     )  # fmt: skip
@@ -234,20 +234,20 @@ def sums_of_sticks(sticks: StickStream, skipped: Int[np.ndarray, " samples"], t1
     }
 
 
-def sums_of_orders(sticks: StickStream, skipped: Int[np.ndarray, " samples"], orders: int) -> dict[str, Any]:
+def sums_of_orders(
+    sticks: StickStream | DeviceSticks, skipped: Int[np.ndarray, " samples"], orders: int
+) -> dict[str, Any]:
     """Sums and histograms of the 1st to the `orders`-th numbered stick, by their names in the `StickAccumulator`.
 
     `skipped`: how many sticks of each sample come before its first numbered one.
     """
     # No more orders than there are sticks, but the first two in any case.
     most = max(2, min(orders, int(sticks.count.max(initial=0))))
-    d, samples, compiled = _SLIP, len(sticks.count), sums.compiled()
-    columns, found = np.empty((d, most, samples)), np.zeros(most, np.int64)
-    earlier, pair = np.empty(samples), np.empty((2, samples))
+    d, compiled = _SLIP, sticks.loops()
     of_sticks = (sticks.start, sticks.end, sticks.position, sticks.numbers[_OTHERS], sticks.owner, sticks.order)
-    compiled.numbered(*of_sticks, skipped, columns, found, earlier, pair)
-    first_two, present = (pair[0, : found[1]], pair[1, : found[1]]), found[:orders]
-    pair_bins = DyadicCounts.of_columns(first_two, BINS_OF_PAIRS)
+    columns, found, first_two = compiled.by_order(of_sticks, skipped, most)
+    present = found[:orders]
+    pair_bins = DyadicCounts.of_columns(tuple(first_two), BINS_OF_PAIRS)
     of_pairs = {"first_two": PowerSums.of(*first_two), "first_two_bins": pair_bins}
     if not np.any(present):
         no_bins = DyadicCounts.none(1, BINS_BY_ORDER, groups=orders)
@@ -321,13 +321,11 @@ class Numbering(NamedTuple):
         return np.arange(len(sticks.start)) - np.repeat(before, sticks.count) + 1
 
     def rest(
-        self, sticks: FlatSticks | StickStream
+        self, sticks: FlatSticks | StickStream | DeviceSticks
     ) -> tuple[Float[np.ndarray, " samples"], Int[np.ndarray, " samples"]]:
         """Duration (s) and number (0 or 1) of the sticks of each sample that are not numbered."""
-        begins, lasts = sticks.initial_rests
-        if self.count_initial_rest:
-            begins, lasts = np.zeros_like(begins), np.zeros_like(lasts)
-        return lasts, begins.astype(int)
+        times = np.zeros(len(sticks.count)) if self.count_initial_rest else sticks.rest_times()
+        return times, (times > 0).astype(int)
 
 
 class StickAccumulator(NamedTuple):
@@ -361,7 +359,12 @@ class StickAccumulator(NamedTuple):
 
     @classmethod
     def of(
-        cls, sticks: StickStream, stick_time: np.ndarray, slips: np.ndarray, t1: float, numbering: Numbering
+        cls,
+        sticks: StickStream | DeviceSticks,
+        stick_time: np.ndarray,
+        slips: np.ndarray,
+        t1: float,
+        numbering: Numbering,
     ) -> "StickAccumulator":
         """The accumulator of finished samples, simulated up to `t1` (s).
 
@@ -372,8 +375,6 @@ class StickAccumulator(NamedTuple):
         numbered = sticks.count - skipped
         has = numbered > 0
         own_mean = (fraction[has] * t1 - rest[has]) / numbered[has]
-        endings = np.zeros(len(Ending), np.int64)
-        sums.compiled().count_endings(sticks.start, sticks.ending, bool(np.any(skipped)), endings)
         counts = (sticks.count, np.asarray(slips, np.int64))
         return cls(
             **sums_of_sticks(sticks, skipped, t1),
@@ -382,7 +383,7 @@ class StickAccumulator(NamedTuple):
             sample_bins=(*(DyadicCounts.of(one, BINS, finest=0) for one in counts), DyadicCounts.of(fraction, BINS)),
             own_mean=PowerSums.of(own_mean),
             own_mean_bins=DyadicCounts.of(own_mean, BINS),
-            endings=endings,
+            endings=sticks.endings(bool(np.any(skipped))),
         )
 
     def merge(self, other: "StickAccumulator") -> "StickAccumulator":

@@ -31,7 +31,7 @@ from .._ensemble.encoding import SweepError, cannot_write, with_header
 from .._foundation import checks
 from .._foundation.extras import Progress, progress_bar, require
 from .._foundation.files import write_whole
-from .._foundation.processes import cores
+from .._foundation.processes import usual_threads
 from . import batches
 from .batches import SETTINGS, Failed, NoMemory, Outcome, Performer, Plan, Sent, Task, outcome_of, perform_sent, sent
 from .dataset import Results, Work, require_packages, write_dataset
@@ -490,7 +490,7 @@ def _executor_for(
 
         options: dict[str, Any] = {"initializer": batches.prepare_process, "initargs": start, "env": _ENVIRONMENT}
         return Executor(number, functools.partial(ProcessPoolExecutor, number, **options), batches.perform_in_process)
-    usual = max(cores(), len(jax.local_devices()))
+    usual = max(usual_threads(), len(jax.local_devices()))
     number = usual if threads is None else checks.whole_number("threads", threads)
     new_pool = functools.partial(ThreadPoolExecutor, number, thread_name_prefix="stickslip sweep")
     return Executor(number, new_pool, Performer(plan).perform)

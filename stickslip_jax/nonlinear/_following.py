@@ -32,7 +32,7 @@ from .._foundation import checks
 from .._foundation.extras import progress_bar
 from .._foundation.fields import is_of_package, modules_in
 from .._foundation.files import read_regular, remove_unfinished, unpacked_arrays, write_whole
-from .._foundation.processes import cores, require_memory
+from .._foundation.processes import as_many_as_fit, cores, is_wide, lanes_at_once, require_memory, usual_threads
 from .._foundation.types import AnyArray, Ending, FloatArray, IntArray, Status
 from ._cases import MOST_PERIODS, Cases, Cycle, Followed, Turns, checked_numbers
 from ._orbits import periodic_orbit
@@ -180,7 +180,8 @@ def _brief(value: object) -> str:
 # Cases followed from period to period, in blocks over threads.
 
 
-_LANES = 512  # cases of a block: their arrays stay in the cache
+_LANES = 512  # cases of a block on a CPU: their arrays stay in the cache
+_SIZE = 2**18  # bytes that a case may take on another device, most of them for what a period leaves
 _STORED_BLOCKS = 8  # at least, if there are as many cases
 _INSTANTS = (0.1, 0.35, 0.6, 0.85)  # of a period, at which the size of a motion is looked at
 _AT_REST = 1e-3  # of its size in the transient periods: a number that falls below is taken as zero
@@ -333,8 +334,9 @@ def follow(
 
 def block_size(number: int, stored: Kept) -> int:
     """How many cases are followed side by side."""
-    # Blocks that are stored are the same on every machine.
-    return min(_LANES, -(-number // (_STORED_BLOCKS if stored.folder else cores())))
+    if stored.folder:  # the same on every machine
+        return min(_LANES, -(-number // _STORED_BLOCKS))
+    return min(lanes_at_once(_LANES, number, lambda: _SIZE), -(-number // (1 if is_wide() else cores())))
 
 
 def in_blocks(
@@ -347,6 +349,15 @@ def in_blocks(
     that are `stored` are taken from there, by `name` and number; `kind`: of tuple of the results. `size`: of a block.
     """
     size = block_size(cases.number, stored) if size is None else size
+    of_size = partial(_in_blocks, cases, run, kind, progress, stored, name)
+    return of_size(size) if stored.folder else as_many_as_fit(of_size, size)
+
+
+def _in_blocks(
+    cases: Cases, run: Callable[[Cycle, Array], FollowedT], kind: Callable[..., FollowedT], progress: bool | None,
+    stored: Kept, name: str, size: int,
+) -> FollowedT:  # fmt: skip
+    """As `in_blocks`."""
     blocks = -(-cases.number // size)
     # The last block repeats its last case, so that all are of one size, and compiled once.
     numbers = np.minimum(np.arange(blocks * size), cases.number - 1).reshape(blocks, size)
@@ -360,7 +371,7 @@ def in_blocks(
 
         return stored.block(f"{name}-{block:06}", kind, lambda: _with_enough_steps(cases, run_block))
 
-    with progress_bar(progress, cases.number) as bar, ThreadPoolExecutor(cores()) as pool:
+    with progress_bar(progress, cases.number) as bar, ThreadPoolExecutor(usual_threads()) as pool:
         found = []
         for part in pool.map(one, range(blocks)):
             found.append(part)

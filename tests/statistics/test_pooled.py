@@ -8,7 +8,7 @@ import pytest
 
 import stickslip_jax as ss
 from stickslip_jax import plot
-from stickslip_jax._ensemble.data import within_period
+from stickslip_jax._dynamics.sticks import within_period
 
 SAMPLES = 200
 

@@ -200,7 +200,7 @@ def test_many_sticks_and_none(samples, dtype):
     nothing = sticks_from([[]] * samples)
     for one in (sticks, nothing):
         stream = StickStream.of(one)
-        for skipped in (np.zeros(samples, int), stream.initial_rests[0].astype(int)):
+        for skipped in (np.zeros(samples, int), stream.begins_at_zero.astype(int)):
             numbered = one.without_initial_rest() if np.any(skipped) else one
             duration = numbered.end.astype(float) - numbered.start
             columns = [np.asarray(values, float) for values in (numbered.start, duration, numbered.position)]

@@ -15,8 +15,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
-from ..._compiler.native import Layout, packed, unpacked
+from ..._compiler.native import LANES, Layout, packed, unpacked
 from ..._foundation import checks
+from ..._foundation.processes import WIDE_BLOCKS, is_wide
 from ..._foundation.types import AnyArray, AnyInteger, BoolArray, FloatArray, IntArray, Scalar, State
 from ..._numerics.elementary import stored_words
 from ..._systems.switched_model import Form, of_form
@@ -82,7 +83,7 @@ class Engine(eqx.Module, Generic[Shared, Sample, Motion, Record, Results]):
     @property
     def lanes(self) -> int:
         """How many lanes move in lock step on a CPU: the arrays of so many stay in the cache (benchmarks/README.md)."""
-        return 256
+        return LANES
 
     @property
     def knows_extremes(self) -> bool:
@@ -537,6 +538,8 @@ def lane_size(job: Job, dtype, *, rows: int, is_recorded: bool) -> int:
     )
     results = jax.eval_shape(partial(_results, job.engine), now)
     of_block = (len(NUMBERS) * jnp.dtype(dtype).itemsize + 1) * (job.engine.tracks or 1) if is_recorded else 0
+    if is_wide():  # records of two calls, and what finds the sticks among them
+        of_block *= 3 * WIDE_BLOCKS
     carried, each, noted = (
         sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(part)) for part in (now, drawn, results)
     )
