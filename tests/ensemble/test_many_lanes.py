@@ -108,6 +108,7 @@ def test_single_precision_is_counted_as_exactly(both):
     assert_same(few.flat_sticks, many.flat_sticks)
 
 
+@pytest.mark.slow
 def test_every_contact_is_counted(wide):
     def found():
         return ss.simulate_contacts(
@@ -151,7 +152,7 @@ def test_a_sensitivity_is_the_same(wide):
 
 
 def test_where_memory_does_not_suffice_fewer_lanes_are_taken(both, monkeypatch):
-    monkeypatch.setattr(processes, "LANES", 64)
+    monkeypatch.setattr(processes, "_FEWEST", 64)
     recorder, failed = setup._device_recorder, []
 
     def failing(study, tasks):

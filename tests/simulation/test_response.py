@@ -230,6 +230,7 @@ STOREYS = ss.storeys_on_bearing(
 ON_BEARING = ss.Exact(max_steps=3072)
 
 
+@pytest.mark.slow
 def test_a_building_and_its_bearing():
     """The force in the bearing is that of its friction and its spring; energies, found another way."""
     one, times = ss.simulate(STOREYS, GROUND, t1=6.0, method=ON_BEARING), np.linspace(0.0, 6.0, 60_001)

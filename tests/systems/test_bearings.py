@@ -59,6 +59,7 @@ def compare(seed, moves_up, radius=1.5, with_energies=True):
     return len(sticks), np.min(upward) < -GRAVITY and moves_up
 
 
+@pytest.mark.slow
 def test_a_pendulum_under_a_record():
     """Residual and largest displacement, largest speed, and every stick, while the bearing opens and closes."""
     found = [compare(seed, moves_up=True, with_energies=False) for seed in range(2)]

@@ -508,7 +508,8 @@ def duffing_by_scipy(spring, cubic, ratio, t1):
     return np.array(sticks), y
 
 
-@pytest.mark.parametrize("ratio", [1.0, pytest.param(1.3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [1.0, 1.3])
 def test_duffing_on_a_jenkins_element(ratio):
     """And derivatives of state and stick times by the spring and the cubic stiffness. Breakaway where `ratio` > 1."""
     spring, t1 = 1.5, 20.0
