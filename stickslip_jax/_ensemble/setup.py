@@ -57,7 +57,7 @@ from .._numerics import device_loops
 from .._statistics.quantities import DISTRIBUTIONS, Numbering
 from .._statistics.totals import STATISTICS
 from .._systems.switched_model import Form, Segments, State, is_observed
-from .._systems.system import System, Tracks, WithContacts, require_system
+from .._systems.system import System, Tracks, WithContacts, is_built_in, require_system
 from .._uncertainty.design import Design
 from .._uncertainty.inputs import GaussianCopula, Inputs, StochasticModel
 from .._uncertainty.numbers import with_numbers
@@ -510,6 +510,7 @@ _Run = Callable[[int, int], tuple[SampleTotals | WatchedTotals, StickStream | De
 """Of the same samples: their results, and, unless only these are kept, their sticks, each track as a sample."""
 _ONE_SIZE = 8192  # samples of a task where tasks of any size share a compilation
 _MANY_NUMBERS = 100  # of a state
+_LAUNCHED = 1024  # lanes of a loop that is not native, at most
 _ROWS, _WIDE_ROWS = 64, 2  # of a task; where its sticks stay on the device
 
 
@@ -605,8 +606,11 @@ class _Tasks(NamedTuple):
         if chunk is not None:
             chunk = checks.whole_number("chunk", chunk, maximum=MOST_SAMPLES)
         rows, useful = _ROWS, samples if chunk is None else min(samples, chunk)
-        size = partial(lane_size, dtype=setup.dtype, rows=rows, is_recorded=is_recorded)
-        lanes = lanes_at_once(setup.engine.lanes, useful, lambda: size(setup.job(0, 1, 1)))
+        size, usual = partial(lane_size, dtype=setup.dtype, rows=rows, is_recorded=is_recorded), setup.engine.lanes
+        if usual == LANES and not is_built_in(setup.engine):
+            # Operations of a user's are launched one by one: more lanes hide that, where there are samples for them.
+            usual = max(usual, min(_LAUNCHED, 1 << (-(-useful // threads) - 1).bit_length()))
+        lanes = lanes_at_once(usual, useful, lambda: size(setup.job(0, 1, 1)))
         if is_wide():
             # Without rows that are not needed; sticks stay on the device until the task is done.
             threads, rows = 1, min(_WIDE_ROWS if is_recorded else _ROWS, -(-useful // lanes))
