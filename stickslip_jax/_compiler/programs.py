@@ -113,6 +113,8 @@ class KeptJit(Generic[_Arguments, _Result]):
 
         What the arrays are is not looked at again: while Python does so, other threads wait.
         """
+        if any(_not_with(jax.config)):
+            return functools.partial(self.usual, **static)
         leaves, tree = jax.tree.flatten(dict(zip(self.signature.parameters, arrays, strict=False)))
         static_leaves, static_tree = jax.tree.flatten(static)
         kinds = tuple(leaf.aval for leaf in leaves)
