@@ -178,7 +178,7 @@ def _orders(stuck: BoolArray, starts: FloatArray) -> IntArray:
 
     A record is made when a stick ends, so that nearly all are in order; and XLA sorts slowly on the CPU.
     """
-    if native_loops_work():
+    if native_loops_work() and stuck.size:
         ends = jnp.max(jnp.where(stuck, jnp.arange(1, stuck.shape[1] + 1, dtype=jnp.int32)[None], 0), axis=1, initial=0)
         return _inserted(stuck, starts, ends, jnp.zeros(stuck.shape, jnp.int32))
     return jnp.argsort(jnp.where(stuck, starts, jnp.inf), axis=1, stable=True).astype(jnp.int32)

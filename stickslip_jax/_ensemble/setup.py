@@ -679,24 +679,24 @@ def _in_a_row(results: Any) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:]), results)
 
 
-def _record_options(setup: EnsembleSetup, tasks: _Tasks) -> dict[str, Any]:
-    """What is static in calls of `record`."""
-    layout = Layout.of(jax.eval_shape(lambda job: job, setup.job(0, 1, tasks.lanes * tasks.rows)))
-    blocks = blocks_at_once(tasks.lanes, BLOCK)
-    return {"layout": layout, "lanes": tasks.lanes, "blocks": blocks, "dtype": setup.dtype}
+def _record_options(tasks: _Tasks, dtype: DType, job: Job) -> dict[str, Any]:
+    """What is static in calls of `record`, the same for all jobs."""
+    layout, blocks = Layout.of(jax.eval_shape(lambda job: job, job)), blocks_at_once(tasks.lanes, BLOCK)
+    return {"layout": layout, "lanes": tasks.lanes, "blocks": blocks, "dtype": dtype}
 
 
 def _recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     """Simulates samples, with every stick recorded."""
     _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
     of_thread = threading.local()  # memory of each thread, reused because allocating it for every task is slow
-    options = _record_options(setup, tasks)
+    options: dict[str, Any] = {}
 
     def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, StickStream]:
         if not hasattr(of_thread, "sticks"):
             of_thread.sticks = StickCollector()
         # While a thread is in the loops below, XLA's and Numba's, others can hold Python's lock.
         job = setup.job(first, -(-number // tasks.lanes), tasks.lanes * tasks.rows)
+        options.update({} if options else _record_options(tasks, setup.dtype, job))
         task, now, results = begin(job, lanes=tasks.lanes, rows=tasks.rows, dtype=setup.dtype)
         of_thread.sticks.restart(number * len(setup.tracks))
         found = record(task, now, results, **options)
@@ -714,10 +714,11 @@ def _device_recorder(setup: EnsembleSetup, tasks: _Tasks) -> _Run:
     """As `_recorder`, but sticks are collected on the device, and stay there."""
     _, begin, record = compiled_for(setup.engine, with_records=setup.inputs.has_sampled_law)
     lanes, dtype, tracks = tasks.lanes, setup.dtype, len(setup.tracks)
-    options = _record_options(setup, tasks)
+    options: dict[str, Any] = {}
 
     def run(first: int, number: int) -> tuple[SampleTotals | WatchedTotals, DeviceSticks]:
         job = setup.job(first, -(-number // lanes), lanes * tasks.rows)
+        options.update({} if options else _record_options(tasks, dtype, job))
         task, now, results = begin(job, lanes=lanes, rows=tasks.rows, dtype=dtype)
         seen = device_loops.nothing_seen(lanes * tracks, lanes * tasks.rows * tracks, dtype)
         parts, goes_on = list[Any](), True

@@ -84,3 +84,17 @@ def test_no_trajectory_depends_on_those_beside_it():
             strict=True,
         ):
             np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_no_trajectories_have_no_sticks():
+    """Also where each operation runs by itself."""
+    none = np.zeros((0, *SHAPE[2:]))
+    found = jax.vmap(sticks_in_order)(records(none, none))
+    assert found.start.shape == (0, SHAPE[2] * SHAPE[3])
+    phases = jnp.zeros(0)
+    system, method = ss.MassSpring(1.0, 4.0, 1.0, ss.Coulomb(0.6)), ss.Exact(max_steps=64)
+
+    def starts(phase):
+        return ss.simulate(system, ss.Harmonic(1.0, 1.3, phase), t1=1.0, method=method).sticks.start
+
+    assert jax.vmap(starts)(phases).shape == jax.jit(jax.vmap(starts))(phases).shape == (0, 64)
